@@ -56,7 +56,7 @@ def _floor(folder: Path) -> float:
     begun = time.perf_counter()
     for name in Workspace.open(folder).mission().instruments:
         for day in cat.days(f"l1/{name}", states=("published",)):
-            cat.read(day, dated=False)
+            cat.read(day, with_time=False)
     read = time.perf_counter() - begun
     stores = sorted({day.segment for day in cat.days("l2/field", states=("published",))})
     begun = time.perf_counter()

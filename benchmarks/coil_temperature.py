@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, joined
+from inflight.calibration import NINE, concat_equations
 from inflight.catalog import Catalog
-from inflight.effects import slope
+from inflight.effects import time_derivative
 from inflight.errors import CalibrationError
 from inflight.mission import Mission, sensors_of
 from inflight.mission_fit import CoilBlock, coil_equations, compare_temperatures, fit_coil
@@ -76,12 +76,14 @@ def load(name: str, comparison: str, folder: str, channels: tuple[str, ...], shi
         needs = needs_of(mission, model)
         index = ArchiveIndex.of(cat, needs)
         days = []
-        for day in index.with_all(needs):
+        for day in index.complete_days(needs):
             samples = load_samples(cat, mission, model, day, needs, index)
             rows = rows_of(model, samples)
             strength = np.linalg.norm(rows.field, axis=1)
             stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-            residual = np.where(rows.good, rows.residual[:, 0], np.nan) + shift * slope(strength, stamps)
+            residual = np.where(rows.good, rows.residual[:, 0], np.nan) + shift * time_derivative(
+                strength, stamps
+            )
             known = {one: _smooth(stamps, np.asarray(samples[one].values)) for one in channels}
             days.append(CoilBlock(stamps, rows.field, residual, known))
         return days
@@ -113,7 +115,7 @@ def along_field(blocks: list[CoilBlock], channel: str, reference: float) -> tupl
 
     The quadratic terms are held at 0: temperatures that hardly move tell no curve.
     """
-    equations = joined([coil_equations(one, {}, reference) for one in blocks])
+    equations = concat_equations([coil_equations(one, {}, reference) for one in blocks])
     fit = fit_coil(equations, channel, reference=reference, each=_EACH, prior=(1e-3, 1e-12, 3600.0))
     field = np.nanmean(np.concatenate([one.field for one in blocks]), axis=0)
     weight = np.zeros(7)
@@ -148,7 +150,7 @@ def main() -> None:
             value, sigma, told = along_field(blocks, channel, mean)
             print(f"    along the field {value:.1f} +- {sigma:.1f} ppm/K, detectable {3 * sigma:.1f}; {told}")
         if moving:
-            equations = joined([coil_equations(one, {}, mean) for one in blocks])
+            equations = concat_equations([coil_equations(one, {}, mean) for one in blocks])
             choice = compare_temperatures(equations, moving, each=_EACH, prior=(1e-3, 1e-12, 3600.0))
             print(f"  held out: {choice.told()}")
             print("  " + ", ".join(f"{one.channel} {one.score:.5f} nT" for one in choice.rivals))

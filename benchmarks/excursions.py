@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.residual import SIGNIFICANCE, CurrentSteps, channel_noise, clean_readings
+from inflight.residual import STEP_SIGNIFICANCE, CurrentSteps, channel_noise, clean_readings
 from inflight.time import SECOND, Int64
 
 #: A reading is away from the level from this many sigma on.
@@ -19,7 +19,7 @@ def find_excursions(
     *,
     unit: str = "A",
     longest: float = 1200.0,
-    significance: float = SIGNIFICANCE,
+    significance: float = STEP_SIGNIFICANCE,
     smallest: float = 0.0,
     resolution: float | None = None,
 ) -> CurrentSteps:

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
-from inflight.calibration import Reference, fit_block, reference_of, split_chain, usable
+from inflight.calibration import Reference, fit_block, reference_of, remove_other_effects, usable_samples
 from inflight.catalog import Catalog, Day, Workspace
 from inflight.tasks import current_model
 from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
@@ -50,10 +50,10 @@ def nine_parameters(cat: Catalog, days: int = 6) -> list[str]:
     index = ArchiveIndex.of(cat, needs)
     rows, worst = [], 0.0
     with threadpool_limits(1):
-        for day in index.with_all(needs)[:days]:
+        for day in index.complete_days(needs)[:days]:
             samples = load_samples(cat, mission, model, day, needs, index)
-            reading, additive, scalar = split_chain(model, samples)
-            good = usable(samples, reading, additive, scalar)
+            reading, additive, scalar = remove_other_effects(model, samples)
+            good = usable_samples(samples, reading, additive, scalar)
             prior = reference_of(model, sum(day_bounds(day)) // 2)
             fit = fit_block(reading, additive, scalar, good, prior)
             near = Reference(fit.value + _AWAY, prior.sigma)

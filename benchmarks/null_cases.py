@@ -19,7 +19,7 @@ from inflight.diagnosis import (
     Search,
     TimeVariableColumns,
     active_blocks,
-    batches,
+    batch_changes,
     drifts,
     episodes,
     group_by_size,
@@ -176,7 +176,7 @@ def _timed(search: Search, residuals: Sequence[int]) -> Floats:
     small, base, refined = _small(search, residuals)
     found = drifts(small, search.time_variable) + steps(small, search.time_variable)
     reached = np.zeros(len(residuals), dtype=bool)
-    for batch in batches(found):
+    for batch in batch_changes(found):
         functions = {name: told for change in batch for name, told in change.functions.items()}
         wide, present = _absorbed(search, small.expand(functions), base, refined)
         columns = [wide.index(list(change.functions)) for change in batch]

@@ -19,11 +19,11 @@ from inflight.arrays import Floats
 from inflight.calibration import table_jumps
 from inflight.catalog import Catalog, Workspace
 from inflight.design import bin_means
-from inflight.effects import slope
+from inflight.effects import time_derivative
 from inflight.errors import InflightError
 from inflight.frames import direction_of
 from inflight.lsq import grams_by_cluster, solve_clusters
-from inflight.mission_fit import CoilBlock, clock_faults, event_steps
+from inflight.mission_fit import CoilBlock, find_clock_faults, measure_event_steps
 from inflight.model import rows_of
 from inflight.tasks import preflight_model
 from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
@@ -78,7 +78,7 @@ def blocks_of(days: list[CoilBlock], hours: int) -> tuple[Floats, Floats, Floats
     found = []
     for day in days:
         stamps, strength, residual = means(day)
-        rate = slope(strength, stamps)
+        rate = time_derivative(strength, stamps)
         edges = stamps[0] + np.arange(0, 25, hours) * 3600 * SECOND
         for low, high in pairwise(np.searchsorted(stamps, edges)):
             use = np.flatnonzero(np.isfinite(residual[low:high]) & np.isfinite(rate[low:high])) + low
@@ -121,7 +121,7 @@ def load(record: Record) -> list[CoilBlock]:
         needs = needs_of(mission, model)
         index = ArchiveIndex.of(cat, needs)
         days = []
-        for day in index.with_all(needs):
+        for day in index.complete_days(needs):
             samples = load_samples(cat, mission, model, day, needs, index)
             rows = rows_of(model, samples)
             residual = np.where(rows.good, rows.residual[:, 0], np.nan)
@@ -143,7 +143,7 @@ def tell(record: Record) -> None:
             f"{spread:.4f}, stated {np.median(sigma[:, index]):.4f}"
         )
     try:
-        faults = clock_faults(at, value[:, 1], sigma[:, 1])
+        faults = find_clock_faults(at, value[:, 1], sigma[:, 1])
         for one in faults.faults:
             begin, end = (_hour(number * record.hours) for number in (one.first, one.last + 1))
             print(f"  clock off by {one.shift:+.3f} +- {one.sigma:.3f} s, {begin} to {end}, z {one.z:.1f}")
@@ -164,7 +164,7 @@ def _steps(record: Record, at: Floats, value: Floats, sigma: Floats) -> None:
     events = mjd2000(to_tt2000(moments)) * 24 / record.hours
     for index, (what, unit) in enumerate((("baseline", "nT"), ("clock", "s"))):
         try:
-            steps = event_steps(at, value[:, index], sigma[:, index], events, unit=unit)
+            steps = measure_event_steps(at, value[:, index], sigma[:, index], events, unit=unit)
         except InflightError as error:
             print(f"  steps of the {what}: {error.message}")
             continue

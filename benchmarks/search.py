@@ -77,7 +77,7 @@ def ranking(draws: int = 2000) -> list[str]:
 
 def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     """Return the lines to print: the pass of a mission against its floor, a day and core."""
-    from inflight.tasks.analysis import block_evidence
+    from inflight.tasks.analysis import block_grams
     from inflight.tasks.analysis import diagnosis as diagnose
     from inflight.tasks.archive import ArchiveIndex, ChannelReader, DerivedChannels, load_samples
     from inflight.tasks.pipelines import learns_states
@@ -102,9 +102,9 @@ def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     with threadpool_limits(1):
 
         def make() -> None:
-            reader.forget()
+            reader.clear_cache()
             for block in some:
-                block_evidence(cat, mission, plan, index, derived, block)
+                block_grams(cat, mission, plan, index, derived, block)
 
         whole = timed(make, 3) / 1e3 / len(some)
 
@@ -114,7 +114,7 @@ def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
                 load_samples(
                     cat, mission, plan.model, block[0], needs, ArchiveIndex(index.days), geometry=False
                 )
-                reader.forget()
+                reader.clear_cache()
                 reader.day(block[0])
 
         reading = timed(read, 3) / 1e3 / len(some)

@@ -94,7 +94,7 @@ def load(workspace: Path, data: Path | None = None) -> Record:
     model = Model("as delivered", mission.mission, "main", (), layout=layout)
     needs = needs_of(mission, model)
     index = ArchiveIndex.of(cat, needs)
-    samples = load_samples(cat, mission, model, index.with_all(needs)[0], needs, index)
+    samples = load_samples(cat, mission, model, index.complete_days(needs)[0], needs, index)
     rows = rows_of(model, samples)
     entry = make_effect({"effect": "tolles_lawson", "sensor": "mag_1"}, sensors_of(mission))
     columns = unit_columns(entry, rows, model.correct(samples))

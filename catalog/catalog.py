@@ -207,11 +207,11 @@ class Catalog:
             )
         return self.read(found, variables)
 
-    def read(self, day: Day, variables: Iterable[str] | None = None, *, dated: bool = True) -> xr.Dataset:
+    def read(self, day: Day, variables: Iterable[str] | None = None, *, with_time: bool = True) -> xr.Dataset:
         """Read a day by its record; no database access. Not `dated`, it has no ``time``, and costs less."""
         if not day.segment:
             raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
-        return read_one_day(self.workspace, day, variables, dated)
+        return read_one_day(self.workspace, day, variables, with_time)
 
     # --- calibration tables --------------------------------------------------------------------
 
@@ -259,11 +259,11 @@ class Catalog:
     # --- models, contexts, files -----------------------------------------------------------------
 
     def save_model(
-        self, name: str, text: str, parent: int | None = None, message: str = "", *, again: bool = False
+        self, name: str, text: str, parent: int | None = None, message: str = "", *, new_version: bool = False
     ) -> int:
         """Save a model and return its version; a known text returns the version it has, unless `again`."""
         with self._database.write() as session:
-            return registry.save_model(session, name, text, parent, message, again)
+            return registry.save_model(session, name, text, parent, message, new_version)
 
     def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
         """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.

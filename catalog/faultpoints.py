@@ -27,7 +27,7 @@ POINTS: Final = (
 _reached: Counter[str] = Counter()
 
 
-def reached(point: str) -> None:
+def fault_point(point: str) -> None:
     """Kill the process, as ``kill -9`` does, when the environment asks for it here."""
     requested = os.environ.get("INFLIGHT_KILL_AT")
     if not requested:

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.days import day_record
-from inflight.catalog.faultpoints import reached
+from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.manifest import manifest_sha256
 from inflight.catalog.records import Day, version_text
 from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, FileRow, SettingRow, StoreRow
@@ -30,7 +30,7 @@ def publish_run(
 ) -> list[Day]:
     """Publish a run's verified days; see `Run.publish`."""
     with database.write() as session:
-        reached("publish_begun")
+        fault_point("publish_begun")
         rows = session.execute(
             select(DayRow, StoreRow, DatasetRow.name)
             .join(StoreRow, StoreRow.id == DayRow.store_id)
@@ -45,8 +45,8 @@ def publish_run(
         # A delivered file counts as taken in only with the days that were made from it.
         session.execute(update(FileRow).where(FileRow.run_id == run_id).values(taken=True))
         session.flush()
-        reached("publish_flushed")
-    reached("published")
+        fault_point("publish_flushed")
+    fault_point("published")
     return [day_record(row, name, store.path) for row, store, name in rows if row.id in published]
 
 

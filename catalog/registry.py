@@ -17,7 +17,7 @@ from inflight.errors import CatalogError
 
 
 def save_model(
-    session: Session, name: str, text: str, parent: int | None, message: str, again: bool = False
+    session: Session, name: str, text: str, parent: int | None, message: str, new_version: bool = False
 ) -> int:
     """Save a model file; see `Catalog.save_model`."""
     sha256 = sha256_text(text)
@@ -28,7 +28,7 @@ def save_model(
             f"model '{name}' has no version {parent}", remedy=f"use one of {sorted(known) or 'none'}"
         )
     same = [row.version for row in versions if row.sha256 == sha256]
-    if same and not again:
+    if same and not new_version:
         return same[-1]
     version = max(known, default=0) + 1
     created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")

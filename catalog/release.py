@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.days import published_days, status_of_days
-from inflight.catalog.faultpoints import reached
+from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.lineage import Edge, unknown_ids, walk
 from inflight.catalog.manifest import flush_folder, write_manifest
 from inflight.catalog.opening import read_one_day
@@ -77,7 +77,7 @@ def freeze_release(
     try:
         destination.mkdir(parents=True, exist_ok=True)
         _write_release(workspace, staged, collection)
-        reached("release_written")
+        fault_point("release_written")
         return _register(database, collection, context, staged, destination / version)
     except OSError as error:
         if isinstance(error, CatalogError):
@@ -319,7 +319,7 @@ def _register(
         _clear_leftover(target, collection.version)
         staged.rename(target)
         flush_folder(target.parent)
-        reached("release_renamed")
+        fault_point("release_renamed")
     return target
 
 

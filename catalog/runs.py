@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.days import adoptable_day, adoptable_days, day_record
-from inflight.catalog.faultpoints import reached
+from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import plain_attributes
 from inflight.catalog.lineage import Edge, add_edges, parent_ids, walk
 from inflight.catalog.manifest import manifest_faults
@@ -105,7 +105,7 @@ class Run:
         CatalogError
             When this run has already published one of the days.
         """
-        reached("attach")
+        fault_point("attach")
         shared = parent_ids(parents) + ([f"context:{self.context}"] if self.context else [])
         with self._database.write() as session:
             dataset = _dataset(session, segment.name)

@@ -25,7 +25,7 @@ from zarr.codecs.numcodecs import Delta
 
 from inflight.catalog.chunks import COMPRESSION_LEVEL, COMPRESSOR, ChunkWriter
 from inflight.catalog.encoding import Encoding, choose_encoding
-from inflight.catalog.faultpoints import reached
+from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import Layout, Variable, lay_out, plain_attributes, shared_attributes, variables
 from inflight.catalog.manifest import flush_folder, folder_bytes, write_manifest
 from inflight.catalog.records import DayData, Segment
@@ -139,16 +139,16 @@ class _Staged:
 
     def finish(self) -> tuple[str, str, int]:
         """Hash, flush and rename; return path relative to the workspace, manifest sha256, bytes."""
-        reached("segment_written")
+        fault_point("segment_written")
         sha256 = write_manifest(self.folder)
-        reached("manifest_written")
+        fault_point("manifest_written")
         size = folder_bytes(self.folder)
         target_folder = self._workspace / "stores" / self._run_id
         target_folder.mkdir(parents=True, exist_ok=True)
         target = self._rename_to_free_name(target_folder)
         for folder in (target_folder, target_folder.parent):
             flush_folder(folder)
-        reached("segment_renamed")
+        fault_point("segment_renamed")
         return target.relative_to(self._workspace).as_posix(), sha256, size
 
     def _rename_to_free_name(self, folder: Path) -> Path:
@@ -199,7 +199,7 @@ def _write_store(
         LAYOUT_ATTRIBUTE: {"layout": LAYOUT_VERSION, **described, "coordinates": coordinates},
     }
     group = zarr.open_group(folder, mode="w-", zarr_format=3, attributes=root)
-    reached("segment_begun")
+    fault_point("segment_begun")
     notes = []
     for item in contents:
         encoding = choose_encoding(item.name, item.pieces, item.attributes)

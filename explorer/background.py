@@ -9,11 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from inflight.tasks import Progress, told_error
+from inflight.tasks import Progress, error_fields
 
 
 @dataclass
-class Job:
+class BackgroundJob:
     """One piece of work: asked for, under way, or done with a result or an error.
 
     Attributes
@@ -25,7 +25,7 @@ class Job:
     result : object
         What the work returned, once it is done.
     error : mapping, optional
-        As `told_error`, when it raised.
+        As `error_fields`, when it raised.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Job:
         try:
             self.result = work(self.tell)
         except Exception as error:
-            self.error, self.trace = told_error(error), traceback.format_exc()
+            self.error, self.trace = error_fields(error), traceback.format_exc()
         finally:
             self._finished.set()
 
@@ -71,7 +71,7 @@ class Background:
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="explorer")
 
-    def begin(self, name: str, work: Callable[[Progress], Any]) -> Job:
+    def begin(self, name: str, work: Callable[[Progress], Any]) -> BackgroundJob:
         """Do the work as soon as what was asked for before is done; return at once.
 
         Parameters
@@ -81,7 +81,7 @@ class Background:
         work : callable
             Of one function ``(stage, done, total)`` that it tells its progress.
         """
-        job = Job(name)
+        job = BackgroundJob(name)
         self._pool.submit(job.carry_out, work)
         return job
 

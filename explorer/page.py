@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from inflight.explorer import drawing
-from inflight.explorer.missing_view import MissingView
-from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
-from inflight.explorer.sitting import Days, Sitting
+from inflight.explorer import panes
+from inflight.explorer.diagnosis_view import DiagnosisView
+from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.explorer.views import MeasurementView, TablesView, View
 from inflight.figures import facts_table
-from inflight.tasks import told_error
+from inflight.tasks import error_fields
 
 _COLOUR = "#1f3a52"
 #: Of the widgets on the left, pixels.
@@ -22,33 +22,33 @@ _WIDTH = 230
 
 
 class Page:
-    """One browser's page over a sitting.
+    """One browser's page over a session.
 
     Parameters
     ----------
-    sitting : Sitting
+    session : ExplorerSession
         Shared by all pages of the server.
     """
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting = sitting
-        self._mission = sitting.mission()
-        names = comparisons(self._mission)
+    def __init__(self, session: ExplorerSession) -> None:
+        self._session = session
+        self._mission = session.mission()
+        names = list_comparisons(self._mission)
         self._comparison = pn.widgets.Select(name="Comparison", options=names, value=names[0], width=_WIDTH)
         self._first = pn.widgets.DatePicker(name="First day", width=_WIDTH)
         self._last = pn.widgets.DatePicker(name="Last day", width=_WIDTH)
         self._look = pn.widgets.Button(name="Look", button_type="primary")
         self._facts, self._hint = pn.Column(), pn.Column(sizing_mode="stretch_width")
         self._views: tuple[View, ...] = (
-            MeasurementView(sitting),
-            MissingView(sitting, self._model_changed),
-            TablesView(sitting),
+            MeasurementView(session),
+            DiagnosisView(session, self._model_changed),
+            TablesView(session),
         )
         self._tabs = pn.Tabs(
             *((view.title, view.panel) for view in self._views), dynamic=True, sizing_mode="stretch_width"
         )
         self._seen: dict[int, tuple[Any, ...]] = {}
-        self._offer: Offer | None = None
+        self._overview: ComparisonOverview | None = None
         self._comparison.param.watch(lambda event: self._choose(), "value")
         self._tabs.param.watch(lambda event: self._look_at(), "active")
         self._look.on_click(lambda event: self._choose(keep=True))
@@ -68,53 +68,55 @@ class Page:
     def _choose(self, keep: bool = False) -> None:
         """Take up what the catalog has of the chosen comparison; `keep` the span that was asked for."""
         try:
-            self._mission = self._sitting.mission()
-            offer = offer_of(self._sitting.cat, self._mission, self._comparison.value)
+            self._mission = self._session.mission()
+            overview = summarise_comparison(self._session.cat, self._mission, self._comparison.value)
         except Exception as error:
-            self._offer = None
-            self._hint.objects = [drawing.error(told_error(error))]
+            self._overview = None
+            self._hint.objects = [panes.error(error_fields(error))]
             return
-        self._offer = offer
-        step = first_step(self._sitting.workspace, offer)
-        self._hint.objects = [drawing.hint(step)] if step else []
-        self._bound_span(offer, keep)
-        self._show_facts(offer)
+        self._overview = overview
+        step = next_step(self._session.workspace, overview)
+        self._hint.objects = [panes.hint(step)] if step else []
+        self._bound_span(overview, keep)
+        self._show_facts(overview)
         self._seen.clear()
         self._look_at()
 
-    def _show_facts(self, offer: Offer) -> None:
+    def _show_facts(self, overview: ComparisonOverview) -> None:
         listed = {
             "mission": self._mission.mission,
-            "kind": offer.kind,
-            "archive": f"{offer.archived} days" if offer.archived else "empty",
-            "products": f"{offer.products} days" if offer.products else "none",
-            "model": offer.model,
+            "kind": overview.kind,
+            "archive": f"{overview.archived} days" if overview.archived else "empty",
+            "products": f"{overview.products} days" if overview.products else "none",
+            "model": overview.model,
         }
-        self._facts.objects = [drawing.text(facts_table(listed))]
+        self._facts.objects = [panes.text(facts_table(listed))]
 
     def _model_changed(self) -> None:
         """Tell which model is in use now; what is shown stays."""
-        if self._offer is not None:
-            self._show_facts(offer_of(self._sitting.cat, self._mission, self._offer.comparison))
+        if self._overview is not None:
+            self._show_facts(
+                summarise_comparison(self._session.cat, self._mission, self._overview.comparison)
+            )
 
-    def _bound_span(self, offer: Offer, keep: bool) -> None:
-        span = offer.span()
+    def _bound_span(self, overview: ComparisonOverview, keep: bool) -> None:
+        span = overview.span()
         for picker, end in ((self._first, 0), (self._last, 1)):
             picker.disabled = span is None
             if span is not None:
-                picker.start, picker.end = _date(offer.first), _date(offer.last)
+                picker.start, picker.end = _date(overview.first), _date(overview.last)
                 if not keep or picker.value is None:
                     picker.value = _date(span[end])
 
     def _look_at(self) -> None:
         """Have the view that is in front show what is chosen, unless it does already."""
-        if self._offer is None:
+        if self._overview is None:
             return
         days = self._days()
-        chosen = (self._offer, days)
+        chosen = (self._overview, days)
         if self._seen.get(self._tabs.active) != chosen:
             self._seen[self._tabs.active] = chosen
-            self._views[self._tabs.active].look_at(self._offer, days)
+            self._views[self._tabs.active].look_at(self._overview, days)
 
     def _days(self) -> Days | None:
         first, last = self._first.value, self._last.value

@@ -10,7 +10,7 @@ import panel as pn
 from inflight.catalog import Workspace
 from inflight.errors import SettingsError
 from inflight.explorer.page import Page
-from inflight.explorer.sitting import Sitting
+from inflight.explorer.session import ExplorerSession
 
 #: Nobody outside this machine can reach it: the page changes models without asking who it is.
 ADDRESS = "127.0.0.1"
@@ -35,10 +35,10 @@ class Server:
     """
 
     def __init__(self, workspace: Workspace, port: int = 0, workers: int | None = None) -> None:
-        self.sitting = Sitting(workspace, workers)
+        self.session = ExplorerSession(workspace, workers)
 
         def page() -> Any:
-            return Page(self.sitting).template()
+            return Page(self.session).template()
 
         try:
             self._server = pn.serve(
@@ -69,5 +69,5 @@ class Server:
         except KeyboardInterrupt:
             pass
         finally:
-            self.sitting.close()
+            self.session.close()
             self._server.stop()

@@ -7,10 +7,10 @@ from typing import Protocol
 
 import panel as pn
 
-from inflight.explorer import drawing
-from inflight.explorer.offer import Offer
-from inflight.explorer.sitting import Days, Sitting
-from inflight.explorer.watching import Place, later_tabs
+from inflight.explorer import panes
+from inflight.explorer.job_pane import JobPane, lazy_tabs
+from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.figures import Section
 
 
@@ -22,7 +22,7 @@ class View(Protocol):
     #: What the page holds.
     panel: pn.viewable.Viewable
 
-    def look_at(self, offer: Offer, days: Days | None) -> None:
+    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show a comparison and a span."""
         ...
 
@@ -32,22 +32,22 @@ class MeasurementView:
 
     title = "Model against measurement"
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting = sitting
-        self._place = Place(sitting.background)
+    def __init__(self, session: ExplorerSession) -> None:
+        self._session = session
+        self._place = JobPane(session.background)
         self.panel = self._place.panel
 
-    def look_at(self, offer: Offer, days: Days | None) -> None:
+    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Measure the residual of a span and show it; say why when there is none."""
-        if offer.note:
-            self._place.put(drawing.hint(f"{offer.note[:1].upper()}{offer.note[1:]}: see Tables."))
-        elif days is None or not offer.products:
-            self._place.put(drawing.hint("There are no products to hold against the measurements yet."))
+        if overview.note:
+            self._place.put(panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables."))
+        elif days is None or not overview.products:
+            self._place.put(panes.hint("There are no products to hold against the measurements yet."))
         else:
             self._place.begin(
                 "Model against measurement",
-                lambda progress: self._sitting.compare(offer.comparison, days, progress),
-                lambda parts: later_tabs(parts, self._sitting.drawing),
+                lambda progress: self._session.compare(overview.comparison, days, progress),
+                lambda parts: lazy_tabs(parts, self._session.drawing),
             )
 
 
@@ -56,22 +56,22 @@ class TablesView:
 
     title = "Tables"
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting = sitting
-        self._place = Place(sitting.background)
+    def __init__(self, session: ExplorerSession) -> None:
+        self._session = session
+        self._place = JobPane(session.background)
         self.panel = self._place.panel
 
-    def look_at(self, offer: Offer, days: Days | None) -> None:
+    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the newest tables of a comparison; they hold for spans of their own."""
         del days
         self._place.begin(
-            "Tables", lambda progress: self._sitting.tables(offer.comparison, progress), self._show
+            "Tables", lambda progress: self._session.tables(overview.comparison, progress), self._show
         )
 
     def _show(self, found: Sequence[Section]) -> pn.viewable.Viewable:
         if not found:
-            return drawing.hint(
+            return panes.hint(
                 "There is no table of parameters: 'inflight reprocess' makes those of a calibration; "
                 "states of two sensors stand with model against measurement."
             )
-        return drawing.sections(found)
+        return panes.sections(found)

@@ -1,13 +1,13 @@
-from .cluster import available_cores, client_when_needed, dask_client
+from .cluster import available_cores, dask_client, lazy_client
 from .launch import run_embedded, run_plain
 from .plan import plan_span
-from .span import Span
+from .span import DaySpan
 
 __all__ = [
-    "Span",
+    "DaySpan",
     "available_cores",
-    "client_when_needed",
     "dask_client",
+    "lazy_client",
     "plan_span",
     "run_embedded",
     "run_plain",

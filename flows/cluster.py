@@ -71,7 +71,7 @@ class _WhenNeeded:
 
 
 @contextmanager
-def client_when_needed(workers: int | None = None) -> Iterator[Any]:
+def lazy_client(workers: int | None = None) -> Iterator[Any]:
     """Yield what work can be submitted to; no process starts before the first does.
 
     Parameters

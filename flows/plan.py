@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from inflight.catalog import Catalog, Workspace
-from inflight.flows.span import Span
+from inflight.flows.span import DaySpan
 from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 
 
@@ -28,7 +28,7 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
         ``context``; ``days`` with the counts ``planned``, ``unchanged`` and ``no_work``; ``batches`` with
         first day, last day and number of days of each.
     """
-    span = Span.model_validate({"start": start, "end": end}).as_text()
+    span = DaySpan.model_validate({"start": start, "end": end}).as_text()
     asked = ReprocessSettings.model_validate(settings)
     cat, mission = Catalog(workspace.root), workspace.mission()
     pipeline = pipeline_of(mission, asked.comparison, asked)

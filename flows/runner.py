@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.tasks import Progress, batch_mapper, counted, result_of
+from inflight.tasks import Progress, batch_mapper, result_of, with_progress
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -90,7 +90,9 @@ class PrefectRunner:
             run_batch = _as_task(stage, _run_batch)
             shared = (_unsearched(client), _unsearched(function))
             futures = [run_batch.submit(*shared, _unsearched(batch)) for batch in arguments]
-            return counted(self.progress, stage, (future.result() for future in futures), len(arguments))
+            return with_progress(
+                self.progress, stage, (future.result() for future in futures), len(arguments)
+            )
 
         return run_batches
 
@@ -124,7 +126,7 @@ def progress_shown_by(listener: Progress | None) -> Iterator[None]:
         _progress.reset(token)
 
 
-def can_pass(error: object) -> bool:
+def is_transient(error: object) -> bool:
     """Return True for a failure that may not happen again: a full disk, a lost process, a locked database."""
     if isinstance(error, InflightError):
         return error.cause == "transient"
@@ -154,7 +156,7 @@ def _as_task(name: str, function: Callable[..., Any]) -> Task[..., Any]:
 
 
 def _is_worth_a_retry(step: Task[..., Any], run: TaskRun, state: State[Any]) -> bool:
-    return can_pass(state.data)
+    return is_transient(state.data)
 
 
 def _unsearched(value: R) -> R:

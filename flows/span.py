@@ -12,7 +12,7 @@ from inflight.errors import SettingsError
 DateOrNone: TypeAlias = dt.date | None
 
 
-class Span(BaseModel):
+class DaySpan(BaseModel):
     """Half-open span of UTC days ``[start, end)``; an absent end means all there is on that side."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -34,13 +34,13 @@ class Span(BaseModel):
         start = None if self.start is None else self.start.isoformat()
         return start, None if self.end is None else self.end.isoformat()
 
-    def with_neighbours(self) -> Span:
+    def with_neighbours(self) -> DaySpan:
         """Return the span with a day more on either side: days are made with their neighbours' edges."""
         day = dt.timedelta(days=1)
-        return Span(start=self.start and self.start - day, end=self.end and self.end + day)
+        return DaySpan(start=self.start and self.start - day, end=self.end and self.end + day)
 
 
-def month_span(month: str | None, today: dt.date) -> Span:
+def month_span(month: str | None, today: dt.date) -> DaySpan:
     """Return the days of a calendar month.
 
     Parameters
@@ -63,4 +63,4 @@ def month_span(month: str | None, today: dt.date) -> Span:
         )
     except ValueError:
         raise SettingsError(f"{month!r} is no month", remedy="write it as YYYY-MM") from None
-    return Span(start=begin, end=(begin + dt.timedelta(days=31)).replace(day=1))
+    return DaySpan(start=begin, end=(begin + dt.timedelta(days=31)).replace(day=1))

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflight.catalog import Catalog, Workspace
-from inflight.flows.cluster import client_when_needed, dask_client
+from inflight.flows.cluster import dask_client, lazy_client
 from inflight.flows.runner import runner
-from inflight.flows.span import DateOrNone, Span, month_span
+from inflight.flows.span import DateOrNone, DaySpan, month_span
 from inflight.tasks import ReprocessSettings, RunReport, make_release
 from inflight.tasks import ingest as ingest_files
 from inflight.tasks import reprocess as reprocess_days
@@ -57,7 +57,7 @@ def ingest(
     dict
         The fields of a `RunReport`.
     """
-    place, span = Workspace.open(workspace), Span(start=start, end=end)
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with dask_client(workers) as client:
         return _take_in(place, data, instruments, span, client).as_json()
 
@@ -87,7 +87,7 @@ def reprocess(
     dict
         The fields of a `RunReport`.
     """
-    place, span = Workspace.open(workspace), Span(start=start, end=end)
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with dask_client(workers) as client:
         return _make_products(place, span, settings, client).as_json()
 
@@ -121,7 +121,7 @@ def backfill(
         The fields of a `RunReport`: its days are those of the products; ``ingest`` says what was
         taken in.
     """
-    span = Span(start=start, end=end)
+    span = DaySpan(start=start, end=end)
     return _bring_up_to_date("backfill", workspace, (span, span), settings, data, workers)
 
 
@@ -178,14 +178,14 @@ def diagnose(
     dict
         The fields of a `Diagnosis`.
     """
-    place, span = Workspace.open(workspace), Span(start=start, end=end)
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
 
     def search(client: Client) -> dict[str, Any]:
         return diagnose_span(
             place, *span.as_text(), settings, save=save, client=client, progress=runner().progress
         )
 
-    with client_when_needed(workers) as client:
+    with lazy_client(workers) as client:
         return runner().run("search", search, client)
 
 
@@ -227,7 +227,7 @@ STEPS: dict[str, Callable[..., dict[str, Any]]] = {
 
 
 def _take_in(
-    place: Workspace, data: Path | None, instruments: list[str] | None, span: Span, client: Client
+    place: Workspace, data: Path | None, instruments: list[str] | None, span: DaySpan, client: Client
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
 
@@ -245,7 +245,7 @@ def _take_in(
     return runner().run("take in", take_in, client)
 
 
-def _make_products(place: Workspace, span: Span, settings: ReprocessSettings, client: Client) -> RunReport:
+def _make_products(place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client) -> RunReport:
     mapper = runner().mapper(client)
     return reprocess_days(
         Catalog(place.root), place.mission(), *span.as_text(), settings=settings, mapper=mapper
@@ -255,7 +255,7 @@ def _make_products(place: Workspace, span: Span, settings: ReprocessSettings, cl
 def _bring_up_to_date(
     command: str,
     workspace: Path,
-    spans: tuple[Span, Span],
+    spans: tuple[DaySpan, DaySpan],
     settings: ReprocessSettings,
     data: Path | None,
     workers: int | None,

@@ -66,13 +66,13 @@ UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Fl
 UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL
 
 
-def meanings() -> tuple[list[int], str]:
+def flag_meanings() -> tuple[list[int], str]:
     """Return the masks and the space-separated meanings for product attributes."""
     bits = [bit for bit in Flag if bit]
     return [int(bit) for bit in bits], " ".join(str(bit.name).lower() for bit in bits)
 
 
-def tally(flag: npt.NDArray[np.uint32]) -> str:
+def count_flags(flag: npt.NDArray[np.uint32]) -> str:
     """Say how many samples carry which flag: ``1200 scalar_missing, 30 outlier``; empty when none does."""
     counts = {bit: int(np.count_nonzero(flag & np.uint32(bit))) for bit in Flag if bit}
     return ", ".join(f"{count} {str(bit.name).lower()}" for bit, count in counts.items() if count)

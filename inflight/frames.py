@@ -111,7 +111,7 @@ def _precession(days: Floats) -> Rotation:
     return Rotation.from_euler("zyz", [0.640616 * century, -0.556753 * century, 0.640616 * century], True)
 
 
-def turn_with_earth(vectors: Floats, days: Floats, sign: int) -> Floats:
+def rotate_with_earth(vectors: Floats, days: Floats, sign: int) -> Floats:
     """Turn vectors (time, 3) about the pole: from itrf to of date with sign +1, back with -1."""
     angle = sign * sidereal_angle(days)
     cos, sin = np.cos(angle), np.sin(angle)
@@ -387,9 +387,9 @@ class _Place:
         given = position * factor
         if attrs["frame"] == "gcrf":
             inertial = to_date(given, days)
-            fixed = turn_with_earth(inertial, days, -1)
+            fixed = rotate_with_earth(inertial, days, -1)
         else:
-            fixed, inertial = given, turn_with_earth(given, days, 1)
+            fixed, inertial = given, rotate_with_earth(given, days, 1)
         return cls(stamps, days, fixed, inertial, sun_direction(days))
 
     def rows(self, index: Int64) -> _Place:
@@ -450,7 +450,7 @@ def _sun_in_sensor(samples: xr.Dataset, place: _Place) -> Floats | None:
     """Return the unit vector to the Sun in the vector sensor's axes, or None without a usable attitude."""
     if "attitude" not in samples:
         return None
-    fixed = turn_with_earth(place.sun, place.days, -1)
+    fixed = rotate_with_earth(place.sun, place.days, -1)
     frame = str(samples["attitude"].attrs.get("frame", ""))
     if frame == "itrf":
         seen = fixed
@@ -527,7 +527,7 @@ def to_gse(vectors: Floats, tt2000: Int64, frame: str) -> Floats:
     if frame == "gcrf":
         vectors = to_date(vectors, days)
     elif frame == "itrf":
-        vectors = turn_with_earth(vectors, days, 1)
+        vectors = rotate_with_earth(vectors, days, 1)
     return _equator_to_gse(vectors, days)
 
 
@@ -539,12 +539,12 @@ def gse_to_gsm(vectors: Floats, tt2000: Int64) -> Floats:
 def dipole_angle(tt2000: Int64) -> Floats:
     """Return by how much gsm is turned about x from gse, from y towards z; (time,) rad."""
     days = days_since_j2000(tt2000)
-    dipole = _equator_to_gse(turn_with_earth(dipole_axis(days), days, 1), days)
+    dipole = _equator_to_gse(rotate_with_earth(dipole_axis(days), days, 1), days)
     # z of gsm lies along the dipole's part across x.
     return np.asarray(np.arctan2(-dipole[:, 1], dipole[:, 2]))
 
 
-def sunward(tt2000: Int64, position: Floats | None = None) -> Floats:
+def sun_direction_gse(tt2000: Int64, position: Floats | None = None) -> Floats:
     """Return the unit vector to the Sun, gse; (time, 3).
 
     Parameters

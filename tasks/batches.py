@@ -1,7 +1,7 @@
 """Running independent batches: one after the other in this process, or on the processes of a Dask client.
 
 `reprocess`, `ingest` and `diagnose` cut their work into batches whose results do not depend on each other.
-`each_result` runs them and yields the results in the order of the batches, so that what is registered does
+`iter_results` runs them and yields the results in the order of the batches, so that what is registered does
 not depend on which process was faster; a `Mapper` is the same with a name for the stage, and is what a flow
 puts in its place.
 """
@@ -25,7 +25,7 @@ Mapper = Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator
 IN_FLIGHT = 16
 
 
-def each_result(
+def iter_results(
     client: Any, function: Callable[..., Result], jobs: Sequence[Sequence[Any]]
 ) -> Iterator[Result]:
     """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
@@ -73,12 +73,12 @@ def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
     def run_batches(
         stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
     ) -> Iterator[Any]:
-        return counted(tell, stage, each_result(client, function, arguments), len(arguments))
+        return with_progress(tell, stage, iter_results(client, function, arguments), len(arguments))
 
     return run_batches
 
 
-def counted(progress: Progress, stage: str, results: Iterable[Any], total: int) -> Iterator[Any]:
+def with_progress(progress: Progress, stage: str, results: Iterable[Any], total: int) -> Iterator[Any]:
     """Yield results, reporting after each one how many of `total` are done."""
     progress(stage, 0, total)
     for done, result in enumerate(results, start=1):

@@ -33,7 +33,7 @@ _FREE: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True)
-class UsedModel:
+class VersionedModel:
     """A model with the version the catalog knows it by; 0 before it is saved."""
 
     model: Model
@@ -117,7 +117,7 @@ def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSou
     return Model(name, mission.mission, comparison, effects, layout=layout, own=own)
 
 
-def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> UsedModel:
+def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> VersionedModel:
     """Return the model to use: the newest version, after taking in files that changed.
 
     The pre-flight file is the root of the model's history, and each text of it a root of its own: an
@@ -129,15 +129,15 @@ def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> U
         return found
     text = found.model.text
     if not found.version:
-        return UsedModel(
+        return VersionedModel(
             found.model, cat.save_model(found.model.name, text, message="pre-flight model"), text
         )
     files = ", ".join(mission.effects)
     version = cat.save_model(found.model.name, text, parent=found.version, message=f"{files} changed")
-    return UsedModel(found.model, version, text)
+    return VersionedModel(found.model, version, text)
 
 
-def find_model(cat: Catalog, mission: Mission, comparison: str = "main") -> UsedModel:
+def find_model(cat: Catalog, mission: Mission, comparison: str = "main") -> VersionedModel:
     """Return the newest version as the catalog has it, made with the effects' files as they are now.
 
     Nothing is saved. Version 0 is a pre-flight model the catalog does not know yet.
@@ -152,9 +152,11 @@ def find_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Used
         if is_root or (newest and record.parent == newest):
             newest = record.version
     if not newest:
-        return UsedModel(start, 0, start.text)
+        return VersionedModel(start, 0, start.text)
     text = _text(cat, start.name, newest)
-    return UsedModel(Model.parse(text, mission, f"{start.name} version {newest}", start.own), newest, text)
+    return VersionedModel(
+        Model.parse(text, mission, f"{start.name} version {newest}", start.own), newest, text
+    )
 
 
 def _text(cat: Catalog, name: str, version: int) -> str:
@@ -183,7 +185,7 @@ def comparison_of(mission: Mission, named: str | None) -> str:
 
 
 @dataclass(frozen=True)
-class Version:
+class ModelVersion:
     """A text of a model, and what the catalog knows of it."""
 
     name: str
@@ -203,7 +205,7 @@ class Version:
         return f"{self.name} version {self.version}" if self.version else f"{self.name}, not used yet"
 
 
-class Versions:
+class ModelHistory:
     """The models of a workspace; nothing is saved by looking at them."""
 
     def __init__(self, cat: Catalog, mission: Mission, comparison: str = "main") -> None:
@@ -212,10 +214,10 @@ class Versions:
         self._records = {(record.name, record.version): record for record in self._cat.models()}
         self.used = self._version(used.model.name, used.version, used.text)
 
-    def _version(self, name: str, version: int, text: str) -> Version:
-        return Version(name, version, text, self._records.get((name, version)))
+    def _version(self, name: str, version: int, text: str) -> ModelVersion:
+        return ModelVersion(name, version, text, self._records.get((name, version)))
 
-    def named(self, text: str | None) -> Version:
+    def named(self, text: str | None) -> ModelVersion:
         """Return the version a person names: its number, a name's newest, or ``name:number``."""
         if text is None:
             return self.used
@@ -253,14 +255,18 @@ class Versions:
 UNDO = "undo"
 
 
-def version_of(cat: Catalog, mission: Mission, like: UsedModel, version: int) -> UsedModel:
+def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: int) -> VersionedModel:
     """Return another version of a model, made with the effects' files as they are now."""
     name = like.model.name
     text = cat.model_text(name, version)[2]
-    return UsedModel(Model.parse(text, mission, f"{name} version {version}", like.model.own), version, text)
+    return VersionedModel(
+        Model.parse(text, mission, f"{name} version {version}", like.model.own), version, text
+    )
 
 
-def evidence_root(cat: Catalog, mission: Mission, current: UsedModel) -> tuple[UsedModel, Mission] | None:
+def version_with_gram_blocks(
+    cat: Catalog, mission: Mission, current: VersionedModel
+) -> tuple[VersionedModel, Mission] | None:
     """Return the nearest version with evidence, the present one or one it came from, and its mission.
 
     The mission is the text the evidence was made with: naming another file with effects changes
@@ -289,7 +295,7 @@ def _measures_as(one: Mission, other: Mission) -> bool:
     return one is other or one.model_dump(exclude=words) == other.model_dump(exclude=words)
 
 
-def before_last(cat: Catalog, mission: Mission, current: UsedModel) -> UsedModel:
+def version_before_change(cat: Catalog, mission: Mission, current: VersionedModel) -> VersionedModel:
     """Return the version before the last change; one that was taken back does not count.
 
     Raises
@@ -325,5 +331,5 @@ def _meant(records: dict[int, ModelRecord], version: int) -> int:
     return _meant(records, found)
 
 
-def _records(cat: Catalog, current: UsedModel) -> dict[int, ModelRecord]:
+def _records(cat: Catalog, current: VersionedModel) -> dict[int, ModelRecord]:
     return {one.version: one for one in cat.models() if one.name == current.model.name}

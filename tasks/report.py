@@ -197,7 +197,7 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
-def told_error(error: Exception) -> Mapping[str, str]:
+def error_fields(error: Exception) -> Mapping[str, str]:
     """Return ``kind``, ``message``, ``remedy``, ``file``, ``channel`` and ``day`` of any error.
 
     One that is not an `InflightError` is a defect of the software, and told as one.
@@ -231,7 +231,7 @@ def _complaint(item: Mapping[str, Any]) -> str:
     return f"{place}: {item['msg'].removeprefix('Value error, ')}"
 
 
-def place_of(fields: Mapping[str, str]) -> str:
+def location_of(fields: Mapping[str, str]) -> str:
     """Return where an error happened, ``file: day ..., channel '...'``; empty when nothing is known."""
     day = f"day {fields['day']}" if fields.get("day") else ""
     channel = f"channel '{fields['channel']}'" if fields.get("channel") else ""

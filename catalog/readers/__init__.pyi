@@ -1,6 +1,6 @@
-from .conformance import Example, Written, check_reader
+from .conformance import Example, ReadOptions, check_reader
 from .days import assemble_day, split_days
-from .patterns import Delivered, NameSpan, describe, find_files, newest
+from .patterns import Delivered, NameSpan, find_files, newest_versions, parse_name
 from .raw import RawTable, read_file, read_times
 from .source import Source, Variable, reading, require_bytes, require_content
 
@@ -9,14 +9,14 @@ __all__ = [
     "Example",
     "NameSpan",
     "RawTable",
+    "ReadOptions",
     "Source",
     "Variable",
-    "Written",
     "assemble_day",
     "check_reader",
-    "describe",
     "find_files",
-    "newest",
+    "newest_versions",
+    "parse_name",
     "read_file",
     "read_times",
     "reading",

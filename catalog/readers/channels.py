@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from inflight.catalog.readers.source import Array, Float, Source, Variable, missing_where, numbers
+from inflight.catalog.readers.source import Array, Float, Source, Variable, as_floats, is_missing
 from inflight.errors import ContentError
 from inflight.instruments import Channel
 from inflight.units import factor_and_offset
@@ -66,7 +66,7 @@ def read_for_expression(source: Source, name: str, shape: tuple[int, ...]) -> Ar
     variable = source.read(name)
     values = np.asarray(variable.values)
     if variable.scale != (1.0, 0.0):
-        values = numbers(variable)
+        values = as_floats(variable)
     if len(shape) == 2 and values.ndim == 1 and len(values) == shape[0]:
         values = values[:, None]
     if len(values) != shape[0]:
@@ -96,9 +96,9 @@ def _series(request: _Request, variable_name: str, axes: int) -> Float:
     variable = request.source.read(variable_name, request.name)
     picked = _pick(request, variable, variable_name, axes)
     # The YAML's fill values are the file's numbers, before any scaling.
-    missing = missing_where(picked.values, tuple(request.channel.fill or ()))
+    missing = is_missing(picked.values, tuple(request.channel.fill or ()))
     try:
-        values = numbers(picked)
+        values = as_floats(picked)
     except ValueError as error:
         raise request.error(
             f"variable {variable_name!r} holds text where numbers belong ({error})",

@@ -71,7 +71,7 @@ class Example:
 
 
 @dataclass(frozen=True)
-class Written:
+class ReadOptions:
     """How an example that was written is to be read: entries of the mission YAML.
 
     Attributes
@@ -87,7 +87,7 @@ class Written:
     files: Mapping[str, Any]
 
 
-Write = Callable[[Path, Example], Written]
+Write = Callable[[Path, Example], ReadOptions]
 
 
 def check_reader(open_source: Open, write: Write, name: str = "example") -> None:
@@ -134,7 +134,7 @@ def _registered(open_source: Open) -> Iterator[str]:
         FORMATS.update(known)
 
 
-def _described(written: Written, reader: str) -> tuple[Files, Instrument]:
+def _described(written: ReadOptions, reader: str) -> tuple[Files, Instrument]:
     files = Files.model_validate({"pattern": "*", "reader": "npz", **written.files})
     files = files.model_copy(update={"reader": reader})
     channels = {

@@ -110,7 +110,7 @@ def _layout_regex(layout: str) -> str:
     return text
 
 
-def describe(name: str, files: Files) -> Delivered | None:
+def parse_name(name: str, files: Files) -> Delivered | None:
     """Say what a path below the data folder (with ``/``) is; None when no pattern matches it.
 
     A name whose digits are no date (``20230231``) does not match.
@@ -137,7 +137,7 @@ def describe(name: str, files: Files) -> Delivered | None:
             f"{field}{directive}{text.lower()}" for field, texts in found.items() for directive, text in texts
         ]
         family = (str(number), *dated, *(text.lower() for text in wild["*"])) if dated else ()
-        return Delivered(name, span, family, tuple(part for text in wild["v"] for part in natural(text)))
+        return Delivered(name, span, family, tuple(part for text in wild["v"] for part in natural_key(text)))
     return None
 
 
@@ -151,12 +151,12 @@ def find_files(data: Path, files: Files) -> tuple[list[Delivered], dict[str, str
     files : Files
         The instrument's files, with `pattern` set.
     """
-    return newest(
-        found for name in sorted(_walk(data, files)) if (found := describe(name, files)) is not None
+    return newest_versions(
+        found for name in sorted(_walk(data, files)) if (found := parse_name(name, files)) is not None
     )
 
 
-def newest(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]:
+def newest_versions(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]:
     """Keep the last version of each family; return them in order of time, and old name -> new name."""
     kept: dict[tuple[str, ...], Delivered] = {}
     superseded: dict[str, str] = {}
@@ -172,12 +172,12 @@ def newest(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]
 
     def place(one: Delivered) -> tuple[int, tuple[tuple[int, int, str], ...]]:
         stated = [at for at in (one.span.start, one.span.end) if at is not None]
-        return stated[0] if stated else -(2**63), natural(one.name)
+        return stated[0] if stated else -(2**63), natural_key(one.name)
 
     return sorted(kept.values(), key=place), superseded
 
 
-def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:
     """Return a sort key under which v9 comes before v10."""
     return tuple(
         (1, int(part), part) if part.isdigit() else (0, 0, part.lower())

@@ -140,7 +140,7 @@ def open_text(path: Path, encoding: str) -> TextIO:
     return path.open(encoding=encoding)
 
 
-def numbers(variable: Variable) -> Float:
+def as_floats(variable: Variable) -> Float:
     """Return scaled floating-point values, NaN where the file's own fill value stands.
 
     A float32 or a small integer without scaling stays float32, which holds it exactly; everything else
@@ -154,7 +154,7 @@ def numbers(variable: Variable) -> Float:
     values = variable.values
     if values.dtype.kind not in "biuf":
         values = values.astype(np.float64)
-    missing = missing_where(values, variable.fill)
+    missing = is_missing(values, variable.fill)
     plain = variable.scale == (1.0, 0.0)
     small = values.dtype.kind in "bf" or values.dtype.itemsize <= 2
     target = np.float32 if plain and small and values.dtype.itemsize <= 4 else np.float64
@@ -165,7 +165,7 @@ def numbers(variable: Variable) -> Float:
     return result
 
 
-def missing_where(values: Array, fill: tuple[float, ...]) -> npt.NDArray[np.bool_]:
+def is_missing(values: Array, fill: tuple[float, ...]) -> npt.NDArray[np.bool_]:
     """Return where numbers equal a fill value (compared in their own type) or are not finite."""
     missing = ~np.isfinite(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
     for value in fill:

@@ -8,7 +8,7 @@ from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.calibration import Distribution
-from inflight.figures import AFTER, BEFORE, NEW, REFERENCE, legend_below, plain_figure
+from inflight.figures import AFTER, BEFORE, HIGHLIGHT, REFERENCE, legend_below, plain_figure
 
 #: Points drawn, and samples of a segment of the spectrum.
 _POINTS, _SEGMENT = 1200, 4096
@@ -24,7 +24,7 @@ def distribution_figure(found: Distribution, hours: Floats) -> figure:
         Time of day.
     """
     plot = plain_figure(
-        f"Distributed {found.rms:.3f} nT rms, left {found.rms_left:.3f} nT", "hours", "nT", width=560
+        f"Distributed {found.rms:.3f} nT rms, left {found.rms_remaining:.3f} nT", "hours", "nT", width=560
     )
     size = max(1, hours.size // _POINTS)
     whole = hours.size // size * size
@@ -35,7 +35,9 @@ def distribution_figure(found: Distribution, hours: Floats) -> figure:
     plot.varea(x=at, y1=low, y2=high, color=REFERENCE, alpha=0.35, legend_label="left")
     plot.line(at, slow.mean(axis=1).filled(np.nan), color=AFTER, legend_label="distributed")
     edge = found.edge[:whole].reshape(-1, size).any(axis=1)
-    plot.scatter(at[edge], slow.mean(axis=1).filled(np.nan)[edge], color=NEW, size=3, legend_label="edge")
+    plot.scatter(
+        at[edge], slow.mean(axis=1).filled(np.nan)[edge], color=HIGHLIGHT, size=3, legend_label="edge"
+    )
     legend_below(plot)
     return plot
 

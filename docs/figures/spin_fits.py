@@ -9,9 +9,9 @@ from inflight.figures import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
-    band,
+    error_band,
     error_bars,
     legend_below,
     plain_figure,
@@ -62,7 +62,7 @@ def phasor_figure(fits: SpinFits, found: FarrellFit) -> figure:
     ratio = (180.0 / np.pi * phasor[:, 2] / phasor[:, 0])[_few(len(phasor))]
     plot.scatter(ratio.real, ratio.imag, size=3, color=AFTER, alpha=0.35, legend_label="fits")
     x, y = np.rad2deg(found.value[2:4])
-    plot.scatter([x], [y], size=12, marker="cross", color=NEW, line_width=2, legend_label="tilt")
+    plot.scatter([x], [y], size=12, marker="cross", color=HIGHLIGHT, line_width=2, legend_label="tilt")
     far = 1.1 * np.percentile(np.maximum(np.abs(ratio.real), np.abs(ratio.imag)), 98)
     plot.x_range.start, plot.x_range.end = -far, far
     plot.y_range.start, plot.y_range.end = -far, far
@@ -93,10 +93,10 @@ def phase_figure(found: SpinPhase) -> figure:
     time = mjd2000(marks.time)
     period = 1e3 * (marks.period - found.period)
     sigma = 1e3 * marks.sigma * found.period * np.ones(period.size)
-    band(plot, time[part], period[part], sigma[part], AFTER)
+    error_band(plot, time[part], period[part], sigma[part], AFTER)
     plot.line(time[part], period[part], color=AFTER, legend_label=f"period, median {found.period:.6g} s")
     for chosen, colour, name in (
-        (marks.jumped, NEW, "jump of the phase"),
+        (marks.jumped, HIGHLIGHT, "jump of the phase"),
         (marks.uncountable, BEFORE, "turns not counted"),
     ):
         place = np.flatnonzero(chosen)

@@ -13,7 +13,7 @@ from inflight.figures import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
     error_bars,
     legend_below,
@@ -78,7 +78,7 @@ def scatter_figure(found: Sequence[ScatterWithHours]) -> figure:
         plot.scatter(one.hours[told], size[told], color=colour, size=5)
         shown.append(size[told])
     hours, published = np.array(PUBLISHED).T
-    plot.scatter(hours, published, color=NEW, marker="diamond", size=11, legend_label="published")
+    plot.scatter(hours, published, color=HIGHLIGHT, marker="diamond", size=11, legend_label="published")
     _ticks(plot, [*shown, published], [*(one.hours for one in found), hours])
     legend_below(plot)
     return plot

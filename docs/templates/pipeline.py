@@ -19,14 +19,14 @@ import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError
-from inflight.figures import Later, Section, html_table
+from inflight.figures import LazySection, Section, html_table
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
 from inflight.tasks import Progress
 from inflight.tasks.archive import load_samples
 from inflight.tasks.pipelines import (
     Batch,
-    Compared,
+    CompareResult,
     Pipeline,
     ProductBatch,
     Report,
@@ -84,7 +84,7 @@ class GainPipeline(Pipeline):
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Make the tables of days, of windows and of the span; products take the one that is asked for."""
-        keep, ordered = self.keeper(work, days), sorted(days)
+        keep, ordered = self.table_stager(work, days), sorted(days)
         read = [work.cat.read(days[day]) for day in ordered]
         after = ordered[-1] + np.timedelta64(1, "D")
         edges = {
@@ -136,14 +136,14 @@ class GainPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[GainReport]:
+    ) -> CompareResult[GainReport]:
         """Return the residual of each day before and after, from the reports of the products."""
         report = GainReport(comparison, [{"day": str(day.day), **day.report} for day in days])
-        parts: list[Later] = [("Residual", lambda: ([_residual_table(report)], []))]
-        return Compared(report, f"{mission.mission}: gain", parts)
+        parts: list[LazySection] = [("Residual", lambda: ([_residual_table(report)], []))]
+        return CompareResult(report, f"{mission.mission}: gain", parts)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Refuse: there is nothing of all days together."""
         raise CatalogError("a gain has no report of its own", remedy="'inflight compare' shows the residual")

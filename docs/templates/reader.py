@@ -12,9 +12,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from inflight.catalog.readers import (
+    ReadOptions,
     Source,
     Variable,
-    Written,
     check_reader,
     reading,
     require_content,
@@ -62,7 +62,7 @@ def write(path, example):
         for time, row in zip(example.times, values, strict=True)
     ]
     path.write_text("".join(lines), encoding="utf-8")
-    return Written(
+    return ReadOptions(
         field={"variables": ["x", "y", "z"]}, temperature={"variable": "temperature"}, files={"time": "time"}
     )
 

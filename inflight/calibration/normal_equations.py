@@ -21,9 +21,9 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import (
-    SCALE,
+    PARAMETER_SCALE,
+    PARAMETER_UNITS,
     SUB_BLOCKS,
-    UNITS,
     BlockFit,
     Reference,
     kernel_parameters,
@@ -102,7 +102,7 @@ class NormalEquations(GramArrays):
         cls, fit: BlockFit, reference: Reference, span: tuple[int, int], attributes: Mapping[str, Any]
     ) -> NormalEquations:
         """Make the equations of one block from its fit."""
-        width = len(SCALE) + 1
+        width = len(PARAMETER_SCALE) + 1
         scatter = np.zeros((width, width))
         scatter[:-1, :-1] = fit.scatter
         return _one_block(
@@ -110,7 +110,7 @@ class NormalEquations(GramArrays):
             fit.gram,
             span,
             fit.count,
-            np.append(SCALE, 1.0),
+            np.append(PARAMETER_SCALE, 1.0),
             reference=np.append(reference.value, 0.0)[None],
             linearised_at=np.append(fit.linearised_at, 0.0)[None],
             scatter=scatter[None],
@@ -141,7 +141,7 @@ class NormalEquations(GramArrays):
         CalibrationError
             When comparison, model, filter, columns or scale differ, or blocks overlap.
         """
-        return joined([self, other])
+        return concat_equations([self, other])
 
     def with_trends(self, functions: Mapping[str, Mapping[str, TimeFunction]]) -> NormalEquations:
         """Return the equations of parameters that depend on time from block to block.
@@ -242,15 +242,15 @@ def _one_block(
 
 
 #: Nine parameters of a perfect sensor: scale factors, angles (deg), offsets (nT).
-PERFECT = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 3)
+IDEAL_SENSOR = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 3)
 
 #: Names of the nine columns, in order, and their units.
-NINE = tuple(Reference(PERFECT, np.zeros(9)).columns)
+NINE = tuple(Reference(IDEAL_SENSOR, np.zeros(9)).columns)
 
-NINE_UNITS = dict(zip(NINE, UNITS, strict=True))
+NINE_UNITS = dict(zip(NINE, PARAMETER_UNITS, strict=True))
 
 
-def nine_columns(field: Floats, value: Floats = PERFECT) -> dict[str, Floats]:
+def nine_columns(field: Floats, value: Floats = IDEAL_SENSOR) -> dict[str, Floats]:
     """Return what one unit of each of the nine parameters adds to the corrected residual.
 
     Derivatives of |K (E - E0)| (Yin 2010, eq. 2.5) at the corrected field B, with e = B/|B| and
@@ -334,7 +334,7 @@ def block_equations(
         When fewer rows are usable than there are columns.
     """
     names = [*columns, RESIDUAL]
-    scale = np.array([SCALE[NINE.index(name)] if name in NINE else 1.0 for name in names])
+    scale = np.array([PARAMETER_SCALE[NINE.index(name)] if name in NINE else 1.0 for name in names])
     rows = np.column_stack([*columns.values(), residual]) * scale
     given = np.ones(len(rows)) if good is None else np.asarray(good, dtype=np.float64)
     use = np.isfinite(rows).all(axis=1) & (given > 0)
@@ -384,7 +384,7 @@ def _assembled(
     )
 
 
-def joined(equations: Sequence[NormalEquations]) -> NormalEquations:
+def concat_equations(equations: Sequence[NormalEquations]) -> NormalEquations:
     """Return the equations of all blocks, in order of time.
 
     Raises

@@ -18,10 +18,10 @@ import xarray as xr
 from scipy import interpolate, linalg, signal
 
 from inflight.arrays import Floats
-from inflight.calibration.scalar import Reference, sensor_reading, usable
-from inflight.effects import strength
+from inflight.calibration.scalar import Reference, sensor_reading, usable_samples
+from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
-from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
 from inflight.model import Model
@@ -57,7 +57,7 @@ CLOSURE = ClosureSettings()
 
 
 #: Period at which the filter passes half of the amplitude, s.
-PERIOD = 80.0
+FILTER_PERIOD_S = 80.0
 
 #: Order of the difference that the filter holds small: it passes 1 / (1 + (f/fc)^6).
 ORDER = 3
@@ -100,7 +100,7 @@ class Distribution:
         return float(np.sqrt(np.mean(self.slow[self.done] ** 2))) if self.done.any() else float("nan")
 
     @property
-    def rms_left(self) -> float:
+    def rms_remaining(self) -> float:
         """Rms residual of B', nT."""
         known = self.done & np.isfinite(self.left)
         return float(np.sqrt(np.mean(self.left[known] ** 2))) if known.any() else float("nan")
@@ -110,14 +110,14 @@ class Distribution:
         share = float(np.mean(self.done))
         return (
             f"{self.rms:.3f} nT rms of the residual were distributed along the field on "
-            f"{100 * share:.1f} % of the samples; {self.rms_left:.3f} nT are left, "
+            f"{100 * share:.1f} % of the samples; {self.rms_remaining:.3f} nT are left, "
             f"faster than {self.period:g} s"
         )
 
     def table(self) -> xr.Dataset:
         """Return the sizes: dim parameter."""
         names = ["rms_distributed", "rms_left", "share_done", "share_edge"]
-        values = [self.rms, self.rms_left, float(self.done.mean()), float(self.edge.mean())]
+        values = [self.rms, self.rms_remaining, float(self.done.mean()), float(self.edge.mean())]
         return xr.Dataset(
             {
                 "value": ("parameter", np.array(values)),
@@ -132,11 +132,15 @@ class Distribution:
         """Return standard deviations of the two rms: what filtered noise alone leaves of chance."""
         slow = int(self.done.sum()) * self.cadence / self.period
         fast = int(self.done.sum())
-        return self.rms / np.sqrt(2 * max(slow, 1.0)), self.rms_left / np.sqrt(2 * max(fast, 1))
+        return self.rms / np.sqrt(2 * max(slow, 1.0)), self.rms_remaining / np.sqrt(2 * max(fast, 1))
 
 
 def distribute(
-    field: Floats, residual: Floats, tt2000: Int64, good: np.ndarray | None = None, period: float = PERIOD
+    field: Floats,
+    residual: Floats,
+    tt2000: Int64,
+    good: np.ndarray | None = None,
+    period: float = FILTER_PERIOD_S,
 ) -> Distribution:
     """Return the term that distributes the slow part of the residual along the field.
 
@@ -251,13 +255,13 @@ def edge_gain(period: int) -> Floats:
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
-def passed(period: Floats, at: float = PERIOD, cadence: float = 1.0) -> Floats:
+def filter_gain(period: Floats, at: float = FILTER_PERIOD_S, cadence: float = 1.0) -> Floats:
     """Return the part of the amplitude that the filter passes at periods, s (same shape)."""
     ratio = np.sin(np.pi * cadence / np.asarray(period)) / np.sin(np.pi * cadence / at)
     return np.asarray(1.0 / (1.0 + ratio ** (2 * ORDER)))
 
 
-def left_power(found: Distribution, band: tuple[float, float]) -> float:
+def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
     """Return the rms of the residual of B' between two periods (s), nT, from whole done stretches.
 
     Raises
@@ -337,7 +341,7 @@ def level2(
     found = model.corrected(samples)
     light = cast("xr.Dataset", found)
     field, scalar = (np.asarray(found[name].values) for name in ("field", "scalar"))
-    residual = strength(light) - scalar
+    residual = field_strength(light) - scalar
     reading = sensor_reading(model, samples)
     flag = _quality(samples, reading, field, scalar, residual, parameters)
     spread = _distribution(field, residual, samples, flag) if distribute is not None else None
@@ -380,7 +384,7 @@ def _product(
     samples: xr.Dataset,
     comparison: str,
 ) -> xr.Dataset:
-    masks, names = meanings()
+    masks, names = flag_meanings()
     told = {"flag_masks": masks, "flag_meanings": names}
     stamps = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return xr.Dataset(
@@ -418,7 +422,7 @@ def _quality(
     missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
     lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(field.sum(axis=1)) & np.isfinite(scalar))
     flag[lost & (flag & missing == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
-    good = usable(samples, reading, field, scalar) & np.isfinite(residual)
+    good = usable_samples(samples, reading, field, scalar) & np.isfinite(residual)
     if good.any():
         # Half the weight of the biweight is lost at this many sigmas.
         half = BIWEIGHT_WIDTH * np.sqrt(1.0 - np.sqrt(0.5))

@@ -4,7 +4,7 @@ Takes readings of vector and scalar sensor, the reference and prior of the nine;
 values, covariance and the Gram matrix that later sums are made of.
 
 Residual ``r = |B| - F`` with ``B = K (E - E0) - S`` (Yin 2010, eqs. 2.5, 2.6); S holds the additive
-fields corrected after the sensor's equation, see `split_chain`. Its derivatives with respect to the
+fields corrected after the sensor's equation, see `remove_other_effects`. Its derivatives with respect to the
 entries of K are ``e_i (E - E0)_j`` and to E0 ``-K^T e``, with e = B/|B|. The compiled loops work with
 the nine numbers (K_xx, K_yy, K_zz, K_xy, K_xz, K_yz, E0_x, E0_y, E0_z), everything else with the
 parameters of the effect ``vector_sensor``: scale factors, angles (deg), offsets (nT).
@@ -36,7 +36,7 @@ from inflight.lsq import (
     shift_reference,
     solve,
 )
-from inflight.model import Model, ModelEffect, component_names, corrected
+from inflight.model import Model, ModelEffect, component_names, correct_plain
 from inflight.samples import PlainSamples
 from inflight.time import Int64
 
@@ -159,7 +159,7 @@ def _fill(
 
 
 @numba.njit(cache=True, nogil=True)
-def gram_elsewhere(
+def gram_at(
     theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats
 ) -> Floats:  # pragma: no cover
     """Return the Gram matrix linearised at `theta` with weights ``root^2`` found elsewhere; (10, 10) nT^2."""
@@ -239,11 +239,11 @@ def grams(
 
 
 #: Physical size of one scaled unit: 10 ppm, a thousandth of a degree, 1 nT.
-SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
+PARAMETER_SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
 
-PARTS = ("scale_factor", "misalignment", "offset")
+PARAMETER_GROUPS = ("scale_factor", "misalignment", "offset")
 
-UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
+PARAMETER_UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,11 @@ class Reference:
     def columns(self) -> list[str]:
         """Names of the nine columns, ``vector_sensor.scale_factor[x]`` and so on."""
         parameters = VectorSensor.parameters()
-        return [name for part in PARTS for name in component_names(f"{self.name}.{part}", parameters[part])]
+        return [
+            name
+            for part in PARAMETER_GROUPS
+            for name in component_names(f"{self.name}.{part}", parameters[part])
+        ]
 
 
 def vector_sensor_of(model: Model) -> ModelEffect:
@@ -290,7 +294,7 @@ def reference_of(model: Model, tt2000: int) -> Reference:
         When a block's own parameter has an infinite sigma.
     """
     entry = vector_sensor_of(model)
-    timed = [entry.parameters[part] for part in PARTS]
+    timed = [entry.parameters[part] for part in PARAMETER_GROUPS]
     own = [part.free and part.time == "block" for part in timed]
     for part, is_own in zip(timed, own, strict=True):
         if is_own and not np.all(np.isfinite(part.sigma)):
@@ -305,7 +309,7 @@ def reference_of(model: Model, tt2000: int) -> Reference:
     return Reference(value, sigma, entry.name)
 
 
-def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floats]:
+def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floats]:
     """Take everything but the nine parameters out of the readings.
 
     Returns
@@ -338,7 +342,7 @@ def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floa
     field = own.effect.correct(reading, light, own.values(times), own.sensor) - additive
     # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
     seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
-    scalar = corrected(
+    scalar = correct_plain(
         [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
     )
     return reading, additive, np.asarray(scalar["scalar"].values, dtype=np.float64)
@@ -356,7 +360,9 @@ def sensor_reading(model: Model, samples: xr.Dataset) -> Floats:
     return reading
 
 
-def usable(samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Floats) -> npt.NDArray[np.bool_]:
+def usable_samples(
+    samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Floats
+) -> npt.NDArray[np.bool_]:
     """Return which samples may enter a fit; (time,)."""
     good = (samples["flag"].values & np.uint32(UNUSABLE)) == 0
     finite = np.isfinite(reading.sum(axis=1)) & np.isfinite(scalar) & np.isfinite(additive.sum(axis=1))
@@ -370,12 +376,12 @@ def kernel_parameters(value: Floats) -> Floats:
 
 def kernel_scale(value: Floats) -> Floats:
     """Return the change of the kernel's parameters (9,) by one scaled unit, at physical ones (9,)."""
-    scale = SCALE.copy()
+    scale = PARAMETER_SCALE.copy()
     scale[3:6] *= -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
     return scale
 
 
-def bend(value: Floats, reference: Floats, strength: float) -> float:
+def linearisation_error(value: Floats, reference: Floats, strength: float) -> float:
     """Return by how much the residual bends between two sets of parameters; nT.
 
     A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B; a
@@ -405,7 +411,7 @@ FEWEST_SUB_BLOCKS = 12
 BARTLETT = 3
 
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
-BEND = 1e-4
+LINEARISATION_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -454,7 +460,7 @@ class BlockFit:
     passes: int
 
 
-def sub_blocks_for(seconds: float) -> int:
+def sub_block_count(seconds: float) -> int:
     """Return into how many sub-blocks so many seconds of used samples are cut: one for 20 minutes."""
     return int(np.clip(seconds / SCALAR.sub_block_s, FEWEST_SUB_BLOCKS, SUB_BLOCKS))
 
@@ -473,7 +479,7 @@ def fit_block(
     Parameters
     ----------
     reading, additive, scalar : ndarray
-        As `split_chain` returns them, nT.
+        As `remove_other_effects` returns them, nT.
     good : ndarray of bool, shape (time,)
         Samples to use.
     reference : Reference
@@ -501,8 +507,14 @@ def fit_block(
             least = SOLVER.min_information * SCALAR.edge_rise ** max(0, turn - SCALAR.edge_pass)
             found = _pass(part, value, prior, passes > 0, least)
             moved, value, passes = found.value - value, found.value, passes + 1
-            settled = np.all(np.abs(moved) <= SCALAR.settled * np.maximum(found.sigma, 1e-12 * SCALE))
-            if passes > 1 and settled and bend(value, value - moved, data.strength) <= BEND:
+            settled = np.all(
+                np.abs(moved) <= SCALAR.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
+            )
+            if (
+                passes > 1
+                and settled
+                and linearisation_error(value, value - moved, data.strength) <= LINEARISATION_TOLERANCE
+            ):
                 break
         else:
             raise CalibrationError(
@@ -515,7 +527,7 @@ def empty_block(reference: Reference, prior: Reference) -> BlockFit:
     """Return the fit of a block that says nothing: everything stays at its prior, and nothing is added up."""
     nan, parameters = float("nan"), prior.value.size
     gram, scatter = np.zeros((parameters + 1, parameters + 1)), np.zeros((parameters, parameters))
-    centre, spread = (prior.value - reference.value) / SCALE, prior.sigma / SCALE
+    centre, spread = (prior.value - reference.value) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
     return BlockFit(
         prior.value,
         prior.sigma,
@@ -609,14 +621,14 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: fl
     )
     bread = count / slopes if slopes > 0.2 * count else 1.0
     gram = blocks.sum(axis=0)
-    centre, spread = (prior.value - value) / SCALE, prior.sigma / SCALE
+    centre, spread = (prior.value - value) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
     step, covariance, least = posterior(gram, count, centre, spread)
     if least < SCALAR.plain:
         # Weak directions need their true weight, or the iteration runs along them for nothing.
         solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread, edge)
         step, covariance, bread = solution.value, solution.covariance, 1.0
-    sigmas = np.sqrt(np.diag(covariance)) * SCALE
-    return _Pass(value, value + step * bread * SCALE, sigmas, blocks, count, bread, sigma)
+    sigmas = np.sqrt(np.diag(covariance)) * PARAMETER_SCALE
+    return _Pass(value, value + step * bread * PARAMETER_SCALE, sigmas, blocks, count, bread, sigma)
 
 
 def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats:
@@ -646,20 +658,23 @@ def _finish(
 ) -> BlockFit:
     """Solve the last pass with the scatter of its scores; express its equations at the reference."""
     gram = found.blocks.sum(axis=0)
-    centre, spread = (prior.value - found.here) / SCALE, prior.sigma / SCALE
+    centre, spread = (prior.value - found.here) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
     near, _, _ = posterior(gram, found.count, centre, spread)
     scatter = score_scatter(found.blocks, near, spread) * found.bread**2
     solution = solve(gram, scatter, found.count, centre, spread)
-    value = found.here + (solution.value + (found.bread - 1.0) * near) * SCALE
+    value = found.here + (solution.value + (found.bread - 1.0) * near) * PARAMETER_SCALE
     value = np.where(solution.moved, value, prior.value)
     # Fits that are sure of every parameter lie close together, so that their own linearisations agree;
     # others run along what they do not know, and need a common one.
     sure = bool(np.all(solution.determined | (prior.sigma <= 0)))
-    if sure or bend(value, reference.value, data.strength) <= BEND:
-        gram, linearised_at = shift_reference(gram, (reference.value - found.here) / SCALE), found.here
+    if sure or linearisation_error(value, reference.value, data.strength) <= LINEARISATION_TOLERANCE:
+        gram, linearised_at = (
+            shift_reference(gram, (reference.value - found.here) / PARAMETER_SCALE),
+            found.here,
+        )
     else:
         gram, linearised_at = _gram_at(reference.value, data, found), reference.value
-    covariance = solution.covariance * np.outer(SCALE, SCALE)
+    covariance = solution.covariance * np.outer(PARAMETER_SCALE, PARAMETER_SCALE)
     return BlockFit(
         value,
         np.sqrt(np.diag(covariance)),
@@ -682,4 +697,4 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
     theta, scale = kernel_parameters(reference), kernel_scale(reference)
-    return np.asarray(gram_elsewhere(theta, data.e, data.s, data.f, root, scale))
+    return np.asarray(gram_at(theta, data.e, data.s, data.f, root, scale))

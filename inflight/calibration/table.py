@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.scalar import PARTS, UNITS, Reference
+from inflight.calibration.scalar import PARAMETER_GROUPS, PARAMETER_UNITS, Reference
 from inflight.errors import CalibrationError
 from inflight.lsq import Solution
 from inflight.time import Int64
@@ -75,7 +75,7 @@ def calibration_table(
             ),
             "prior": ("parameter", reference.value),
             "prior_sigma": ("parameter", reference.sigma),
-            "units": ("parameter", np.array(UNITS, dtype="U8")),
+            "units": ("parameter", np.array(PARAMETER_UNITS, dtype="U8")),
             "start": (of_rows, np.array([row.start for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (of_rows, np.array([row.end for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "blocks": (of_rows, np.array([row.blocks for row in rows], dtype=np.int64)),
@@ -215,7 +215,7 @@ def nine_columns(names: list[str]) -> list[int]:
     ------
     CalibrationError
     """
-    wanted = [f".{part}[{axis}]" for part, axes in zip(PARTS, _AXES, strict=True) for axis in axes]
+    wanted = [f".{part}[{axis}]" for part, axes in zip(PARAMETER_GROUPS, _AXES, strict=True) for axis in axes]
     found = [[index for index, name in enumerate(names) if name.endswith(end)] for end in wanted]
     if any(len(one) != 1 for one in found):
         raise CalibrationError(

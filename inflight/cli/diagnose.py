@@ -150,12 +150,12 @@ def _revise(
     session: Session, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
 ) -> None:
     from inflight.cli.telling import print_revision
-    from inflight.flows import client_when_needed
+    from inflight.flows import lazy_client
     from inflight.tasks.analysis import open_workbench
 
     name = _comparison(session, comparison)
     workspace = session.open_workspace()
-    with session.progress() as progress, client_when_needed(workers) as client:
+    with session.progress() as progress, lazy_client(workers) as client:
         told = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
 
     def show(console: Console) -> None:

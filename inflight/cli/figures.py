@@ -34,9 +34,9 @@ def figures(
     section: Annotated[str | None, typer.Option(help="Only this section, such as residual.")] = None,
 ) -> None:
     """Hold published figures against what the software obtains for them, now."""
-    from inflight.scorecard import SECTIONS, scorecard
+    from inflight.scorecard import SECTIONS, run_scorecard
 
-    found = [report.as_json() for report in scorecard(only or (), section)]
+    found = [report.as_json() for report in run_scorecard(only or (), section)]
     counts = {name: _counts(found, name) for name in ("printed", "expected", "recovered")}
 
     def show(console: Console) -> None:

@@ -12,7 +12,7 @@ from inflight.cli.session import Session, verb
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.tasks import Versions
+    from inflight.tasks import ModelHistory
 
 model = typer.Typer(
     help="Look into the model: its effects, versions and what they change.", no_args_is_help=True
@@ -39,10 +39,10 @@ def show_model(
     comparison: ComparisonOption = None,
 ) -> None:
     """Show the effects of a model in the order of correction, with values and uncertainties."""
-    from inflight.model import tree_of
+    from inflight.model import parse_tree
 
     found = _versions(session, comparison).named(named)
-    tree = tree_of(found.text)
+    tree = parse_tree(found.text)
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
@@ -69,11 +69,11 @@ def diff_models(
     comparison: ComparisonOption = None,
 ) -> None:
     """Tell what one version of a model changes of another."""
-    from inflight.model import changes, tree_of
+    from inflight.model import changes, parse_tree
 
     versions = _versions(session, comparison)
     old, new = versions.named(before), versions.named(after)
-    found = changes(tree_of(old.text)["effects"], tree_of(new.text)["effects"])
+    found = changes(parse_tree(old.text)["effects"], parse_tree(new.text)["effects"])
 
     def show(console: Console) -> None:
         console.print(f"{old.told} -> {new.told}")
@@ -100,11 +100,11 @@ def model_history(session: Session, *, comparison: ComparisonOption = None) -> N
     session.emit({"command": "model history", "items": items}, show)
 
 
-def _versions(session: Session, comparison: str | None) -> Versions:
-    from inflight.tasks import Versions, comparison_of
+def _versions(session: Session, comparison: str | None) -> ModelHistory:
+    from inflight.tasks import ModelHistory, comparison_of
 
     mission = session.open_workspace().mission()
-    return Versions(session.open_catalog(), mission, comparison_of(mission, comparison))
+    return ModelHistory(session.open_catalog(), mission, comparison_of(mission, comparison))
 
 
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

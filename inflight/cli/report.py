@@ -68,14 +68,14 @@ def report_span(
     SettingsError, InflightError
         As `inflight.tasks.analysis.diagnosis_page.report`.
     """
-    from inflight.flows import Span, client_when_needed
+    from inflight.flows import DaySpan, lazy_client
     from inflight.tasks.analysis import report as write_report
 
     mission = workspace.mission()
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
-    span, settings = _asked(workspace, name, Span.model_validate({"start": start, "end": end}).as_text())
+    span, settings = _asked(workspace, name, DaySpan.model_validate({"start": start, "end": end}).as_text())
     page = page_path(output or workspace.reports / "-".join(["report", name, *filter(None, span)]))
-    with session.progress() as progress, client_when_needed(workers) as client:
+    with session.progress() as progress, lazy_client(workers) as client:
         return write_report(
             session.open_catalog(), mission, page, *span, settings, client=client, progress=progress
         )

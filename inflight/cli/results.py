@@ -64,12 +64,12 @@ def compare_span(
     StorageError
         When the page cannot be written to `output`.
     """
-    from inflight.flows import Span
+    from inflight.flows import DaySpan
     from inflight.tasks.analysis import compare as measure
 
     mission = workspace.mission()
     require_comparison(mission, comparison)
-    span = Span.model_validate({"start": start, "end": end}).as_text()
+    span = DaySpan.model_validate({"start": start, "end": end}).as_text()
     name = "-".join(["compare", comparison, *filter(None, span)])
     page = page_path(output) if output else _page_path_if_writable(workspace.reports / name)
     catalog = session.open_catalog()

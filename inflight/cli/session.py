@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.errors import SettingsError, WorkspaceError
-from inflight.tasks import Progress, as_settings_error, place_of, told_error
+from inflight.tasks import Progress, as_settings_error, error_fields, location_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -137,7 +137,7 @@ class Session:
         from rich.console import Console
         from rich.text import Text
 
-        place = place_of(fields)
+        place = location_of(fields)
         told = Text(f"{place}: " if place else "", style="red")
         told.append(fields["message"], style="red")
         Console(stderr=True, highlight=False, soft_wrap=True).print(told)
@@ -177,7 +177,7 @@ def carry_out(session: Session, work: Callable[[], None]) -> None:
             if interrupted.is_set() or not isinstance(error, Exception):
                 session.fail(_INTERRUPTED)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
-            session.fail(told_error(error))
+            session.fail(error_fields(error))
             raise typer.Exit(exit_code_of(error)) from None
 
 

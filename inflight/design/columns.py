@@ -1,6 +1,6 @@
 """Design matrices: columns of the residual, from native samples to the library's cadence.
 
-Takes a day's native rows and the channels on the library's bins; makes `Rows` (`coarsen`): means of the good
+Takes a day's native rows and the channels on the library's bins; makes `DesignRows` (`coarsen`): means of the good
 samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
 residual is the same function of the mean columns. From rows and terms, `design` makes the columns: what one
 unit of each parameter changes.
@@ -31,21 +31,21 @@ from inflight.arrays import Floats
 from inflight.design.terms import Term, within_span
 from inflight.effects import SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
-from inflight.lsq import TO_SIGMA
+from inflight.lsq import MAD_TO_SIGMA
 from inflight.model import Model, ResidualRows, RowFilter
 from inflight.model import ResidualRows as NativeRows
 from inflight.samples import PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
-EQUATIONS = (VectorSensor, SpinningSensor)
+SENSOR_EQUATIONS = (VectorSensor, SpinningSensor)
 
 #: Roles whose reading is a vector.
 _VECTORS = ("vector", "inboard", "outboard")
 
 
 @dataclass(frozen=True)
-class Rows:
+class DesignRows:
     """Everything columns are made from, for one block of samples.
 
     Attributes
@@ -76,7 +76,7 @@ def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
     found = {}
     for entry in model.effects:
-        if isinstance(entry.effect, EQUATIONS):
+        if isinstance(entry.effect, SENSOR_EQUATIONS):
             values = entry.values(tt2000)
             still = np.zeros((3, 3))
             unit = entry.effect.correct(np.eye(3), xr.Dataset(), values, entry.sensor)
@@ -85,7 +85,7 @@ def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     return found
 
 
-def term_columns(term: Term, rows: Rows) -> Floats:
+def term_columns(term: Term, rows: DesignRows) -> Floats:
     """Return the columns of a term; (time, row, column), nT per scaled unit.
 
     Raises
@@ -120,7 +120,7 @@ def _with_step(values: Mapping[str, Floats], name: str, index: int, step: float)
 
 
 def _additive(
-    term: Term, rows: Rows, values: Mapping[str, Floats], name: str, index: int, step: float
+    term: Term, rows: DesignRows, values: Mapping[str, Floats], name: str, index: int, step: float
 ) -> Floats:
     """Column of an effect that only adds a field: one evaluation, it is linear."""
     entry = term.entry
@@ -131,7 +131,7 @@ def _additive(
 
 
 def _differenced(
-    term: Term, rows: Rows, values: Mapping[str, Floats], name: str, index: int, step: float
+    term: Term, rows: DesignRows, values: Mapping[str, Floats], name: str, index: int, step: float
 ) -> Floats:
     """Column of an effect inside an instrument's equation: a central difference of its correction."""
     entry = term.entry
@@ -145,12 +145,12 @@ def _differenced(
     change = (up - down) / 2.0
     if entry.sensor.role not in _VECTORS:
         return np.asarray(-change[:, None])
-    if not isinstance(entry.effect, EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
+    if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
         change = multiply(rows.sensor_matrices[entry.sensor.name], change)
     return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
 
 
-def design(terms: Sequence[Term], rows: Rows) -> Floats:
+def design_matrix(terms: Sequence[Term], rows: DesignRows) -> Floats:
     """Return the columns of terms side by side; (time, row, column), 0 where a sample has no weight.
 
     Values that are not there are 0: a channel's gap must not cost the samples of all others.
@@ -243,7 +243,7 @@ class Burst(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outliers:
+class OutlierReport:
     """What a pass left out, over the whole span.
 
     Attributes
@@ -265,7 +265,7 @@ class Outliers:
     bursts: tuple[dict[str, Any], ...] = ()
 
     @classmethod
-    def of(cls, reports: Sequence[Mapping[str, Any]], kept: bool) -> Outliers:
+    def of(cls, reports: Sequence[Mapping[str, Any]], kept: bool) -> OutlierReport:
         """Return the outliers of blocks' reports, in order of time."""
         samples = sum(int(one["burst_samples"]) for one in reports)
         good = sum(float(one["count"]) for one in reports)
@@ -462,7 +462,7 @@ def burst_report(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.b
     }
 
 
-def grid(first: int, last: int, cadence_ns: int) -> Int64:
+def bin_edges(first: int, last: int, cadence_ns: int) -> Int64:
     """Return the edges of the bins that cover the half-open span from `first` to `last`; TT2000."""
     count = max(1, -(-(last - first) // cadence_ns))
     return first + cadence_ns * np.arange(count + 1, dtype=np.int64)
@@ -520,7 +520,7 @@ def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_
     for size in (off, second):
         usual = np.median(size[known]) if known.any() else 1.0
         around = median_filter(size, size=min(BINS.around, row.size), mode="nearest")
-        sigma = np.maximum(sigma, TO_SIGMA * np.maximum(usual, around))
+        sigma = np.maximum(sigma, MAD_TO_SIGMA * np.maximum(usual, around))
     return np.asarray(off > BINS.spike * sigma)
 
 
@@ -567,7 +567,7 @@ def coarsen(
     matrices: Mapping[str, Floats],
     recorded: Mapping[str, Floats] | None = None,
     keep_bursts: bool = False,
-) -> tuple[Rows, dict[str, Any]]:
+) -> tuple[DesignRows, dict[str, Any]]:
     """Put a day's rows on the library's bins.
 
     Parameters
@@ -580,7 +580,7 @@ def coarsen(
     channels : mapping of str to Variable
         Channels and geometry that are on the bins already.
     matrices : mapping
-        Sensor matrices, see `Rows`.
+        Sensor matrices, see `DesignRows`.
     recorded : mapping of str to ndarray, optional
         Every channel of the mission as it was recorded, on the bins: what goes with one is no outlier.
     keep_bursts : bool
@@ -620,7 +620,7 @@ def coarsen(
         "spikes": float((usable & single).sum()),
     } | report
     binned = _binned(samples, rows, edges, channels, good)
-    return Rows(binned, residual, directions, matrices, weight, rows.kept), sums
+    return DesignRows(binned, residual, directions, matrices, weight, rows.kept), sums
 
 
 def _binned(

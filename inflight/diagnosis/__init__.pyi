@@ -10,7 +10,7 @@ from .additions import (
 from .candidates import make_library
 from .refine import LagProfile
 from .requests import addition_of_entry, best_lag, find_request
-from .residual import Context
+from .residual import DiagnosisData
 from .result import Diagnosis, Signature
 from .scoring import (
     Index,
@@ -31,7 +31,7 @@ from .time_changes import (
     DRIFTS,
     Stretches,
     TimeVariableColumns,
-    batches,
+    batch_changes,
     drifts,
     episodes,
     steps,
@@ -62,9 +62,9 @@ __all__ = [
     "Addition",
     "AdditionMaker",
     "BeforeAfter",
-    "Context",
     "CrossTalk",
     "Diagnosis",
+    "DiagnosisData",
     "Features",
     "FitSetup",
     "HeatMap",
@@ -85,7 +85,7 @@ __all__ = [
     "addition_of",
     "addition_of_entry",
     "along_field",
-    "batches",
+    "batch_changes",
     "before_after",
     "best_lag",
     "conclude",

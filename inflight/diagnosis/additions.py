@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import EQUATIONS, Candidate, Library, Term, sensor_matrices
+from inflight.design import SENSOR_EQUATIONS, Candidate, Library, Term, sensor_matrices
 from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option
@@ -30,7 +30,7 @@ from inflight.errors import ModelError
 from inflight.lsq import GramBlocks, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.samples import parse
+from inflight.samples import parse_channel
 from inflight.time import DAY, to_utc
 
 
@@ -384,7 +384,7 @@ class AdditionMaker:
     def own_term(self, candidate: Candidate) -> Term | None:
         """Return the term of a candidate that frees a parameter of the model's own sensor; else None."""
         term = self.library.terms[candidate.terms[0]]
-        return term if isinstance(term.entry.effect, EQUATIONS) else None
+        return term if isinstance(term.entry.effect, SENSOR_EQUATIONS) else None
 
     def _of_parameter(self, candidate: Candidate) -> Addition:
         term = self.library.terms[candidate.terms[0]]
@@ -426,7 +426,7 @@ class AdditionMaker:
         """Return a free name for an effect: its label, and its channels where these decide."""
         parts = [origin.effect.label()]
         if "channel" in origin.effect.given:
-            parts += [part.channel for part in parse(origin.effect.channels[0]).parts]
+            parts += [part.channel for part in parse_channel(origin.effect.channels[0]).parts]
         title = "_".join("".join(c if c.isalnum() else "_" for c in part) for part in parts)
         return self.free_name(title)
 

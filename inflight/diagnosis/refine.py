@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import Rows, Term, design, within_span
+from inflight.design import DesignRows, Term, design_matrix, within_span
 from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.residual import (
-    Context,
+    DiagnosisData,
     correlation_s,
     derived_channels,
     joint_values,
@@ -49,7 +49,7 @@ from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import GramBlocks, hac_t, inverse_square_root, jackknife, prewhiten, solve_scaled
 from inflight.mission import sensors_of
 from inflight.model import make_effect
-from inflight.samples import Derived, parse
+from inflight.samples import DerivedChannel, parse_channel
 from inflight.time import DAY, SECOND, Int64, to_tt2000, to_utc
 
 
@@ -174,7 +174,7 @@ ANGLES = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
 Refined = tuple[Search, Option]
 
 
-def refine(search: Search, context: Context, option: Option) -> Refined:
+def refine(search: Search, context: DiagnosisData, option: Option) -> Refined:
     """Return the state with the best form of an option, and that form.
 
     Both are as they were when the bank has the best form already. New columns join the evidence, from the
@@ -189,7 +189,7 @@ def refine(search: Search, context: Context, option: Option) -> Refined:
     return _of_channel(search, context, option)
 
 
-def _of_channel(search: Search, context: Context, option: Option) -> Refined:
+def _of_channel(search: Search, context: DiagnosisData, option: Option) -> Refined:
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, context, option)
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
@@ -202,7 +202,7 @@ def _of_channel(search: Search, context: Context, option: Option) -> Refined:
 # Lags and widths.
 
 
-def _with_lag(search: Search, context: Context, option: Option) -> Refined:
+def _with_lag(search: Search, context: DiagnosisData, option: Option) -> Refined:
     """Return the option with the lag that explains most; without one when that is not clearly more."""
     source = search.library.terms[option.terms[0]]
     trials = FormTrials(search, context, option)
@@ -224,7 +224,7 @@ def _with_lag(search: Search, context: Context, option: Option) -> Refined:
 
 
 def _best_lag(
-    search: Search, context: Context, loss: Callable[[float], Floats]
+    search: Search, context: DiagnosisData, loss: Callable[[float], Floats]
 ) -> tuple[float, float | None]:
     """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
     lags = np.geomspace(LAG.shortest * context.series.step_s, LAG.longest, LAG.tried)
@@ -239,7 +239,7 @@ def _best_lag(
     return best, best * float(jackknife(np.array(others)))
 
 
-def _with_response(search: Search, context: Context, option: Option) -> Refined:
+def _with_response(search: Search, context: DiagnosisData, option: Option) -> Refined:
     """Return an effect whose channel, or a factor of it, acts slowly, when that explains clearly more."""
     made = option
     parts = _channel_of(search.library.terms[option.terms[0]]).parts
@@ -251,13 +251,15 @@ def _with_response(search: Search, context: Context, option: Option) -> Refined:
     return search, made
 
 
-def _channel_of(term: Term) -> Derived:
+def _channel_of(term: Term) -> DerivedChannel:
     """Return the one channel an effect follows, as option `channel` may name it; without parts if none."""
     channel = term.entry.effect.given.get("channel")
-    return parse(channel) if isinstance(channel, str) else Derived(())
+    return parse_channel(channel) if isinstance(channel, str) else DerivedChannel(())
 
 
-def _with_slow_factor(search: Search, context: Context, option: Option, now: Option, place: int) -> Refined:
+def _with_slow_factor(
+    search: Search, context: DiagnosisData, option: Option, now: Option, place: int
+) -> Refined:
     """Return the option with the best lag of one factor of its channel; `now` if none is better."""
     source = search.library.terms[now.terms[0]]
     parts = list(_channel_of(source).parts)
@@ -266,7 +268,7 @@ def _with_slow_factor(search: Search, context: Context, option: Option, now: Opt
 
     def term(lag: float, key: str) -> Term:
         parts[place] = replace(parts[place], lag_s=lag, text="")
-        channel = Derived(tuple(parts)).name
+        channel = DerivedChannel(tuple(parts)).name
         return similar_term(context, source, key, {"channel": channel}, source.parameters)
 
     def loss(lag: float) -> Floats:
@@ -292,7 +294,7 @@ def _with_slow_factor(search: Search, context: Context, option: Option, now: Opt
     return _with_term(search, context, option, replace(made, key=key), best, sigma)
 
 
-def _with_width(search: Search, context: Context, option: Option) -> Refined:
+def _with_width(search: Search, context: DiagnosisData, option: Option) -> Refined:
     """Return the play of the best width, with the channel itself where it is needed."""
     trials = FormTrials(search, context, option)
     source = search.library.terms[option.terms[-1]]
@@ -347,7 +349,7 @@ def _vertex(x: Floats, y: Floats) -> float:
 
 
 def _with_term(
-    search: Search, context: Context, option: Option, term: Term, lag: float, sigma: float | None = None
+    search: Search, context: DiagnosisData, option: Option, term: Term, lag: float, sigma: float | None = None
 ) -> Refined:
     """Return the option with another term, its columns in the evidence and it among the options."""
     made = replace(
@@ -359,7 +361,7 @@ def _with_term(
 
 
 def similar_term(
-    context: Context, source: Term, key: str, options: dict[str, Any], parameters: Sequence[str]
+    context: DiagnosisData, source: Term, key: str, options: dict[str, Any], parameters: Sequence[str]
 ) -> Term:
     """Return a term like another one with other options; everything of it is free."""
     given = {name: value for name, value in source.entry.effect.given.items() if name not in ("lag", "width")}
@@ -381,7 +383,7 @@ class FormTrials:
     Rows of the coarse series, weighted, with the calibration marginalised interval by interval.
     """
 
-    def __init__(self, search: Search, context: Context, option: Option) -> None:
+    def __init__(self, search: Search, context: DiagnosisData, option: Option) -> None:
         self.context, self.series, self.blocks = context, context.series, len(search.raw)
         self.terms = search.library.by_key
         others = [one for one in search.accepted if one is not option and one.terms]
@@ -439,12 +441,12 @@ class FormTrials:
             self._known[term.key] = columns
         return columns
 
-    def _rows(self, terms: Sequence[Term]) -> Rows:
+    def _rows(self, terms: Sequence[Term]) -> DesignRows:
         channels = {name for term in terms for name in term.entry.effect.channels if name}
         return self.series.rows(self.context.sensor_matrices, derived_channels(self.series, channels))
 
-    def _flat(self, terms: Sequence[Term], rows: Rows) -> Floats:
-        columns = design(terms, rows)
+    def _flat(self, terms: Sequence[Term], rows: DesignRows) -> Floats:
+        columns = design_matrix(terms, rows)
         return np.asarray(columns.reshape(len(self.root), columns.shape[2]) * self.root[:, None])
 
     def _marginalised(self, values: Floats) -> Floats:
@@ -457,7 +459,7 @@ class FormTrials:
 # The time of a change.
 
 
-def refine_change_time(search: Search, context: Context, option: Option) -> Refined:
+def refine_change_time(search: Search, context: DiagnosisData, option: Option) -> Refined:
     """Return the state with a step or an episode at the time that leaves least, and that option.
 
     Its `change.sharpness` is the time's standard deviation, the larger one of an episode's two. All that may
@@ -530,7 +532,7 @@ def dated_columns(source: Term, changing: tuple[str, ...], name: str) -> list[st
 
 
 def _change_times(
-    search: Search, context: Context, option: Option, changing: tuple[str, ...]
+    search: Search, context: DiagnosisData, option: Option, changing: tuple[str, ...]
 ) -> tuple[tuple[int, ...], float]:
     """Return when a change begins, and ends if it does, TT2000, and the standard deviation, ns."""
     assert option.change is not None
@@ -566,7 +568,7 @@ def _change_times(
 
 
 def _residual_without(
-    search: Search, context: Context, option: Option, changing: tuple[str, ...]
+    search: Search, context: DiagnosisData, option: Option, changing: tuple[str, ...]
 ) -> tuple[Floats, Floats, Floats]:
     """Return the residual without and with an option, and its columns as if it held always.
 
@@ -580,7 +582,7 @@ def _residual_without(
     own = columns[:, :, [names.index(name) for name in option.columns]]
     without = residual - own @ np.array([value[name] for name in option.columns])
     source = _source(search, changing)
-    every = design([source], rows)
+    every = design_matrix([source], rows)
     return without, residual, every[:, :, [source.columns.index(name) for name in changing]]
 
 
@@ -629,7 +631,7 @@ def _change_time(stamps: Int64, gained: Floats, window: tuple[int, int], noise: 
 
 
 def add_interactions(
-    search: Search, context: Context, tables: Sequence[ScoreTable], unexplained: bool
+    search: Search, context: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
 ) -> Search:
     """Return the state with products of channels among its options; the state itself when there are none.
 
@@ -664,13 +666,13 @@ def add_interactions(
     )
 
 
-def can_add_columns(search: Search, context: Context) -> bool:
+def can_add_columns(search: Search, context: DiagnosisData) -> bool:
     """Return True when columns can still be made: of long records the days' own equations are gone."""
     return search.within is None and len(context.series.tt2000) <= INTERACTIONS.most_rows
 
 
 def _channel_pairs(
-    search: Search, context: Context, tables: Sequence[ScoreTable], unexplained: bool
+    search: Search, context: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
 ) -> list[tuple[str, str]]:
     """Return the pairs to try: a channel that was taken with every other one; of the strongest ones all."""
     series = context.series
@@ -692,7 +694,7 @@ def _varies(values: Floats, name: str) -> bool:
     return name not in ANGLES and not steady
 
 
-def strongest_channels(search: Search, context: Context, tables: Sequence[ScoreTable]) -> list[str]:
+def strongest_channels(search: Search, context: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
     """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
     there = set(context.series.channels)
     gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
@@ -708,7 +710,7 @@ def strongest_channels(search: Search, context: Context, tables: Sequence[ScoreT
     return sorted(sorted(scalars), key=lambda name: -gains[name])[: INTERACTIONS.channels]
 
 
-def _product(context: Context, one: str, other: str) -> Term | None:
+def _product(context: DiagnosisData, one: str, other: str) -> Term | None:
     sensors = sensors_of(context.mission, context.model.comparison)
     first = next(iter(context.series.features.sensors))
     entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
@@ -723,26 +725,26 @@ def _product(context: Context, one: str, other: str) -> Term | None:
 Border = tuple[Floats, Floats]
 
 
-def join_terms(search: Search, context: Context, terms: Sequence[Term]) -> Search:
+def join_terms(search: Search, context: DiagnosisData, terms: Sequence[Term]) -> Search:
     """Return the state with the columns of new terms in its evidence, with their products with all others."""
     cache = _cached_design(search, context, terms)
     raw, white = _borders(search, context, terms, cache)
     return replace(search.join(terms, raw, white), design_cache=cache)
 
 
-def _cached_design(search: Search, context: Context, terms: Sequence[Term]) -> CachedDesign:
+def _cached_design(search: Search, context: DiagnosisData, terms: Sequence[Term]) -> CachedDesign:
     """Return the cached design matrix of all terms; each further column costs its own making only."""
     series, known = context.series, search.design_cache
     new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known.names)]
     channels = {name for term in new for name in term.entry.effect.channels if name}
     rows = series.rows(context.sensor_matrices, derived_channels(series, channels, search.library.placebos))
-    made = [design([term], rows).astype(np.float32) for term in new]
+    made = [design_matrix([term], rows).astype(np.float32) for term in new]
     names = (*known.names, *(name for term in new for name in term.columns))
     return CachedDesign(names, (*known.pieces, *made))
 
 
 def _borders(
-    search: Search, context: Context, terms: Sequence[Term], cache: CachedDesign
+    search: Search, context: DiagnosisData, terms: Sequence[Term], cache: CachedDesign
 ) -> tuple[Border, Border]:
     """Return the terms' products with all columns, raw and prewhitened."""
     series, names = context.series, list(cache.names)

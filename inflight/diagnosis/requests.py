@@ -28,7 +28,7 @@ from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.mission import sensors_of
 from inflight.model import ModelEffect, make_effect
-from inflight.samples import base_channels, parse
+from inflight.samples import base_channels, parse_channel
 from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
 
 _LAG = re.compile(r"^(?P<mechanism>.+)@lag=(?P<lag>[^@]+)$")
@@ -257,7 +257,7 @@ def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
     given = dict(entry.effect.given)
     lag = 0.0
     if "channel" in given and entry.effect.channels:
-        parts = parse(entry.effect.channels[0]).parts
+        parts = parse_channel(entry.effect.channels[0]).parts
         if len(parts) == 1 and parts[0].lag_s:
             lag = float(parts[0].lag_s)
             given.pop("lag", None)

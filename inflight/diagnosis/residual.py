@@ -1,6 +1,6 @@
 """The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-Takes a state of the search and the `Context` of its verdict (the coarse series, the model, the noise floor);
+Takes a state of the search and the `DiagnosisData` of its verdict (the coarse series, the model, the noise floor);
 makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
 sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
 (`correlation_s`) and how many independent blocks there are (`effective_blocks`).
@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Outliers, Rows, design, sensor_matrices
+from inflight.design import DesignRows, OutlierReport, design_matrix, sensor_matrices
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
@@ -30,7 +30,7 @@ from inflight.lsq import GramArrays, GramBlocks, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
-from inflight.samples import Part, parse, product, respond
+from inflight.samples import ChannelFactor, channel_product, parse_channel, slow_response
 from inflight.time import DAY, SECOND, utc_text
 
 
@@ -158,7 +158,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     return found if found.high_nT < floor.low_nT else floor
 
 
-def remaining_residual(search: Search, context: Context, accepted: bool = True) -> Floats:
+def remaining_residual(search: Search, context: DiagnosisData, accepted: bool = True) -> Floats:
     """Return the residual of the series after calibration, model and what was taken; (sample, row).
 
     Parameters
@@ -181,7 +181,7 @@ def remaining_residual(search: Search, context: Context, accepted: bool = True) 
 
 def model_columns(
     search: Search, series: Series, sensor_matrices: dict[str, Floats], options: Sequence[Option]
-) -> tuple[Rows, list[str], Floats]:
+) -> tuple[DesignRows, list[str], Floats]:
     """Return the series as rows, and names and columns of calibration, model and some options on it.
 
     Columns are (sample, row, column) in scaled units; those of changes in time are among them.
@@ -195,7 +195,7 @@ def model_columns(
     channels = {name for term in chosen for name in term.entry.effect.channels if name}
     rows = series.rows(sensor_matrices, derived_channels(series, channels))
     names = [name for term in chosen for name in term.columns]
-    columns = design(chosen, rows)
+    columns = design_matrix(chosen, rows)
     for option in options:
         if option.change is not None:
             for name, (column, factor) in option.change.functions.items():
@@ -254,16 +254,16 @@ def derived_channels(
         if name in known:
             continue
         factors = []
-        for part in parse(name).parts:
+        for part in parse_channel(name).parts:
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
             factors.append(_part(series, part, values, shifts or {}))
-        made = product(factors)
-        unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse(name).parts)
+        made = channel_product(factors)
+        unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
 
 
-def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float]) -> Floats:
+def _part(series: Series, part: ChannelFactor, values: Floats, shifts: Mapping[str, float]) -> Floats:
     if part.placebo:
         shift = round(shifts.get(f"{part.channel}~{part.placebo}", 0.0) / series.step_s)
         values = np.roll(values, shift, axis=0)
@@ -318,7 +318,7 @@ def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
 
 
-def _channels_taken(search: Search) -> list[Part]:
+def _channels_taken(search: Search) -> list[ChannelFactor]:
     terms = search.library.by_key
     names = {
         name
@@ -327,10 +327,10 @@ def _channels_taken(search: Search) -> list[Part]:
         for name in terms[key].entry.effect.channels
         if name
     }
-    return [part for name in sorted(names) for part in parse(name).parts]
+    return [part for name in sorted(names) for part in parse_channel(name).parts]
 
 
-def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
+def unknown_rows(series: Series, part: ChannelFactor) -> np.ndarray | None:
     """Return in which rows a channel, or its slow response or play, is not known; None when in no row.
 
     A response is not known while more than a fifth of what it remembers is missing; a play, after a
@@ -340,7 +340,7 @@ def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
     if lost is None:
         return None
     if part.lag_s:
-        forgotten = respond(lost.astype(np.float64), np.diff(series.tt2000) / SECOND, part.lag_s)
+        forgotten = slow_response(lost.astype(np.float64), np.diff(series.tt2000) / SECOND, part.lag_s)
         lost = forgotten > BLOCKS.forgotten
     if part.width:
         slow = replace(part, width=0.0, text="").of(series[part.channel], np.diff(series.tt2000) / SECOND)
@@ -401,7 +401,7 @@ def _square(values: Floats) -> Floats:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Context:
+class DiagnosisData:
     """What a verdict needs in addition to the search.
 
     Attributes
@@ -441,7 +441,7 @@ class Context:
     context_id: str = ""
     run: str = ""
     correlation_time_s: float = 600.0
-    outliers: Outliers = field(default_factory=Outliers)
+    outliers: OutlierReport = field(default_factory=OutlierReport)
     gaps: UncorrectableRows | None = None
     switched: JumpAttribution | None = None
 
@@ -451,7 +451,7 @@ class Context:
         return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
-def with_correctable_rows(search: Search, context: Context) -> Context:
+def with_correctable_rows(search: Search, context: DiagnosisData) -> DiagnosisData:
     """Return the context of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
@@ -465,7 +465,7 @@ def with_correctable_rows(search: Search, context: Context) -> Context:
     return replace(context, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence_of_sizes(search: Search, context: Context) -> tuple[GramBlocks, ModelColumns, int]:
+def _evidence_of_sizes(search: Search, context: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
     """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
     if context.gaps is None:
         return search.forms["raw"], search.present(), search.y()
@@ -473,7 +473,7 @@ def _evidence_of_sizes(search: Search, context: Context) -> tuple[GramBlocks, Mo
     return evidence, search.present_in(evidence), evidence.residuals[0]
 
 
-def held_out_rms(search: Search, context: Context) -> float:
+def held_out_rms(search: Search, context: DiagnosisData) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
     evidence, present, y = _evidence_of_sizes(search, context)
     interleaved = any(option.interleaved for option in search.accepted)
@@ -483,11 +483,11 @@ def held_out_rms(search: Search, context: Context) -> float:
     return float(np.sqrt(max(mean, 0.0) + _square_within_bins(context)))
 
 
-def _square_within_bins(context: Context) -> float:
+def _square_within_bins(context: DiagnosisData) -> float:
     return context.sums.get("inside", 0.0) / max(context.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(context: Context, search: Search) -> float:
+def native_rms(context: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
     evidence, present, y = _evidence_of_sizes(search, context)
     total = evidence.total
@@ -497,7 +497,7 @@ def native_rms(context: Context, search: Search) -> float:
     return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
 
 
-def effective_blocks(search: Search, context: Context, residual: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, context: DiagnosisData, residual: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of

@@ -34,7 +34,14 @@ from inflight.diagnosis.scoring import (
     score,
     sign_flip_ratios,
 )
-from inflight.diagnosis.time_changes import Change, TimeVariableColumns, batches, drifts, episodes, steps
+from inflight.diagnosis.time_changes import (
+    Change,
+    TimeVariableColumns,
+    batch_changes,
+    drifts,
+    episodes,
+    steps,
+)
 from inflight.lsq import GramBlocks
 
 Groups = Sequence[Sequence[int]]
@@ -525,7 +532,7 @@ class Search:
             else:
                 same.append(change)
         for intervals, some in by_intervals:
-            for batch in batches(some):
+            for batch in batch_changes(some):
                 yield intervals, batch
 
     def _intervals_for(self, change: Change, without: Option | None) -> Groups:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Rows
+from inflight.design import DesignRows
 from inflight.frames import direction_of
 from inflight.model import RowFilter
 from inflight.samples import Folding
@@ -61,7 +61,7 @@ class Features:
         return cls(lists["names"], widths, lists["units"], lists["sensors"], int(stored["rows"]))
 
 
-def features_of(rows: Rows, channels: Sequence[str]) -> Features:
+def features_of(rows: DesignRows, channels: Sequence[str]) -> Features:
     """Return what the series of some rows holds: residual, directions, readings, field, weight, channels."""
     count = rows.residual.shape[1]
     names = ["seconds", "residual", "weight", "field"]
@@ -79,7 +79,7 @@ def features_of(rows: Rows, channels: Sequence[str]) -> Features:
     return Features(tuple(names), tuple(widths), units, tuple(rows.directions), count)
 
 
-def thin_rows(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
+def thin_rows(rows: DesignRows, features: Features, step: int) -> tuple[Int64, Floats]:
     """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins."""
     count = len(rows.weight) // step * step
     weight = rows.weight[:count].reshape(-1, step)
@@ -209,7 +209,7 @@ class Series:
         there = self["weight"] > 0
         return np.where(there if part.ndim == 1 else there[:, None], part, np.nan)
 
-    def rows(self, matrices: dict[str, Floats], more: dict[str, xr.Variable]) -> Rows:
+    def rows(self, matrices: dict[str, Floats], more: dict[str, xr.Variable]) -> DesignRows:
         """Return the series as rows, so that columns can be made from it."""
         data = dict(more) | {"tt2000": xr.Variable("time", self.tt2000)}
         for name in (*self.channels, *_ROLES, "field"):
@@ -221,4 +221,4 @@ class Series:
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         residual = self["residual"].reshape(len(self.values), -1)
         directions = {name: self.direction(name) for name in self.features.sensors}
-        return Rows(xr.Dataset(data), residual, directions, matrices, self["weight"], self.row_filter)
+        return DesignRows(xr.Dataset(data), residual, directions, matrices, self["weight"], self.row_filter)

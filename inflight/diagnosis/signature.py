@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import label
 
 from inflight.arrays import Floats
-from inflight.diagnosis.residual import LAGS, Context, Structure
+from inflight.diagnosis.residual import LAGS, DiagnosisData, Structure
 from inflight.diagnosis.result import Signature
 from inflight.diagnosis.series import Series
 from inflight.residual import (
@@ -79,7 +79,7 @@ class SignatureSettings:
 SIGNATURES = SignatureSettings()
 
 
-def periods_of(context: Context) -> dict[str, float]:
+def periods_of(context: DiagnosisData) -> dict[str, float]:
     """Return the periods that need no explanation, by name, s: of orbit, day, mission, and the field's own.
 
     The orbit's is measured from its phase; without it the stated one; without that the one with which the
@@ -139,7 +139,7 @@ def _measured(series: Series, residual: Floats) -> tuple[Floats, Floats]:
     return np.where(good, residual, np.nan), direction
 
 
-def line_signature(context: Context, residual: Floats) -> Signature | None:
+def line_signature(context: DiagnosisData, residual: Floats) -> Signature | None:
     """Return the signature of the strongest line, or None when none stands out and matters.
 
     Parameters
@@ -240,7 +240,7 @@ def _band(series: Series, residual: Floats, missing: float) -> tuple[float, floa
     return 1.0 / float(high), 1.0 / float(low)
 
 
-def is_unknown_band(context: Context, fast: Fast) -> bool:
+def is_unknown_band(context: DiagnosisData, fast: Fast) -> bool:
     """Return True when a band of periods was found and no known period lies in it."""
     if fast.periods_s is None:
         return False

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.design import Term
 from inflight.diagnosis.refine import FormTrials, refine
-from inflight.diagnosis.residual import Context, correlation_s
+from inflight.diagnosis.residual import DiagnosisData, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, projected
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import (
@@ -31,7 +31,7 @@ from inflight.lsq import (
     expected_gain_p,
     gram_inverse,
     inverse_square_root,
-    regression,
+    regression_coefficients,
     sandwich,
 )
 from inflight.time import SECOND
@@ -215,7 +215,7 @@ def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tu
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
     total = raw.total
-    shift = regression(total, base, own) @ (gamma / raw.scale[own])
+    shift = regression_coefficients(total, base, own) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
@@ -370,7 +370,9 @@ def check_rivals(
     )
 
 
-def select_effects(search: Search, context: Context, shapes_first: bool = False) -> tuple[Search, ScoreTable]:
+def select_effects(
+    search: Search, context: DiagnosisData, shapes_first: bool = False
+) -> tuple[Search, ScoreTable]:
     """Add and drop until nothing more is justified; return that state and the last table of scores.
 
     Each round scores everything, adds the best option that passes `Rules` (asking the few-block test when
@@ -395,7 +397,9 @@ def select_effects(search: Search, context: Context, shapes_first: bool = False)
     return search, search.table().without_fits()
 
 
-def _one_round(search: Search, context: Context, table: ScoreTable, option: Option, form: str) -> Search:
+def _one_round(
+    search: Search, context: DiagnosisData, table: ScoreTable, option: Option, form: str
+) -> Search:
     """Return the state after an option was taken, refined, and kept or taken back."""
     place = table.options.index(option)
     scores = table.scores[form]
@@ -415,13 +419,13 @@ def _one_round(search: Search, context: Context, table: ScoreTable, option: Opti
     return search
 
 
-def _add_refined(search: Search, context: Context, option: Option) -> tuple[Search, Option]:
+def _add_refined(search: Search, context: DiagnosisData, option: Option) -> tuple[Search, Option]:
     """Return the state with an option in the model, in its best form, and that form."""
     search, better = refine(search.add(option), context, option)
     return search.exchange(option, better), better
 
 
-def refine_all(search: Search, context: Context) -> Search:
+def refine_all(search: Search, context: DiagnosisData) -> Search:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in search.accepted:
         search, better = refine(search, context, option)
@@ -544,7 +548,7 @@ def _drop_superfluous(search: Search) -> Search:
     return search
 
 
-def exchange_and_check(search: Search, context: Context) -> tuple[Search, list[RivalCheck]]:
+def exchange_and_check(search: Search, context: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
@@ -604,7 +608,7 @@ def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float)
     return float(left[place] - left[other]) > gain * float(left[place])
 
 
-def few_block_test(search: Search, context: Context, table: ScoreTable) -> ScoreTable:
+def few_block_test(search: Search, context: DiagnosisData, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
     Each is a bound of Student's distribution times the number of options: family-wise, as flips are.
@@ -623,7 +627,7 @@ def few_block_test(search: Search, context: Context, table: ScoreTable) -> Score
     return replace(table, p=table.p | {"raw": p})
 
 
-def _few_block_p(search: Search, context: Context, option: Option) -> float:
+def _few_block_p(search: Search, context: DiagnosisData, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
     terms = _terms_of(search, option)
     if terms is None:

@@ -171,7 +171,7 @@ def steps(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     return found
 
 
-def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
+def batch_changes(changes: Sequence[Change]) -> Iterator[list[Change]]:
     """Yield changes some at a time, those of a batch held out in the same way."""
     for interleaved in (False, True):
         batch: list[Change] = []

@@ -1,6 +1,6 @@
 """From scores to a verdict: the rounds, rivals, values with errors, and what remains.
 
-Takes the first state of a search and its `Context`; makes the `Diagnosis` and the last state (`conclude`).
+Takes the first state of a search and its `DiagnosisData`; makes the `Diagnosis` and the last state (`conclude`).
 The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when something is
 left, rounds with shapes first when named causes may be substitutes, rivals, values, and the description of
 what remains: a line, a fast band, a unit that switches without housekeeping, or what the best rejected
@@ -18,7 +18,7 @@ from inflight.arrays import Floats
 from inflight.design import Term
 from inflight.diagnosis.refine import LagProfile, add_interactions, profile_lag
 from inflight.diagnosis.residual import (
-    Context,
+    DiagnosisData,
     Structure,
     effective_blocks,
     held_out_rms,
@@ -100,7 +100,7 @@ REPORT = ReportSettings()
 REMAINING = RemainingSettings()
 
 
-def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
+def conclude(search: Search, context: DiagnosisData) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
     Parameters
@@ -161,7 +161,7 @@ def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
     return found, search
 
 
-def run_rounds(search: Search, context: Context, first: ScoreTable) -> tuple[Search, ScoreTable]:
+def run_rounds(search: Search, context: DiagnosisData, first: ScoreTable) -> tuple[Search, ScoreTable]:
     """Return the state after all rounds, and the last table.
 
     Interactions are tried when something is left, shapes first when named causes may be substitutes.
@@ -191,7 +191,7 @@ def run_rounds(search: Search, context: Context, first: ScoreTable) -> tuple[Sea
     return refine_all(search, context), last
 
 
-def _from_shapes(search: Search, context: Context, last: ScoreTable) -> tuple[Search, ScoreTable]:
+def _from_shapes(search: Search, context: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
     before = held_out_rms(search, context)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
@@ -202,7 +202,7 @@ def _from_shapes(search: Search, context: Context, last: ScoreTable) -> tuple[Se
     return other.restored(search), last
 
 
-def describe_effect(search: Search, context: Context, check: RivalCheck) -> FoundEffect:
+def describe_effect(search: Search, context: DiagnosisData, check: RivalCheck) -> FoundEffect:
     """Return an effect of the model with its values and errors, and how it stands against rivals."""
     option = check.option
     found = estimate(search, option)
@@ -245,7 +245,7 @@ def axis(name: str) -> str:
 
 
 def _coefficients(
-    search: Search, context: Context, option: Option, terms: list[Term], found: Estimate
+    search: Search, context: DiagnosisData, option: Option, terms: list[Term], found: Estimate
 ) -> tuple[Coefficient, ...]:
     out = []
     for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True):
@@ -448,7 +448,7 @@ class Remaining:
 
 
 def describe_remaining(
-    search: Search, context: Context, last: ScoreTable, residual: Floats, structure: Structure
+    search: Search, context: DiagnosisData, last: ScoreTable, residual: Floats, structure: Structure
 ) -> Remaining:
     """Describe what remains: a line, else what the best rejected candidate hints at, else its size."""
     known = 1.0 - context.gaps.part if context.gaps else 1.0
@@ -473,7 +473,7 @@ def describe_remaining(
     return replace(found, signature=hint if fast is None else _fast_signature(hint, fast))
 
 
-def unrecorded_unit(context: Context) -> Signature | None:
+def unrecorded_unit(context: DiagnosisData) -> Signature | None:
     """Return the signature of the unit without housekeeping that switches most often, of two sensors."""
     if context.switched is None or not context.switched.unexplained:
         return None
@@ -544,7 +544,7 @@ def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | N
     return last.options[best], float(scores.gain[best])
 
 
-def _residual_sizes(search: Search, context: Context, remaining: Remaining) -> dict[str, Any]:
+def _residual_sizes(search: Search, context: DiagnosisData, remaining: Remaining) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
     nothing = search.as_found()
     return {

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.diagnosis.residual import Context, held_out_rms, remaining_residual, with_correctable_rows
+from inflight.diagnosis.residual import DiagnosisData, held_out_rms, remaining_residual, with_correctable_rows
 from inflight.diagnosis.result import Coefficient
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
@@ -133,7 +133,7 @@ class BeforeAfter:
         return BeforeAfter(series, self.before[::step], self.after[::step], self.block[::step])
 
 
-def before_after(search: Search, material: Context) -> BeforeAfter:
+def before_after(search: Search, material: DiagnosisData) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
     material = with_correctable_rows(search, material)
     series = material.series
@@ -349,7 +349,7 @@ class Step:
         return self.before**2 - self.after**2
 
 
-def waterfall(search: Search, material: Context) -> list[Step]:
+def waterfall(search: Search, material: DiagnosisData) -> list[Step]:
     """Return how the held-out error falls with every effect the search took."""
     taken, known = list(search.accepted), with_correctable_rows(search, material)
 
@@ -482,7 +482,7 @@ class Trial:
     values: tuple[tuple[str, float, float, str], ...]
 
 
-def trials(search: Search, material: Context, names: Sequence[str]) -> dict[str, Trial]:
+def trials(search: Search, material: DiagnosisData, names: Sequence[str]) -> dict[str, Trial]:
     """Return the values that candidates would have, each alone added to the model as it was.
 
     Changes bound to a time and candidates of many columns are skipped: they have no value to print.
@@ -503,7 +503,7 @@ def trials(search: Search, material: Context, names: Sequence[str]) -> dict[str,
     return out
 
 
-def _unit(search: Search, material: Context, option: Option, column: str) -> str:
+def _unit(search: Search, material: DiagnosisData, option: Option, column: str) -> str:
     for key in option.terms:
         term = search.library.by_key[key]
         if column in term.columns:

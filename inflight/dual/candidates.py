@@ -1,6 +1,6 @@
 """Candidates: the corrections that are tried on readings, and the one by states and gradiometer together.
 
-Takes readings; makes the correctors by name that `held_out.decide` scores: gradiometers of every form,
+Takes readings; makes the correctors by name that `held_out.choose_correction` scores: gradiometers of every form,
 ``states``, and ``combined``.
 
 The combined correction takes the field of a state where the state is known, and the gradiometer for what the
@@ -120,7 +120,7 @@ class Candidates:
         if training is not None and len(training) > 1:
             found["states"] = partial(correction_by_states, training=training)
             found["combined"] = partial(
-                correction_by_both, training=training, gradiometer=gradiometers["matrix"]
+                correction_by_states_and_gradiometer, training=training, gradiometer=gradiometers["matrix"]
             )
         return found
 
@@ -225,7 +225,9 @@ class Candidates:
         return levels_of(self.readings, segments, known)
 
 
-def correction_by_both(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
+def correction_by_states_and_gradiometer(
+    readings: Readings, training: Training, gradiometer: Gradiometer
+) -> Correction:
     """Return the correction by states and gradiometer together, the states found in the readings."""
     return combined_correction(readings, training, correction_by_states(readings, training), gradiometer)
 

@@ -31,7 +31,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.readings import trimmed_covariance, white_covariance
-from inflight.lsq import TO_SIGMA
+from inflight.lsq import MAD_TO_SIGMA
 
 Rows = npt.NDArray[np.int64]
 
@@ -309,7 +309,7 @@ def _local_levels(unit: Floats) -> Floats:
         median = np.partition(second, second.shape[1] // 2, axis=1)[:, second.shape[1] // 2]
         # Of coarse readings the median jumps from step to step; a mean would follow each jump.
         clipped = np.minimum(second**2 / 6.0, CHANGE_POINTS.clipped_square).mean(axis=1)
-        own[:whole] = np.maximum((TO_SIGMA * median) ** 2 / 6.0, clipped)
+        own[:whole] = np.maximum((MAD_TO_SIGMA * median) ** 2 / 6.0, clipped)
         own[whole] = own[whole - 1]
     wide = np.pad(own, 1, mode="edge")
     return np.asarray(np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), CHANGE_POINTS.least_level))

@@ -217,7 +217,7 @@ def medians_of(correction: Correction, slow: Floats) -> Floats:
     return np.stack([np.median(one[known], axis=0) for one in (correction.field - slow, slow)])
 
 
-def part_variables(
+def applied_part_to_dataset(
     correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
 ) -> xr.Dataset:
     """Return what the days of a window share of its part of a correction, as variables of a table.
@@ -263,7 +263,7 @@ def omits_slow_part(table: xr.Dataset) -> bool:
     return _SLOW in table
 
 
-def part_of_day(
+def slow_part_of_day(
     table: xr.Dataset, correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
 ) -> tuple[Floats, Floats | None]:
     """Return slow part and medians for `partial_correction`, for one of the days of a window.
@@ -271,11 +271,11 @@ def part_of_day(
     Parameters
     ----------
     table : Dataset
-        With the variables of `part_variables`; without them a day stands by itself.
+        With the variables of `applied_part_to_dataset`; without them a day stands by itself.
     correction, readings, part
         Of the day.
     constant : ndarray, shape (axis,)
-        As in `part_variables`, but as the table has it by now.
+        As in `applied_part_to_dataset`, but as the table has it by now.
     """
     shift = constant - np.asarray(table[_CONSTANT].values) if _CONSTANT in table else np.zeros(3)
     slow = slow_in_window(table, correction, readings, part.seconds, shift)

@@ -460,7 +460,7 @@ _NAME = "gradiometer_"
 _MATRIX, _ELEMENTS = ("axis", "other"), ("element", "other_element")
 
 
-def gradiometer_variables(gradiometer: Gradiometer, readings: Readings) -> xr.Dataset:
+def gradiometer_to_dataset(gradiometer: Gradiometer, readings: Readings) -> xr.Dataset:
     """Return a gradiometer as variables of a table.
 
     Parameters
@@ -486,7 +486,7 @@ def has_gradiometer(table: xr.Dataset) -> bool:
     return f"{_NAME}matrix" in table
 
 
-def gradiometer_from_table(table: xr.Dataset) -> Gradiometer:
+def gradiometer_from_dataset(table: xr.Dataset) -> Gradiometer:
     """Return the gradiometer of a table, of form ``matrix``."""
     stored = {
         name: np.asarray(table[_NAME + name].values)
@@ -505,7 +505,7 @@ def gradiometer_from_table(table: xr.Dataset) -> Gradiometer:
 
 def correction_by_stored_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
     """Return the correction of a table's gradiometer; its constant is that of the whole table."""
-    gradiometer = gradiometer_from_table(table)
+    gradiometer = gradiometer_from_dataset(table)
     found = correction_by_gradiometer(gradiometer, readings)
     if not readings.good.any():
         return found

@@ -234,7 +234,7 @@ class HeldOutScore:
         return "these readings do not tell whether it helps"
 
 
-def decide(
+def choose_correction(
     readings: Readings, fit: Fit, priors: Sequence[GeometryPrior], folds: int = HELD_OUT.folds
 ) -> HeldOutDecision:
     """Choose the correction that helps most on held-out readings, or none.

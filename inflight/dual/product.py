@@ -16,7 +16,7 @@ import xarray as xr
 from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
-from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.model import Model
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
@@ -96,7 +96,7 @@ def dual_level2(
         sigma = np.full(field.shape, np.nan)
     bits = flag | correction.flag
     bits = np.where(correction.known | ~good, bits, bits | np.uint32(Flag.UNKNOWN_STATE)).astype(np.uint32)
-    masks, names = meanings()
+    masks, names = flag_meanings()
     axes = "spacecraft"
     variables = {
         "inboard": (

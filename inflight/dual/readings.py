@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq import TO_SIGMA
+from inflight.lsq import MAD_TO_SIGMA
 from inflight.time import GAP, SECOND, Int64, usual_step
 
 
@@ -253,7 +253,7 @@ def _robust_variance(values: Floats) -> float:
     half, quartile = size.size // 2, (3 * size.size) // 4
     ranked = np.partition(size, (half, quartile))
     # Of readings coarser than their noise the median alone may be zero, or one step too small.
-    scale = max(TO_SIGMA * float(ranked[half]), WHITE_NOISE.quartile_to_sigma * float(ranked[quartile]))
+    scale = max(MAD_TO_SIGMA * float(ranked[half]), WHITE_NOISE.quartile_to_sigma * float(ranked[quartile]))
     return scale**2 if scale > 0 else float(np.mean(values**2))
 
 

@@ -10,7 +10,7 @@ before.
   without housekeeping stays for an hour, in the difference and in the reading that it is calibrated against,
   so that everything fitted with it is wrong by more than its scatter shows. What switches together with a
   channel is found by the sizes: steps are regressed on the changes of the channels, robustly.
-- `name_units`: which channel switches with which unit, by a permutation test.
+- `match_channels_to_units`: which channel switches with which unit, by a permutation test.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from inflight.arrays import Floats
 from inflight.dual.change_points import Rows, find_jumps
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.readings import white_covariance
-from inflight.lsq import TO_SIGMA
+from inflight.lsq import MAD_TO_SIGMA
 from inflight.time import Int64
 
 
@@ -221,12 +221,12 @@ def quiet_steps(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width
 
 def quietest_width(field: Floats, at: Switchings) -> int:
     """Return the width whose steps are smallest where nothing switches; the default without any such step."""
-    sizes = {width: rms(quiet_steps(field, at, width)) for width in RESIDUAL_STEPS.widths}
+    sizes = {width: rms_of_steps(quiet_steps(field, at, width)) for width in RESIDUAL_STEPS.widths}
     known = {width: size for width, size in sizes.items() if np.isfinite(size)}
     return min(known, key=lambda width: known[width]) if known else RESIDUAL_STEPS.width
 
 
-def rms(steps: Floats) -> float:
+def rms_of_steps(steps: Floats) -> float:
     """Return the root mean square of a component of steps, nT; NaN where there is none."""
     known = steps[np.isfinite(steps).all(axis=1)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
@@ -342,7 +342,7 @@ class JumpAttribution:
             own = (self.step[open_rows] * signs[:, None])[signs != 0]
             mean = np.median(own, axis=0)
             mean = mean * np.sign(mean[np.argmax(np.abs(mean))])
-            spread = TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
+            spread = MAD_TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
             # A median is a little less precise than a mean.
             sigma = np.maximum(spread, self.scatter) * np.sqrt(np.pi / 2.0 / len(own))
             out.append((mean, sigma, len(own)))
@@ -422,7 +422,7 @@ def _changes(values: Floats, first: Rows, last: Rows, reach: int) -> tuple[Float
     width = int(np.median(last - first)) + 1 + 2 * reach
     if known.size < 2 * width + 2:
         return np.zeros(first.size), 0.0
-    usual = TO_SIGMA * float(np.median(np.abs(known[width:] - known[:-width])))
+    usual = MAD_TO_SIGMA * float(np.median(np.abs(known[width:] - known[:-width])))
     limit = max(ATTRIBUTION.changed_sigmas * usual, ATTRIBUTION.changed_range * float(np.ptp(known)))
     return np.where(np.isfinite(change) & (np.abs(change) > limit), change, 0.0), usual
 
@@ -465,7 +465,7 @@ def _robust_residuals(step: Floats, change: Floats, usual: Floats, least: float)
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamedUnit:
+class UnitChannels:
     """A unit and the channels that switch with it.
 
     Attributes
@@ -491,7 +491,9 @@ class NamedUnit:
     reason: str = ""
 
 
-def name_units(signs: Floats, changes: Mapping[str, Floats], *, seed: int = 0) -> list[NamedUnit]:
+def match_channels_to_units(
+    signs: Floats, changes: Mapping[str, Floats], *, seed: int = 0
+) -> list[UnitChannels]:
     """Return the channels behind units.
 
     Parameters
@@ -520,10 +522,10 @@ def name_units(signs: Floats, changes: Mapping[str, Floats], *, seed: int = 0) -
 
 def _named(
     unit: int, sign: Floats, changes: Mapping[str, Floats], level: float, random: np.random.Generator
-) -> NamedUnit:
+) -> UnitChannels:
     """Return the channels of one unit, or why none is named."""
     count = int(np.count_nonzero(sign))
-    nameless = NamedUnit(unit=unit, switchings=count, channels=(), agreement=(), per_unit=())
+    nameless = UnitChannels(unit=unit, switchings=count, channels=(), agreement=(), per_unit=())
     if count < NAMING.fewest:
         seldom = f"it was seen to switch {count} times, at least {NAMING.fewest} needed"
         return replace(nameless, reason=seldom)

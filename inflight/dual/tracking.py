@@ -50,7 +50,7 @@ CONTINUATION = ContinuationSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ageing:
+class ContinuedTraining:
     """How a later training compares with an earlier one.
 
     Attributes
@@ -76,7 +76,7 @@ class Ageing:
     aged: npt.NDArray[np.bool_]
 
 
-def continue_training(earlier: Training, later: Training) -> Ageing:
+def continue_training(earlier: Training, later: Training) -> ContinuedTraining:
     """Return a later training that continues an earlier one.
 
     Parameters
@@ -103,7 +103,7 @@ def continue_training(earlier: Training, later: Training) -> Ageing:
     training = replace(later, number=number, reference=reference, next_number=next_number)
     training = _with_units(earlier, training, matched)
     training = _with_constant(earlier, training, matched[~aged], shift)
-    return Ageing(
+    return ContinuedTraining(
         training=training,
         matched=matched,
         shift=shift,

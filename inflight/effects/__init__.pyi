@@ -4,29 +4,36 @@ from .base import (
     Parameter,
     Values,
     did_you_mean,
-    direction,
+    field_direction,
+    field_strength,
     multiply,
-    slope,
-    strength,
+    time_derivative,
     with_field,
 )
 from .conformance import ConformanceSettings, check_effect
-from .environment import DayNight, DayNightSeries, of_orders
+from .environment import DayNight, DayNightSeries, order_names
 from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, Affine, ScalarBias, TimeShift, VectorSensor
 from .sources import EffectSource
-from .spacecraft import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
+from .spacecraft import (
+    PANEL_CYCLE_DAYS,
+    PANEL_CYCLE_START_H,
+    SIDE_NORMALS,
+    TOP_NORMAL,
+    panel_illumination,
+    panel_weights_at,
+)
 from .spinning_sensor import SpinningSensor, coupling, gains_of, package_to_spin, sensor_axes
 
 __all__ = [
     "ANGLES",
     "AXES",
-    "BEGINS",
-    "CYCLE",
     "NO_CAUSE",
-    "SIDES",
-    "TOP",
+    "PANEL_CYCLE_DAYS",
+    "PANEL_CYCLE_START_H",
+    "SIDE_NORMALS",
+    "TOP_NORMAL",
     "Affine",
     "ConformanceSettings",
     "DayNight",
@@ -45,18 +52,18 @@ __all__ = [
     "coefficient_unit",
     "coupling",
     "did_you_mean",
-    "direction",
     "effect_class",
     "family_of",
+    "field_direction",
+    "field_strength",
     "gains_of",
     "known_effects",
-    "light_on",
     "multiply",
-    "of_orders",
+    "order_names",
     "package_to_spin",
-    "schedule",
+    "panel_illumination",
+    "panel_weights_at",
     "sensor_axes",
-    "slope",
-    "strength",
+    "time_derivative",
     "with_field",
 ]

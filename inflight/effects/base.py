@@ -23,7 +23,7 @@ from inflight.arrays import Floats
 from inflight.errors import ModelError, SamplesError
 from inflight.frames import direction_of
 from inflight.mission import Sensor
-from inflight.samples import parse
+from inflight.samples import parse_channel
 from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_utc, usual_step
 from inflight.units import factor_and_offset, product_factor
 
@@ -42,7 +42,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     return f"; did you mean '{alike[0]}'?" if alike else ""
 
 
-def slowed(channel: str, lag: Any = None, width: Any = None) -> str:
+def response_name(channel: str, lag: Any = None, width: Any = None) -> str:
     """Return the name of a channel's slow response or play, as `inflight.samples.derived` reads it.
 
     Parameters
@@ -73,7 +73,7 @@ def slowed(channel: str, lag: Any = None, width: Any = None) -> str:
             raise ModelError(
                 f"width: {width!r} is no number", channel=channel, remedy="give it in the channel's unit"
             ) from None
-    return parse(name).name if name else name
+    return parse_channel(name).name if name else name
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,9 @@ __all__ = [
     "Parameter",
     "Values",
     "best_field",
-    "direction",
+    "field_direction",
+    "field_strength",
     "multiply",
-    "strength",
     "with_field",
 ]
 
@@ -260,7 +260,7 @@ class Effect:
             self.required("channel")
         if set(CHANNEL_OPTIONS) & set(options):
             first = str(options.get("channel", self.channels[0] if self.channels else ""))
-            first = slowed(first, options.get("lag"), options.get("width"))
+            first = response_name(first, options.get("lag"), options.get("width"))
             self.channels = (first, *self.channels[1:])
         self.prepare()
 
@@ -391,7 +391,7 @@ class Effect:
         field = self.field(samples, values, sensor)
         if not sensor.is_scalar:
             return field
-        return np.asarray(np.einsum("ta,ta->t", direction(samples), field))
+        return np.asarray(np.einsum("ta,ta->t", field_direction(samples), field))
 
     @property
     def is_additive(self) -> bool:
@@ -501,7 +501,7 @@ def with_field(samples: xr.Dataset, field: Floats) -> xr.Dataset:
     )
 
 
-def direction(samples: xr.Dataset) -> Floats:
+def field_direction(samples: xr.Dataset) -> Floats:
     """Return the unit vector of the best present field estimate; (time, axis), vector sensor axes."""
     if "field_direction" in samples:
         return np.asarray(samples["field_direction"].values, dtype=np.float64)
@@ -522,7 +522,7 @@ def multiply(flat: Floats, vectors: Floats) -> Floats:
     return np.asarray(np.einsum("tij,tj->ti", flat.reshape(-1, 3, 3), vectors))
 
 
-def strength(samples: xr.Dataset) -> Floats:
+def field_strength(samples: xr.Dataset) -> Floats:
     """Return |B| of the best present field estimate; (time,) nT."""
     field = best_field(samples)
     return np.asarray(np.sqrt(np.einsum("ta,ta->t", field, field)))
@@ -532,7 +532,7 @@ def strength(samples: xr.Dataset) -> Floats:
 _EVEN = 1e-3
 
 
-def slope(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floats:
+def time_derivative(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floats:
     """Return the rate of change, a second; NaN where a sample has no neighbour.
 
     Of fourth order where two neighbours on either side are equally far, else central, one-sided at the

@@ -26,8 +26,8 @@ from inflight.effects.base import (
     Values,
     best_field,
     multiply,
-    slope,
-    slowed,
+    response_name,
+    time_derivative,
 )
 from inflight.effects.families import channels_of, channels_of_kind, options_of_channels
 from inflight.effects.sensors import ANGLES, VECTOR_ROLES
@@ -116,7 +116,7 @@ class ChannelRate(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * dc/dt``; (time, axis) nT."""
-        rate = slope(self.drive(samples, "coefficient"), samples["tt2000"].values)
+        rate = time_derivative(self.drive(samples, "coefficient"), samples["tt2000"].values)
         return np.asarray(rate[:, None] * values["coefficient"])
 
     @classmethod
@@ -141,9 +141,9 @@ class Hysteresis(Effect):
 
     def prepare(self) -> None:
         """Name the channel and its play; a search makes the effect before it knows a width."""
-        plain = slowed(str(self.given["channel"]), self.given.get("lag"))
+        plain = response_name(str(self.given["channel"]), self.given.get("lag"))
         known = "width" in self.given
-        self.channels = (plain, slowed(plain, width=self.given["width"])) if known else (plain,)
+        self.channels = (plain, response_name(plain, width=self.given["width"])) if known else (plain,)
 
     def require_complete(self) -> None:
         """Refuse a hysteresis without a width."""
@@ -390,4 +390,4 @@ def _symmetric(parts: Floats, field: Floats) -> Floats:
 def _field_rate(samples: xr.Dataset) -> Floats:
     """Return dB/dt of the best present field; (time, axis) nT/s."""
     # The reading is found from the field by repetition, which a finer form would make diverge earlier.
-    return slope(best_field(samples), samples["tt2000"].values, order=2)
+    return time_derivative(best_field(samples), samples["tt2000"].values, order=2)

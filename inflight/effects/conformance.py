@@ -24,17 +24,17 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.conformance import Faults
-from inflight.design import EQUATIONS, Rows, design, sensor_matrices, term_of
+from inflight.design import SENSOR_EQUATIONS, DesignRows, design_matrix, sensor_matrices, term_of
 from inflight.effects import registry
 from inflight.effects.base import Effect, Parameter
-from inflight.effects.families import FAMILIES, channel_unit, channels_of, knows_orbit
+from inflight.effects.families import FAMILIES, channel_unit, channels_of, has_orbit
 from inflight.effects.sources import require_sound_class
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.instruments import Channel
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, rows_of
-from inflight.samples import base_channels, derive
+from inflight.samples import base_channels, derive_channel
 from inflight.time import SECOND, day_bounds, to_utc
 from inflight.units import factor_and_offset, parse_unit, product_factor
 
@@ -292,7 +292,7 @@ def _faults_of_candidate(
     needed = {base for name in effect.channels for base in base_channels(name)}
     if stray := needed - known:
         yield f"the candidate {dict(options)} needs {', '.join(sorted(stray))}, which the mission has not"
-    elif needed & (set(GEOMETRY) - set(channels_of(mission))) and not knows_orbit(mission):
+    elif needed & (set(GEOMETRY) - set(channels_of(mission))) and not has_orbit(mission):
         yield f"the candidate {dict(options)} needs an orbit, which the mission has not; see knows_orbit()"
 
 
@@ -449,7 +449,7 @@ def _samples(mission: Mission, comparison: str, channels: Sequence[str], count: 
     known = _geometry(turn) | known
     for name in channels:
         if name not in known:
-            known[name] = derive(name, known, 1.0)
+            known[name] = derive_channel(name, known, 1.0)
             units[name] = channel_unit(mission, name) or "1"
     readings = {
         role: field if role != "scalar" else np.linalg.norm(field, axis=1)
@@ -674,7 +674,7 @@ def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
     terms = [term_of(entry, entry.name)]
     if not terms[0].parameters:
         return
-    base = case.model() if isinstance(entry.effect, EQUATIONS) else case.model(*_equations(case))
+    base = case.model() if isinstance(entry.effect, SENSOR_EQUATIONS) else case.model(*_equations(case))
     model = base.add(entry)
     raw = model.disturb(case.truth)
     native, corrected = rows_of(model, raw), model.correct(raw)
@@ -682,8 +682,8 @@ def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
         field=(("time", "axis"), native.field, {"units": "nT"}), field_direction=corrected["field_direction"]
     )
     turn = sensor_matrices(base, int(raw["tt2000"].values[0]))
-    rows = Rows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
-    found = design(terms, rows)
+    rows = DesignRows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
+    found = design_matrix(terms, rows)
     at = 0
     for key in terms[0].parameters:
         parameter = entry.effect.parameters()[key]

@@ -15,7 +15,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.channels import weighted_vectors
-from inflight.effects.families import channels_of_kind, knows_orbit, knows_sun, options_of_channels
+from inflight.effects.families import channels_of_kind, has_orbit, has_sun_direction, options_of_channels
 from inflight.mission import Mission, Sensor
 
 
@@ -38,7 +38,7 @@ class DayNight(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return one candidate from geometry, and one for every channel of sunlight."""
         return [
-            *([{}] if knows_orbit(mission) else []),
+            *([{}] if has_orbit(mission) else []),
             *options_of_channels(channels_of_kind(mission, "sunlight")),
         ]
 
@@ -72,7 +72,7 @@ class SunDirectionField(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of harmonics; (time, axis) nT."""
-        basis = harmonics(self.series(samples), self._degree)
+        basis = spherical_harmonics(self.series(samples), self._degree)
         if len(self.channels) > 1:
             lit = self.series(samples, 1)[:, None]
             basis = np.where(lit == 0.0, 0.0, basis * lit)
@@ -82,11 +82,13 @@ class SunDirectionField(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return one candidate from geometry, or one for every channel with the Sun's direction."""
         given = channels_of_kind(mission, "sun_direction", width=3)
-        found: list[dict[str, Any]] = options_of_channels(given) or ([{}] if knows_sun(mission) else [])
+        found: list[dict[str, Any]] = options_of_channels(given) or (
+            [{}] if has_sun_direction(mission) else []
+        )
         return [options | more for options in found for more in ({}, {"degree": 2})]
 
 
-def harmonics(direction: Floats, degree: int) -> Floats:
+def spherical_harmonics(direction: Floats, degree: int) -> Floats:
     """Return real spherical harmonics of degree 1 to `degree` (at most 2); (time, harmonic).
 
     Parameters
@@ -105,7 +107,7 @@ def harmonics(direction: Floats, degree: int) -> Floats:
 MOST_ORDER = 12
 
 
-def of_orders(order: int, sines: bool) -> tuple[str, ...]:
+def order_names(order: int, sines: bool) -> tuple[str, ...]:
     """Return component names of a series: cx1, cy1, cz1, sx1, sy1, sz1, cx2, ..."""
     parts = "cs" if sines else "c"
     return tuple(f"{part}{axis}{k}" for k in range(1, order + 1) for part in parts for axis in AXES)
@@ -122,12 +124,12 @@ class Periodic(Effect):
     #: Without sines the series is even: the same before and after the angle's zero.
     sines: ClassVar[bool] = True
     default_order: ClassVar[int] = 2
-    amplitude = Parameter("nT", of_orders(2, True), sigma=5.0, step=0.1)
+    amplitude = Parameter("nT", order_names(2, True), sigma=5.0, step=0.1)
 
     def prepare(self) -> None:
         """Give every order its vectors."""
         self._order = self.whole_number("order", self.default_order, MOST_ORDER)
-        axes = of_orders(self._order, self.sines)
+        axes = order_names(self._order, self.sines)
         self.sized = {"amplitude": replace(self.amplitude, axes=axes)}
 
     def angle(self, samples: xr.Dataset) -> Floats:
@@ -156,7 +158,7 @@ class OrbitPeriodic(Periodic):
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return one candidate where the mission delivers positions."""
-        return [{}] if knows_orbit(mission) else []
+        return [{}] if has_orbit(mission) else []
 
 
 class SunPeriodic(OrbitPeriodic):
@@ -178,7 +180,7 @@ class DayNightSeries(SunPeriodic):
 
     sines = False
     default_order = 4
-    amplitude = Parameter("nT", of_orders(4, False), sigma=5.0, step=0.1)
+    amplitude = Parameter("nT", order_names(4, False), sigma=5.0, step=0.1)
 
 
 class LocalTimePeriodic(Periodic):
@@ -197,7 +199,7 @@ class LocalTimePeriodic(Periodic):
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return one candidate where the mission delivers positions."""
-        return [{}] if knows_orbit(mission) else []
+        return [{}] if has_orbit(mission) else []
 
 
 class Tone(Periodic):
@@ -210,7 +212,7 @@ class Tone(Periodic):
     family = "tone"
     options: ClassVar[tuple[str, ...]] = ("period", "order")
     default_order = 1
-    amplitude = Parameter("nT", of_orders(1, True), sigma=5.0, step=0.1)
+    amplitude = Parameter("nT", order_names(1, True), sigma=5.0, step=0.1)
 
     def prepare(self) -> None:
         """Read the period."""

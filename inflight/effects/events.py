@@ -21,8 +21,8 @@ from inflight.effects.sensors import (
     ScalarBias,
     ScaledReading,
     TimeShift,
-    sheared,
-    unsheared,
+    add_angles,
+    subtract_angles,
 )
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
@@ -147,11 +147,11 @@ class AngleEpisode(_Dated):
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a sensor with the angles of outside the span; (time, axis) nT."""
-        return sheared(reading, values["about"], self._change(samples, values))
+        return subtract_angles(reading, values["about"], self._change(samples, values))
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the changed angles; (time, axis) nT."""
-        return unsheared(reading, values["about"], self._change(samples, values))
+        return add_angles(reading, values["about"], self._change(samples, values))
 
 
 class AngleStep(AngleEpisode):

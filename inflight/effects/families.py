@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from inflight.effects.base import Effect, Parameter
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
-from inflight.samples import parse
+from inflight.samples import parse_channel
 from inflight.units import parse_unit
 
 if TYPE_CHECKING:
@@ -108,12 +108,12 @@ def options_of_channels(names: list[str]) -> list[dict[str, Any]]:
     return [{"channel": name} for name in names]
 
 
-def knows_orbit(mission: Mission) -> bool:
+def has_orbit(mission: Mission) -> bool:
     """Return True when the mission delivers positions, from which phases and local time are made."""
     return any(channel.kind == "position" for channel in channels_of(mission).values())
 
 
-def knows_sun(mission: Mission) -> bool:
+def has_sun_direction(mission: Mission) -> bool:
     """Return True when the Sun's direction in the sensor's axes can be made, or is delivered."""
     kinds = {channel.kind for channel in channels_of(mission).values()}
     return {"position", "attitude"} <= kinds or "sun_direction" in kinds
@@ -128,7 +128,7 @@ def family_of(effect: Effect, mission: Mission) -> str:
     if not effect.family_by_channel or not effect.channels:
         return type(effect).family
     try:
-        parts = parse(effect.channels[0]).parts
+        parts = parse_channel(effect.channels[0]).parts
     except ModelError:
         return type(effect).family
     if any(part.width for part in parts):
@@ -144,7 +144,7 @@ def channel_unit(mission: Mission, name: str) -> str | None:
     """Return the unit of a channel, derived or not; None when the mission does not know it."""
     known = GEOMETRY | {name: channel.unit for name, channel in channels_of(mission).items()}
     try:
-        parts = [known[part.channel] for part in parse(name).parts]
+        parts = [known[part.channel] for part in parse_channel(name).parts]
     except (KeyError, ModelError):
         return None
     # A factor that is a plain number, such as sunlit, leaves the other's unit.

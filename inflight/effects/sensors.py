@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import AXES, Effect, Parameter, Values, multiply, slope, strength
+from inflight.effects.base import AXES, Effect, Parameter, Values, field_strength, multiply, time_derivative
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
@@ -60,7 +60,7 @@ class VectorSensor(Effect):
         return raw + values["offset"]
 
 
-def sheared(reading: Floats, about: Floats, change: Floats) -> Floats:
+def subtract_angles(reading: Floats, about: Floats, change: Floats) -> Floats:
     """Return the reading of a sensor whose misalignment angles are smaller by a change.
 
     To first order in the change d of an angle next to 90 deg: ``cos(a + d) - cos(a) = -d`` (Yin 2010,
@@ -83,7 +83,7 @@ def sheared(reading: Floats, about: Floats, change: Floats) -> Floats:
     return out
 
 
-def unsheared(reading: Floats, about: Floats, change: Floats) -> Floats:
+def add_angles(reading: Floats, about: Floats, change: Floats) -> Floats:
     """Return what `sheared` made the reading from: back substitution; shapes and units as there."""
     xy, xz, yz = -np.deg2rad(change).T
     zero = np.broadcast_to(about, reading.shape)
@@ -331,7 +331,7 @@ _CURVATURE_STEP = 20.0
 
 def _mean_effect(values: Values, samples: xr.Dataset) -> Floats:
     """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where it is not known."""
-    size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
+    size, stamps = field_strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
     usual = usual_step(stamps, SECOND) / SECOND
     reach = max(1, round(_CURVATURE_STEP / usual))
     out = np.zeros_like(size)
@@ -347,15 +347,15 @@ def _mean_effect(values: Values, samples: xr.Dataset) -> Floats:
 def _shift_effect(values: Values, samples: xr.Dataset) -> Floats:
     """Return the change of the field within the shift; (time,) nT, 0 without a shift."""
     seconds = np.broadcast_to(values["seconds"][..., 0], samples.sizes["time"])
-    return np.where(seconds == 0.0, 0.0, seconds * rate(samples))
+    return np.where(seconds == 0.0, 0.0, seconds * field_strength_rate(samples))
 
 
-def rate(samples: xr.Dataset) -> Floats:
+def field_strength_rate(samples: xr.Dataset) -> Floats:
     """Return d|B|/dt of the best present field estimate; (time,) nT/s, NaN where no neighbour is.
 
     Central within gap-free runs, one-sided at their ends.
     """
-    return slope(strength(samples), samples["tt2000"].values)
+    return time_derivative(field_strength(samples), samples["tt2000"].values)
 
 
 class ChannelScale(ScaledReading):
@@ -434,11 +434,11 @@ class ChannelAngle(Effect):
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a sensor with the reference's angles; (time, axis) nT."""
-        return sheared(reading, values["about"], self._change(samples, values))
+        return subtract_angles(reading, values["about"], self._change(samples, values))
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the channel's angles: back substitution; (time, axis) nT."""
-        return unsheared(reading, values["about"], self._change(samples, values))
+        return add_angles(reading, values["about"], self._change(samples, values))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

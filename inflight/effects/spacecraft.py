@@ -1,6 +1,6 @@
 """Fields the spacecraft makes at a sensor: torquers, magnetised parts, the solar array.
 
-`light_on` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local time of the
+`panel_illumination` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local time of the
 orbit (Yin 2010, section 3.4.1).
 """
 
@@ -21,12 +21,12 @@ from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
 
 #: Days in which the local time falls by 24 h, and the hour at which the thesis' schedule begins.
-CYCLE, BEGINS = 260.5, 9.0
+PANEL_CYCLE_DAYS, PANEL_CYCLE_START_H = 260.5, 9.0
 
 #: Outward normals in spacecraft axes: two sides that lean by 45 degrees, and the top.
-SIDES = ((0.0, -(0.5**0.5), -(0.5**0.5)), (0.0, 0.5**0.5, -(0.5**0.5)))
+SIDE_NORMALS = ((0.0, -(0.5**0.5), -(0.5**0.5)), (0.0, 0.5**0.5, -(0.5**0.5)))
 
-TOP = (0.0, 0.0, -1.0)
+TOP_NORMAL = (0.0, 0.0, -1.0)
 
 
 def node_local_time(local_time: Floats, orbit_phase: Floats, inclination: float = 90.0) -> Floats:
@@ -46,7 +46,7 @@ def node_local_time(local_time: Floats, orbit_phase: Floats, inclination: float 
     return np.asarray((local_time - ahead / 15.0) % 24.0)
 
 
-def schedule(local_time: Floats) -> Floats:
+def panel_weights_at(local_time: Floats) -> Floats:
     """Return the weights of first and second panel by the node's local time; (epoch, 2), of sum 1.
 
     Parameters
@@ -55,10 +55,10 @@ def schedule(local_time: Floats) -> Floats:
         h, of the ascending node. It falls: a cycle begins at 9 h and its quarters, 65.125 of 260.5
         days, end at 3, 21, 15 and 9 h.
     """
-    return scheduled(((BEGINS - np.asarray(local_time)) % 24.0) / 24.0)
+    return panel_weights_of_cycle(((PANEL_CYCLE_START_H - np.asarray(local_time)) % 24.0) / 24.0)
 
 
-def scheduled(turn: Floats) -> Floats:
+def panel_weights_of_cycle(turn: Floats) -> Floats:
     """Return the weights of first and second panel by the turns since a cycle began; (time, 2), of sum 1."""
     part = np.asarray(turn) % 1.0
     angle = 0.5 * np.pi * (np.clip(4 * part - 1, 0.0, 1.0) - np.clip(4 * part - 3, 0.0, 1.0))
@@ -66,7 +66,7 @@ def scheduled(turn: Floats) -> Floats:
     return np.asarray(light / light.sum(axis=1, keepdims=True))
 
 
-def light_on(sun: Floats, normals: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> Floats:
+def panel_illumination(sun: Floats, normals: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> Floats:
     """Return the share of each panel in the light; (time, panel), of sum 1, 0 where none is lit.
 
     Parameters
@@ -195,8 +195,8 @@ class SolarArray(Effect):
     def _light(self, samples: xr.Dataset) -> Floats:
         """Return the weight of each panel; (time, panel), of sum 1, 0 where no panel is lit."""
         if self._normals is not None:
-            return light_on(self.series(samples, 1), self._normals, self._areas)
-        return scheduled((samples["tt2000"].values - self._since) / self._cycle)
+            return panel_illumination(self.series(samples, 1), self._normals, self._areas)
+        return panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""

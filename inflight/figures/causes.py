@@ -23,30 +23,30 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d, Span, Whisker
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.effects import AXES, schedule
+from inflight.effects import AXES, panel_weights_at
 from inflight.figures.style import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
-    band,
+    error_band,
     error_bars,
     legend_below,
     plain_figure,
 )
 from inflight.mission_fit import (
-    BAND,
+    MEAN_STATES,
     SERIES,
-    STATES,
-    CarriedMean,
+    TORQUER_BAND_HZ,
     CoilFit,
     DayNightField,
-    LocalTimeCourse,
+    EpochStack,
+    FilledRunningMean,
+    LocalTimeDependence,
     OffsetsFromSpread,
     PanelModel,
     SpreadLaw,
-    Stack,
     TemperatureChoice,
 )
 from inflight.residual import CurrentSteps
@@ -70,7 +70,7 @@ def scale_curves_figure(fit: CoilFit, temperatures: Floats) -> figure:
         rows[:, axis], rows[:, axis + 3] = -change, -(change**2)
         value = 1e6 * rows @ fit.fit.value
         sigma = 1e6 * np.sqrt(np.einsum("ti,ij,tj->t", rows, fit.fit.covariance, rows))
-        band(plot, temperatures, value, sigma, colour)
+        error_band(plot, temperatures, value, sigma, colour)
         plot.line(temperatures, value, color=colour, line_width=2, legend_label=name)
     legend_below(plot)
     return plot
@@ -86,7 +86,7 @@ def rivals_figure(choice: TemperatureChoice) -> figure:
     for which, colour, label in (
         (place == 0, AFTER, "best"),
         (tied & (place > 0), REFERENCE, "tied"),
-        (~tied, NEW, "worse"),
+        (~tied, HIGHLIGHT, "worse"),
     ):
         if which.any():
             plot.scatter(place[which], behind[which], color=colour, size=8, legend_label=label)
@@ -119,13 +119,13 @@ def day_night_figure(found: DayNightField) -> figure:
     plot.line([-180.0, 180.0], [0.0, 0.0], color=REFERENCE)
     for index, axis in enumerate(AXES):
         if any(name.startswith(f"{SERIES}[c{axis}") for name in found.columns):
-            band(plot, phase, value[:, index], sigma[:, index], COMPONENTS[index])
+            error_band(plot, phase, value[:, index], sigma[:, index], COMPONENTS[index])
             plot.line(phase, value[:, index], color=COMPONENTS[index], line_width=2, legend_label=axis)
     legend_below(plot)
     return plot
 
 
-def wandering_figure(ignored: xr.Dataset, added: xr.Dataset, parameter: str, title: str) -> figure:
+def with_and_without_figure(ignored: xr.Dataset, added: xr.Dataset, parameter: str, title: str) -> figure:
     """Draw a parameter of every block with the day/night field ignored, and with it in the model.
 
     Parameters
@@ -197,12 +197,14 @@ def band_figure(spectra: xr.Dataset, low: float = 0.02, high: float = 0.1) -> fi
     for name, colour in (("before", BEFORE), ("after", AFTER)):
         size = np.sqrt(spectra[name].values[shown])
         plot.line(frequency[shown], size, color=colour, legend_label=name)
-    plot.add_layout(BoxAnnotation(left=BAND[0], right=BAND[1], fill_color=REFERENCE, fill_alpha=0.1))
+    plot.add_layout(
+        BoxAnnotation(left=TORQUER_BAND_HZ[0], right=TORQUER_BAND_HZ[1], fill_color=REFERENCE, fill_alpha=0.1)
+    )
     legend_below(plot)
     return plot
 
 
-def carried_mean_figures(mean: CarriedMean, field: xr.Dataset) -> list[figure]:
+def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[figure]:
     """Draw daily and running means of the torquer currents, and the remanent field they tell.
 
     Parameters
@@ -216,14 +218,14 @@ def carried_mean_figures(mean: CarriedMean, field: xr.Dataset) -> list[figure]:
         f"Torquer currents: daily and {mean.window:g} d means", "", "mA", x_axis_type="datetime", width=_WIDE
     )
     lower = plain_figure("Remanent field at the scalar sensor", "", "nT", x_axis_type="datetime", width=_WIDE)
-    own = mean.state < STATES.index("interpolated")
+    own = mean.state < MEAN_STATES.index("interpolated")
     for index, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
         upper.scatter(middle, 1e3 * mean.daily[:, index], color=colour, size=2, alpha=0.35)
         for plot, value, sigma in (
             (upper, 1e3 * mean.value[:, index], 1e3 * mean.sigma[:, index]),
             (lower, field["value"].values[:, index], field["sigma"].values[:, index]),
         ):
-            band(plot, middle, value, sigma, colour)
+            error_band(plot, middle, value, sigma, colour)
             plot.line(middle, np.where(own, value, np.nan), color=colour, line_width=2, legend_label=axis)
             plot.line(middle, np.where(own, np.nan, value), color=colour, line_width=2, line_dash="dashed")
     for plot in (upper, lower):
@@ -232,7 +234,7 @@ def carried_mean_figures(mean: CarriedMean, field: xr.Dataset) -> list[figure]:
 
 
 #: Drops and rises are told apart by colour and mark.
-_MARKS = {-1: ("drop", "inverted_triangle", NEW), 1: ("rise", "triangle", BEFORE)}
+_MARKS = {-1: ("drop", "inverted_triangle", HIGHLIGHT), 1: ("rise", "triangle", BEFORE)}
 
 
 def current_steps_figure(
@@ -266,7 +268,7 @@ def current_steps_figure(
     return plot
 
 
-def stack_figures(found: Stack, unit_of: str = "solar current") -> list[figure]:
+def stack_figures(found: EpochStack, unit_of: str = "solar current") -> list[figure]:
     """Draw the stacked residual with the band that resampling days gives, and the current below it."""
     reach = Range1d(float(found.lag[0]) - 3.0, float(found.lag[-1]) + 3.0)
     title = f"Residual around {found.epochs} steps on {found.days} days"
@@ -284,7 +286,7 @@ def stack_figures(found: Stack, unit_of: str = "solar current") -> list[figure]:
     return [upper, lower]
 
 
-def local_time_figure(course: LocalTimeCourse, model: PanelModel | None = None) -> figure:
+def local_time_figure(course: LocalTimeDependence, model: PanelModel | None = None) -> figure:
     """Draw the coefficient against the orbit's local time, which falls: noon and midnight are marked.
 
     Parameters
@@ -309,7 +311,7 @@ def local_time_figure(course: LocalTimeCourse, model: PanelModel | None = None) 
         plot.scatter(x, value, color=colour, size=6, legend_label=axis)
         if model is not None and model.name in ("constant", "two_panels"):
             hours = np.linspace(0.0, 24.0, 241)
-            weight = schedule(hours) if model.name == "two_panels" else np.ones((hours.size, 1))
+            weight = panel_weights_at(hours) if model.name == "two_panels" else np.ones((hours.size, 1))
             plot.line(hours, weight @ model.value[:, index], color=colour, alpha=0.7)
     for hour in (12.0, 0.0):
         plot.add_layout(Span(location=hour, dimension="height", line_color=REFERENCE, line_dash="dotted"))
@@ -426,7 +428,7 @@ def continuous_figure(daily: xr.Dataset, table: xr.Dataset, title: str, factor: 
         reach = float(np.nanmax(np.abs(shown)) + np.nanmedian(bars))
         # A band many times wider than all that is to be seen hides it; the label tells its size.
         if np.nanmedian(sigma) < _HIDES * reach:
-            band(plot, curve, values, sigma, colour)
+            error_band(plot, curve, values, sigma, colour)
         plot.line(
             curve, values, color=colour, line_width=2, legend_label=f"{label} ± {np.nanmedian(sigma):.2g}"
         )

@@ -19,9 +19,9 @@ from inflight.figures.style import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
-    band,
+    error_band,
     error_bars,
     legend_below,
     place_legend,
@@ -47,12 +47,12 @@ def dependence_figure(found: Dependence) -> figure:
         apart = f"falling; apart by {loop.opening:.3f} +- {loop.sigma_opening:.3f}"
         for branch, colour, label in ((loop.rising, BEFORE, "rising"), (loop.falling, AFTER, apart)):
             met = np.isfinite(branch.mean)
-            band(plot, found.centre[met], branch.mean[met], branch.sigma[met], colour)
+            error_band(plot, found.centre[met], branch.mean[met], branch.sigma[met], colour)
             plot.line(found.centre[met], branch.mean[met], color=colour, legend_label=label)
         legend_below(plot)
         return plot
     met = np.isfinite(found.mean)
-    band(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
+    error_band(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
     error_bars(plot, found.centre, found.mean, found.sigma, AFTER, 0.5)
     plot.line(found.centre[met], found.mean[met], color=AFTER)
     plot.scatter(found.centre, found.mean, color=AFTER, size=5)
@@ -116,7 +116,7 @@ def response_figures(found: FieldResponse) -> list[figure]:
     """Draw what a field along x, y and z would have to be to make the residual follow a channel.
 
     Bars are one sigma between blocks, the grey band is what the same channel at other times explains,
-    the dotted line is the residual after the found effects; `response_key` is their common legend.
+    the dotted line is the residual after the found effects; `response_legend` is their common legend.
     """
     plots = []
     curves = [curve for branch in found.branches.values() for curve in branch]
@@ -142,7 +142,7 @@ def response_figures(found: FieldResponse) -> list[figure]:
     return plots
 
 
-def response_key() -> str:
+def response_legend() -> str:
     """Return the key of all response figures as HTML: one for the page leaves the small ones their room."""
     marks = (
         (_BRANCHES["rising"][0], "\u25b2", "before, channel rising"),
@@ -246,13 +246,13 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
     )
     if found.best > 0:
         height = float(np.interp(found.best, found.lags, size))
-        plot.scatter([found.best], [height], color=NEW, size=8, legend_label="best")
-        plot.add_layout(Span(location=found.best, dimension="height", line_color=NEW, line_width=1.5))
+        plot.scatter([found.best], [height], color=HIGHLIGHT, size=8, legend_label="best")
+        plot.add_layout(Span(location=found.best, dimension="height", line_color=HIGHLIGHT, line_width=1.5))
         # The axis is logarithmic: an interval that reaches nothing is open to the left.
         low = found.best - found.sigma
         left = low if low > 0 else None
         plot.add_layout(
-            BoxAnnotation(left=left, right=found.best + found.sigma, fill_color=NEW, fill_alpha=0.12)
+            BoxAnnotation(left=left, right=found.best + found.sigma, fill_color=HIGHLIGHT, fill_alpha=0.12)
         )
     place_legend(plot, "top_left")
     return plot

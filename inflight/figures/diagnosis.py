@@ -21,15 +21,15 @@ from inflight.figures.page import bullet_list, facts_table, html_table, paragrap
 from inflight.figures.style import (
     AFTER,
     BEFORE,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
     bare_parameter,
-    distinct,
     legend_below,
     place_legend,
     plain_figure,
     short_name,
     short_parameter,
+    unique_labels,
 )
 from inflight.residual import format_period
 
@@ -162,7 +162,7 @@ def candidate_table(
         *(("retained", "W/k", "values, alone") if trials else ()),
     )
     rows = [_row(one, trials, found, ghost, _BAR / wide) for one in real]
-    colours = {"taken": AFTER, "rival": NEW, "ghost": _GHOST}
+    colours = {"taken": AFTER, "rival": HIGHLIGHT, "ghost": _GHOST}
     return render("candidates.html", head=head, rows=rows, colours=colours, bar_width=_BAR)
 
 
@@ -241,14 +241,14 @@ def unscorable_list(unscorable: Sequence[Mapping[str, Any]]) -> str:
     return bullet_list(items, kind="quiet", before="Not scored, and so neither found nor excluded:")
 
 
-def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
+def gain_change_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
     """Draw each candidate's held-out gain before and after the found effects were taken.
 
     Gains after are parts of what was left then; an effect that was taken ends at nothing.
     """
     real = [one for one in candidates if not one["placebo"]][:_DROPS]
     names = [short_name(str(one["name"])) for one in real]
-    labels = distinct(names)
+    labels = unique_labels(names)
     before = np.array([float(one["gain"]) for one in real])
     after = np.array([float(one["gain_now"]) for one in real])
     plot = plain_figure(
@@ -260,7 +260,7 @@ def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
         width=620,
     )
     up = after > before
-    for mask, colour, label in ((~up, AFTER, "falls"), (up, NEW, "rises")):
+    for mask, colour, label in ((~up, AFTER, "falls"), (up, HIGHLIGHT, "rises")):
         if not mask.any():
             continue
         source = ColumnDataSource(
@@ -389,7 +389,7 @@ def _nanotesla(size: float | None) -> str:
     return f"{size:.3g} nT" if size else ""
 
 
-def rivals_apart(fields: Fields) -> list[str]:
+def separating_blocks(fields: Fields) -> list[str]:
     """Return the blocks in which rivals differ most, as a table; nothing without rivals."""
     if not fields["confusion_set"] or not fields["separating"]:
         return []
@@ -516,7 +516,7 @@ def order_figure(steps: Sequence[Step], start: float) -> figure:
     start : float
         Held-out rms before, nT.
     """
-    names = distinct([short_name(step.name) for step in steps])
+    names = unique_labels([short_name(step.name) for step in steps])
     plot = plain_figure(
         "Taken first, in its turn, or last",
         "part of the mean square as found (%)",

@@ -152,11 +152,11 @@ def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int)
     return plot
 
 
-def correction_figure(time: Times, taken_off: Floats) -> figure:
+def correction_figure(time: Times, correction: Floats) -> figure:
     """Draw what was taken off the outboard reading, all three components (time, axis), nT."""
     plot = plain_figure("What was taken off", "UTC", "nT", x_axis_type="datetime", width=1130)
     for axis, colour in enumerate(COMPONENTS):
-        plot.line(time, taken_off[:, axis], color=colour, legend_label=_AXES[axis])
+        plot.line(time, correction[:, axis], color=colour, legend_label=_AXES[axis])
     legend_below(plot)
     return plot
 
@@ -246,13 +246,14 @@ def relation_days_figure(daily: xr.Dataset, part: str) -> figure:
     return plot
 
 
-def corners_figure(table: xr.Dataset) -> figure:
+def sensor_variance_figure(table: xr.Dataset) -> figure:
     """Draw the variance that belongs to each of three sensors, with its error.
 
     Parameters
     ----------
     table : xarray.Dataset
-        Of `inflight.mission_fit.two_fluxgates.Corners`. A variance may come out negative: it is an estimate.
+        Of `inflight.mission_fit.two_fluxgates.ThreeCornerVariances`. A variance may come out negative:
+        it is an estimate.
     """
     names = [str(name) for name in table["sensor"].values]
     title = f"What disagrees, means of {table.attrs['mean_s']:g} s"

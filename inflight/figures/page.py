@@ -19,9 +19,9 @@ from markupsafe import Markup
 Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
 
 #: A section without its heading; a heading, and what makes the rest when somebody looks at it.
-Inside: TypeAlias = tuple[Sequence[str], Sequence[Any]]
+SectionBody: TypeAlias = tuple[Sequence[str], Sequence[Any]]
 
-Later: TypeAlias = tuple[str, Callable[[], Inside]]
+LazySection: TypeAlias = tuple[str, Callable[[], SectionBody]]
 
 #: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
 _RESOURCES = Resources(mode="inline", components=["bokeh"])

@@ -29,19 +29,19 @@ from inflight.figures.style import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
-    band,
     bare_parameter,
-    distinct,
+    error_band,
     error_bars,
     legend_below,
     plain_figure,
     short_name,
     short_parameter,
+    unique_labels,
 )
 from inflight.mission_fit import (
-    SHOWN,
+    DISPLAY_UNITS,
     ClockFaults,
     CrossTalkTable,
     EventSteps,
@@ -121,7 +121,7 @@ def _steps(
 _TELLING = 3.0
 
 
-def wander_figure(found: Sequence[ParameterScatter]) -> figure:
+def excess_scatter_figure(found: Sequence[ParameterScatter]) -> figure:
     """Draw each parameter's scatter from day to day over its own stated uncertainty; 1 is a complete model.
 
     Parameters that the days do not determine have no mark.
@@ -138,7 +138,7 @@ def wander_figure(found: Sequence[ParameterScatter]) -> figure:
     far = [found[index].ratio > 1 + _TELLING * found[index].sigma_ratio for index in known]
     shown = [names[index] for index in known]
     error_bars(plot, shown, ratio, np.minimum(sigma, 0.9 * ratio), AFTER, 0.5)
-    plot.scatter(shown, ratio, size=8, color=[NEW if one else AFTER for one in far])
+    plot.scatter(shown, ratio, size=8, color=[HIGHLIGHT if one else AFTER for one in far])
     return plot
 
 
@@ -149,7 +149,7 @@ _UNIT_OF_PARAMETER = {"scale_factor": "1", "misalignment": "deg", "offset": "nT"
 def cross_talk_figure(found: CrossTalk) -> figure:
     """Draw the signed correlations of the parameters' errors: calibration, model, found effects in order."""
     names = [short_parameter(name) for name in found.names]
-    labels = distinct(names)
+    labels = unique_labels(names)
     size = len(labels)
     width = 250 + 17 * size
     plot = plain_figure(
@@ -224,16 +224,16 @@ def shift_table(shifts: Sequence[Shift]) -> str:
     return html_table(head, rows, kind="wide scrolled", one_line=True)
 
 
-def ignored_figure(found: CrossTalkTable) -> figure:
+def ignored_effects_figure(found: CrossTalkTable) -> figure:
     """Draw what each ignored cause does to the fitted parameters.
 
     Colours compare shifts of one unit with each other: they run to the largest shift of that unit.
     """
-    rows = distinct([one.label for one in found.ignored])
+    rows = unique_labels([one.label for one in found.ignored])
     parameters = [
         f"{short_parameter(name)} ({unit})" for name, unit in zip(found.parameters, found.units, strict=True)
     ]
-    columns = distinct(parameters)
+    columns = unique_labels(parameters)
     plot = plain_figure(
         "Shift of the calibration by what it ignores",
         "",
@@ -282,7 +282,7 @@ def _two_digits(value: float) -> str:
 def _unit(name: str) -> tuple[float, str]:
     for part, unit in _UNIT_OF_PARAMETER.items():
         if part in name:
-            return SHOWN[unit]
+            return DISPLAY_UNITS[unit]
     return 1.0, ""
 
 
@@ -316,7 +316,7 @@ def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor
         plot.scatter(middle, shown, color=colour, size=3, alpha=0.4)
         label = f"{name.rsplit('[', maxsplit=1)[-1].rstrip(']')}: {fit.trends[name].time}"
         curve = (value[:, index] - base) * factor
-        band(plot, mjd2000(times), curve, sigma[:, index] * factor, colour)
+        error_band(plot, mjd2000(times), curve, sigma[:, index] * factor, colour)
         plot.line(
             mjd2000(times),
             curve,
@@ -341,7 +341,7 @@ def comparison_figure(found: TrendComparison) -> figure:
     return plot
 
 
-def jumps_figure(table: Jumps, trend: Jumps) -> figure:
+def boundary_steps_figure(table: Jumps, trend: Jumps) -> figure:
     """Draw the steps of |B| at the boundaries of a table, and those of continuous parameters."""
     title = f"Steps at boundaries in {table.strength:.0f} nT, rms over directions"
     plot = plain_figure(title, "MJD (2000-01-01)", "nT", width=560)
@@ -371,7 +371,7 @@ def parameter_spectrum_figure(found: ParameterSpectrum, title: str) -> figure:
         plot.add_layout(mark)
     told = [one for one in found.peaks if one.label]
     new = [one for one in found.peaks if not one.label]
-    for peaks, colour, label in ((told, AFTER, "named"), (new, NEW, "unnamed")):
+    for peaks, colour, label in ((told, AFTER, "named"), (new, HIGHLIGHT, "unnamed")):
         x, y = [one.period for one in peaks], [one.amplitude for one in peaks]
         if peaks:
             plot.scatter(x, y, color=colour, size=8, legend_label=label)
@@ -385,13 +385,13 @@ def running_means_figure(mjd: Floats, value: Floats, means: Sequence[RunningMean
     plot = plain_figure(title, "MJD (2000-01-01)", unit, width=560)
     plot.scatter(mjd, value, color=REFERENCE, size=2, alpha=0.5)
     for one, colour in zip(means, COMPONENTS, strict=False):
-        band(plot, one.mjd, one.value, one.sigma, colour)
+        error_band(plot, one.mjd, one.value, one.sigma, colour)
         plot.line(one.mjd, one.value, color=colour, line_width=2, legend_label=f"{one.window:g} d")
     legend_below(plot)
     return plot
 
 
-def loop_figure(found: HysteresisLoop, title: str) -> figure:
+def hysteresis_figure(found: HysteresisLoop, title: str) -> figure:
     """Draw a parameter against temperature on the rising and the falling branch."""
     told = f"{title}: area {found.area:.3g} +- {found.sigma:.2g} {found.unit} K"
     plot = plain_figure(told, "temperature (degC)", found.unit, width=470)
@@ -411,7 +411,10 @@ def event_steps_figure(found: EventSteps, title: str) -> figure:
     """Draw the step at each event with its error; those beyond chance are red."""
     plot = plain_figure(title, "MJD (2000-01-01)", found.unit, width=560)
     error_bars(plot, found.at, found.size, found.sigma, REFERENCE, 0.3)
-    for which, colour, label in ((~found.found, AFTER, "event"), (found.found, NEW, "step beyond chance")):
+    for which, colour, label in (
+        (~found.found, AFTER, "event"),
+        (found.found, HIGHLIGHT, "step beyond chance"),
+    ):
         plot.scatter(found.at[which], found.size[which], color=colour, size=5, legend_label=label)
     legend_below(plot)
     return plot
@@ -430,6 +433,6 @@ def clock_figure(found: ClockFaults, shift: Floats, sigma: Floats | None = None)
     plot.line(found.mjd, 1e3 * found.usual, color=REFERENCE, line_width=2, legend_label="usual")
     for one in found.faults:
         days = (found.mjd >= one.first) & (found.mjd < one.last + 1)
-        plot.scatter(found.mjd[days], 1e3 * shift[days], color=NEW, size=8, legend_label="fault")
+        plot.scatter(found.mjd[days], 1e3 * shift[days], color=HIGHLIGHT, size=8, legend_label="fault")
     legend_below(plot)
     return plot

@@ -13,8 +13,8 @@ from bokeh.models import Label, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, NEW, REFERENCE, log_ticks, place_legend, plain_figure
-from inflight.residual import SERIES, Line, Power, format_period, thinned
+from inflight.figures.style import AFTER, BEFORE, HIGHLIGHT, REFERENCE, log_ticks, place_legend, plain_figure
+from inflight.residual import SERIES, Line, Power, format_period, thin_spectrum
 
 #: What each series is called above its figure.
 _TITLES = {
@@ -59,7 +59,7 @@ def spectrum_figure(
     )
     for power, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         if power is not None:
-            shown, thin = thinned(frequency, power)
+            shown, thin = thin_spectrum(frequency, power)
             plot.line(1.0 / shown, np.sqrt(thin), color=colour, legend_label=label)
     period = 1.0 / frequency
     if (ticks := log_ticks(period)) is not None:
@@ -101,7 +101,7 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
     at = [int(np.argmin(np.abs(frequency - 1.0 / line.period_s))) for line in inside]
     height = [float(np.sqrt(power[max(i - 1, 0) : i + 2].max())) for i in at]
     periods = [line.period_s for line in inside]
-    plot.scatter(periods, height, color=NEW, size=7, legend_label="unknown period")
+    plot.scatter(periods, height, color=HIGHLIGHT, size=7, legend_label="unknown period")
     for seconds, top in zip(periods, height, strict=True):
         plot.add_layout(
             Label(
@@ -111,7 +111,7 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
                 y_offset=3,
                 text=format_period(seconds),
                 text_font_size="10px",
-                text_color=NEW,
+                text_color=HIGHLIGHT,
             )
         )
 

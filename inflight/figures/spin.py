@@ -1,6 +1,6 @@
 """Figures of a spinning sensor: its parameters over days, its estimates, and the tones of its residual.
 
-Takes: tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`Cloud`), and the tones and what
+Takes: tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`SubintervalEstimates`), and the tones and what
 they depend on of `inflight.spin.residual`. Makes: bokeh figures. `estimates_figure` and `uncertainty_figure`
 are figures 3 and 2 (c to f) of Plaschke et al. (2019).
 """
@@ -22,16 +22,16 @@ from inflight.figures.style import (
     AFTER,
     BEFORE,
     COMPONENTS,
-    NEW,
+    HIGHLIGHT,
     REFERENCE,
-    band,
+    error_band,
     error_bars,
     legend_below,
     place_legend,
     plain_figure,
 )
 from inflight.samples import Complex
-from inflight.spin import ROWS, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
+from inflight.spin import ROW_NAMES, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
 from inflight.time import Int64, to_utc
 
 #: Distance of markers of different kinds, in intervals.
@@ -81,7 +81,7 @@ def _days_panel(table: xr.Dataset, selected: tuple[Floats, Floats], name: str) -
         error_bars(plot, when, value[known], sigma[known], colour, 0.5)
         plot.scatter(when, value[known], color=colour, size=5, legend_label=label)
     used = row["value"].values - prior
-    plot.segment(to_utc(start), used, to_utc(end), used, color=NEW, line_width=2, legend_label="in use")
+    plot.segment(to_utc(start), used, to_utc(end), used, color=HIGHLIGHT, line_width=2, legend_label="in use")
     _level(plot, used, own, to_utc(start[:1]), to_utc(end[-1:]))
     legend_below(plot)
     return plot
@@ -122,7 +122,7 @@ def zero_methods_figure(zero: xr.Dataset) -> figure:
         value, sigma = (zero[one].values[:, place] for one in ("method_value", "method_sigma"))
         _markers(plot, (start, end), (value, sigma), colour, (str(name), _APART * (place - 2)))
     known = np.where(np.isfinite(zero["sigma"].values), zero["value"].values, np.nan)
-    _markers(plot, (start, end), (known, zero["sigma"].values), NEW, ("combined", 2 * _APART))
+    _markers(plot, (start, end), (known, zero["sigma"].values), HIGHLIGHT, ("combined", 2 * _APART))
     # Half a window to either side: of a single one the axis would be labelled in seconds.
     ends = (to_utc(np.array([start[0], end[-1]])).astype("datetime64[ms]")).astype(np.int64)
     plot.x_range = Range1d(int(ends[0]), int(ends[1]))
@@ -169,7 +169,7 @@ def correlation_figure(correlation: Floats) -> figure:
     return plot
 
 
-def moved_figure(table: xr.Dataset) -> figure:
+def parameter_change_figure(table: xr.Dataset) -> figure:
     """Draw by how many sigma each of the eight moved from the first to the last interval that determines it.
 
     A change of the spin axis touches its two parameters alone (Plaschke et al. 2019, section 2).
@@ -190,7 +190,7 @@ def moved_figure(table: xr.Dataset) -> figure:
             else 0.0
         )
     plot.vbar(
-        list(SPIN_RELATED), 0.6, changes, color=[NEW if abs(one) > _MOVED else AFTER for one in changes]
+        list(SPIN_RELATED), 0.6, changes, color=[HIGHLIGHT if abs(one) > _MOVED else AFTER for one in changes]
     )
     for limit in (-_MOVED, _MOVED):
         plot.add_layout(Span(location=limit, dimension="width", line_color=REFERENCE, line_dash="dashed"))
@@ -218,7 +218,7 @@ _WIDE = 3e3
 
 
 @dataclass(frozen=True)
-class Cloud:
+class SubintervalEstimates:
     """Estimates of sub-intervals, and which of them a threshold chooses.
 
     Attributes
@@ -242,7 +242,7 @@ class Cloud:
     sigma: Floats
 
     @classmethod
-    def of(cls, found: Selection) -> Cloud:
+    def of(cls, found: Selection) -> SubintervalEstimates:
         """Return the cloud of a selection."""
         one = found.estimates
         return cls(
@@ -257,7 +257,7 @@ class Cloud:
         )
 
 
-def estimates_figure(selection: Cloud, joint: tuple[Floats, Floats] | None = None) -> Any:
+def estimates_figure(selection: SubintervalEstimates, joint: tuple[Floats, Floats] | None = None) -> Any:
     """Draw the estimates of all sub-intervals against their uncertainties, as in the paper's figure 3.
 
     Parameters
@@ -271,7 +271,9 @@ def estimates_figure(selection: Cloud, joint: tuple[Floats, Floats] | None = Non
     return gridplot([panels[:4], panels[4:]], toolbar_location="above", merge_tools=True)
 
 
-def _estimates_panel(selection: Cloud, joint: tuple[Floats, Floats] | None, name: str) -> figure:
+def _estimates_panel(
+    selection: SubintervalEstimates, joint: tuple[Floats, Floats] | None, name: str
+) -> figure:
     at = SPIN_RELATED.index(name)
     value, uncertainty = selection.estimate[:, at], selection.uncertainty[:, at]
     chosen = selection.chosen[:, at]
@@ -285,7 +287,7 @@ def _estimates_panel(selection: Cloud, joint: tuple[Floats, Floats] | None, name
         y_range=_height(selection, at),
         width=290,
     )
-    for which, colour, label in ((known & ~chosen, BEFORE, "others"), (known & chosen, NEW, "chosen")):
+    for which, colour, label in ((known & ~chosen, BEFORE, "others"), (known & chosen, HIGHLIGHT, "chosen")):
         plot.scatter(uncertainty[which], value[which], color=colour, size=3, alpha=0.6, legend_label=label)
     span = [float(uncertainty[known].min()), float(uncertainty[known].max())] if known.any() else [1e-6, 1.0]
     if np.isfinite(selection.threshold[at]):
@@ -302,7 +304,7 @@ def _estimates_panel(selection: Cloud, joint: tuple[Floats, Floats] | None, name
     return plot
 
 
-def _height(selection: Cloud, at: int) -> Range1d:
+def _height(selection: SubintervalEstimates, at: int) -> Range1d:
     """Return a range in which the chosen estimates can be seen: poor ones lie orders of magnitude away."""
     value = selection.estimate[:, at]
     near = value[selection.chosen[:, at]]
@@ -315,7 +317,7 @@ def _height(selection: Cloud, at: int) -> Range1d:
     return Range1d(middle - reach, middle + reach)
 
 
-def uncertainty_figure(selection: Cloud) -> Any:
+def uncertainty_figure(selection: SubintervalEstimates) -> Any:
     """Draw the uncertainties of the four pairs over time, as in panels c to f of the paper's figure 2."""
     hours = (to_utc(selection.start // 2 + selection.end // 2)).astype("datetime64[ms]")
     panels = []
@@ -335,7 +337,7 @@ def _time_panel(hours: Any, uncertainty: Floats, chosen: Any, title: str) -> fig
         title, "time (UTC)", "uncertainty", width=820, height=190, x_axis_type="datetime", y_axis_type="log"
     )
     known = np.isfinite(uncertainty) & (uncertainty > 0.0)
-    for which, colour in ((known & ~chosen, BEFORE), (known & chosen, NEW)):
+    for which, colour in ((known & ~chosen, BEFORE), (known & chosen, HIGHLIGHT)):
         source = ColumnDataSource({"x": hours[which], "y": uncertainty[which]})
         plot.scatter("x", "y", source=source, color=colour, size=3)
     return plot
@@ -380,13 +382,13 @@ def mean_turn_figure(before: ToneDependence | None, after: ToneDependence | None
     """Draw the mean turn of both rows before and after calibration, a band of one sigma; nT."""
     phase = np.linspace(0.0, 360.0, 121)
     plots = []
-    for row, name in enumerate(ROWS):
+    for row, name in enumerate(ROW_NAMES):
         plot = plain_figure(f"Mean turn, {name}", "spin phase (deg)", "nT", width=376)
         for one, (label, colour) in zip((before, after), _STATES, strict=True):
             if one is None:
                 continue
             curve, sigma = _turn(one.mean[0], one.sigma[0], row, np.deg2rad(phase))
-            band(plot, phase, curve, sigma, colour)
+            error_band(plot, phase, curve, sigma, colour)
             plot.line(phase, curve, color=colour, line_width=2, legend_label=label)
         legend_below(plot)
         plots.append(plot)

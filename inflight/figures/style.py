@@ -22,7 +22,7 @@ from inflight.residual import format_period
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
 
 #: What nothing explains yet.
-NEW = "#c21f3a"
+HIGHLIGHT = "#c21f3a"
 
 #: Sensor axes and angle pairs.
 COMPONENTS = ("#1f5c99", "#2a8a57", "#b0532c")
@@ -80,7 +80,7 @@ def log_ticks(values: Floats) -> FixedTicker | None:
     return FixedTicker(ticks=sorted(float(f"{part * decade:.3g}") for decade in decades for part in parts))
 
 
-def band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
+def error_band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
     """Draw a band of one sigma around a curve."""
     source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
     plot.varea(x="x", y1="low", y2="high", source=source, color=colour, alpha=0.18)
@@ -145,6 +145,6 @@ def bare_parameter(name: str) -> str:
     return f"{_WORDS.get(kind, kind)} {axis.rstrip(']')}".strip() or kind
 
 
-def distinct(names: Sequence[str]) -> list[str]:
+def unique_labels(names: Sequence[str]) -> list[str]:
     """Return the names, those that come again with marks that are not seen: axes of names want each once."""
     return [name + "\u200b" * list(names[:place]).count(name) for place, name in enumerate(names)]

@@ -1,7 +1,6 @@
 from .clusters import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
-from .contrasts import Chosen, RobustFit, Series, in_amperes, robust_contrast, robust_fit, windowed
+from .contrasts import Mask, RobustFit, Series, robust_contrast, robust_fit, to_amperes, window_means
 from .covariance import (
-    at_least,
     bartlett_covariance,
     bartlett_kernel,
     bartlett_variance,
@@ -17,6 +16,7 @@ from .covariance import (
     newey_west_lags,
     sandwich,
     sigma_of_mean,
+    with_least_variance,
 )
 from .gram_blocks import (
     RESIDUAL,
@@ -30,7 +30,7 @@ from .gram_blocks import (
     prewhiten,
     shift_reference,
 )
-from .robust import BIWEIGHT_WIDTH, TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, robust_sigma
+from .robust import BIWEIGHT_WIDTH, MAD_TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, robust_sigma
 from .solver import (
     SOLVER,
     Solution,
@@ -41,7 +41,7 @@ from .solver import (
     marginalise,
     posterior,
     posterior_covariance,
-    regression,
+    regression_coefficients,
     residual_sum,
     retained_fraction,
     solve,
@@ -50,20 +50,19 @@ from .solver import (
 
 __all__ = [
     "BIWEIGHT_WIDTH",
+    "MAD_TO_SIGMA",
     "RESIDUAL",
     "SOLVER",
-    "TO_SIGMA",
     "WEIGHTED_RMS",
     "BlockSums",
-    "Chosen",
     "ClusteredFit",
     "GramArrays",
     "GramBlocks",
+    "Mask",
     "RobustFit",
     "Series",
     "Solution",
     "arrays_of",
-    "at_least",
     "bartlett_covariance",
     "bartlett_kernel",
     "bartlett_variance",
@@ -80,7 +79,6 @@ __all__ = [
     "gram_of",
     "grams_by_cluster",
     "hac_t",
-    "in_amperes",
     "inverse_square_root",
     "jackknife",
     "jackknife_covariance",
@@ -93,7 +91,7 @@ __all__ = [
     "posterior",
     "posterior_covariance",
     "prewhiten",
-    "regression",
+    "regression_coefficients",
     "residual_sum",
     "retained_fraction",
     "robust_contrast",
@@ -105,5 +103,7 @@ __all__ = [
     "solve",
     "solve_clusters",
     "solve_scaled",
-    "windowed",
+    "to_amperes",
+    "window_means",
+    "with_least_variance",
 ]

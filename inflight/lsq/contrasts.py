@@ -4,7 +4,7 @@
   move (Tukey's biweight) with a covariance that respects correlation in time.
 - `robust_contrast` takes the residual around a change of a current; makes one number of it: a weighted
   sum of the samples that is blind to drift and gives 1 for a unit step.
-- `windowed` takes daily values; makes their weighted means in a window that moves over the days, whose
+- `window_means` takes daily values; makes their weighted means in a window that moves over the days, whose
   end days count by the part of them inside. The running mean of a parameter and the carried mean of a
   current are made of it (`inflight.mission_fit`).
 """
@@ -117,7 +117,7 @@ def _at_least(slopes: Floats, weights: Floats) -> Floats:
     return slopes if share > 0.3 else 0.3 * weights
 
 
-Chosen = npt.NDArray[np.bool_]
+Mask = npt.NDArray[np.bool_]
 
 
 #: Places of the orbit kept with each epoch where the samples know them.
@@ -156,7 +156,7 @@ class Series:
             values = np.where(samples["weight"].values > 0, values, np.nan)
         field = np.asarray(samples["field"].values, dtype=np.float64)
         direction = direction_of(field)
-        found = [in_amperes(_one_current(samples[name])) for name in names]
+        found = [to_amperes(_one_current(samples[name])) for name in names]
         places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
         return cls(
             np.asarray(samples["tt2000"].values, dtype=np.int64),
@@ -182,7 +182,7 @@ def _one_current(series: xr.DataArray) -> xr.DataArray:
     return series
 
 
-def in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
+def to_amperes(series: xr.DataArray) -> tuple[Floats, str]:
     """Return a channel (time, ...) in A where it is a current, else as it is, and its unit."""
     unit = str(series.attrs.get("units", "1"))
     try:
@@ -241,8 +241,8 @@ def _orthonormal(drift: Floats) -> Floats:
 
 
 def robust_contrast(
-    drift: Floats, values: Floats, shape: Floats, usable: Chosen
-) -> tuple[Contrast, Chosen, float] | None:
+    drift: Floats, values: Floats, shape: Floats, usable: Mask
+) -> tuple[Contrast, Mask, float] | None:
     """Return the contrast without outliers, the samples kept, and the noise of one."""
     kept = usable
     contrast = Contrast.of(drift[kept], shape[kept])
@@ -265,7 +265,7 @@ def robust_contrast(
 
 
 @dataclass(frozen=True)
-class Windowed:
+class WindowMeans:
     """Means over windows; a window without a day has the mean 0 and no coverage.
 
     Attributes
@@ -287,7 +287,7 @@ class Windowed:
     lean: Floats
 
 
-def windowed(daily: Floats, weight: Floats, window: float) -> Windowed:
+def window_means(daily: Floats, weight: Floats, window: float) -> WindowMeans:
     """Return the means of the days within half a window on either side of each.
 
     Parameters
@@ -316,7 +316,7 @@ def windowed(daily: Floats, weight: Floats, window: float) -> Windowed:
     mean = np.stack([_same(column, kernel) for column in known.T], axis=1) / total[:, None]
     squares = np.where(weight[:, None] > 0, daily, 0.0) * known
     square = np.stack([_same(column, kernel) for column in squares.T], axis=1) / total[:, None]
-    return Windowed(
+    return WindowMeans(
         mean,
         np.sqrt(np.clip(square - mean**2, 0.0, None)),
         inside,

@@ -8,7 +8,7 @@ One of each:
   (Politis and Romano 1995; Politis and White 2004).
 - `sandwich`: covariance of estimates from that of the scores, clustered by block.
 - `jackknife` and `jackknife_covariance`: from the values without one block each (Efron and Stein 1981).
-- `at_least` and `larger_scatter`: never surer than what is known otherwise.
+- `with_least_variance` and `larger_scatter`: never surer than what is known otherwise.
 - `hac_t`, `expected_gain_t`, `expected_gain_p`: whether a gain that is spread over blocks is more
   than chance.
 
@@ -93,7 +93,7 @@ def bartlett_covariance(scores: Floats, lags: int) -> Floats:
     for lag, weight in enumerate(bartlett_weights(lags)[: len(scores) - 1], start=1):
         cross = scores[lag:].T @ scores[:-lag]
         total += weight * (cross + cross.T)
-    return at_least(total, white)
+    return with_least_variance(total, white)
 
 
 def bartlett_variance(series: Floats, lags: int) -> Floats:
@@ -111,7 +111,7 @@ def bartlett_variance(series: Floats, lags: int) -> Floats:
     return np.asarray(np.maximum(total, white))
 
 
-def at_least(covariance: Floats, least: Floats) -> Floats:
+def with_least_variance(covariance: Floats, least: Floats) -> Floats:
     """Return a covariance with variances no smaller than those of another one, and its own correlations.
 
     Parameters
@@ -141,7 +141,7 @@ def sandwich(bread: Floats, meat: Floats, least: Floats | None = None) -> Floats
         A covariance whose variances are the least possible, as that of white noise.
     """
     found = np.asarray(bread @ meat @ bread.T)
-    return found if least is None else at_least(found, least)
+    return found if least is None else with_least_variance(found, least)
 
 
 def jackknife_covariance(without: Floats, about: Floats | None = None) -> Floats:
@@ -294,7 +294,7 @@ def correlated_covariance(
     precision = 1.0 / prior_sigma[free] ** 2
     spread = long_run_covariance(scores[:, free] @ white, functions) + (white * precision) @ white
     out = np.zeros_like(information)
-    out[grid] = at_least(spread, white)
+    out[grid] = with_least_variance(spread, white)
     return out
 
 

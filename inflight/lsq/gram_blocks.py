@@ -33,11 +33,11 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import SOLVER, Places, residual_sum, solve_scaled
+from inflight.lsq.solver import SOLVER, Indices, residual_sum, solve_scaled
 from inflight.time import GAP, SECOND
 
 #: Columns, by name or by place.
-Columns = Sequence[str] | Places
+Columns = Sequence[str] | Indices
 
 #: Name of the residual among the columns; further ones are ``residual~1``, ``residual~2``, ...
 RESIDUAL = "residual"
@@ -173,7 +173,7 @@ class GramBlocks(Protocol):
     def __len__(self) -> int:
         """Return the number of blocks."""
 
-    def index(self, names: Sequence[str]) -> Places:
+    def index(self, names: Sequence[str]) -> Indices:
         """Return the places of columns by name."""
 
     @property
@@ -181,11 +181,11 @@ class GramBlocks(Protocol):
         """Places of the residuals."""
 
     def rows(
-        self, columns: Columns, others: Columns | None = None, blocks: Places | slice | None = None
+        self, columns: Columns, others: Columns | None = None, blocks: Indices | slice | None = None
     ) -> Floats:
         """Return the products of some columns with others; (block, column, other)."""
 
-    def products_within(self, groups: Places, blocks: Places | slice | None = None) -> Floats:
+    def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
         """Return the products of the columns of each group with each other; (block, group, k, k)."""
 
     @property
@@ -196,10 +196,10 @@ class GramBlocks(Protocol):
     def total(self) -> Floats:
         """Sum over all blocks; (column, column)."""
 
-    def sums(self, folds: Sequence[Places]) -> list[Floats]:
+    def sums(self, folds: Sequence[Indices]) -> list[Floats]:
         """Return the sum over the blocks of each fold."""
 
-    def centred(self, columns: Places, base: Places) -> Floats:
+    def centred(self, columns: Indices, base: Indices) -> Floats:
         """Return the total matrix of columns about what they share with one column of the base."""
 
     def select(self, names: Sequence[str]) -> Self:
@@ -316,7 +316,7 @@ class GramArrays:
         """Places of the residuals."""
         return [index for index, name in enumerate(self.names) if _is_residual(name)]
 
-    def index(self, names: Sequence[str]) -> Places:
+    def index(self, names: Sequence[str]) -> Indices:
         """Return the places of columns by name.
 
         Raises
@@ -333,14 +333,14 @@ class GramArrays:
             )
         return np.array([places[name] for name in names], dtype=np.int64)
 
-    def _at(self, columns: Columns) -> Places:
+    def _at(self, columns: Columns) -> Indices:
         return columns if isinstance(columns, np.ndarray) else self.index(columns)
 
-    def _which(self, blocks: Places | slice) -> Places:
+    def _which(self, blocks: Indices | slice) -> Indices:
         return np.arange(len(self))[blocks]
 
     def rows(
-        self, columns: Columns, others: Columns | None = None, blocks: Places | slice | None = None
+        self, columns: Columns, others: Columns | None = None, blocks: Indices | slice | None = None
     ) -> Floats:
         """Return the products of some columns with others; (block, column, other), nT^2.
 
@@ -360,7 +360,7 @@ class GramArrays:
             return self.gram[:, grid[0], grid[1]]
         return self.gram[self._which(blocks)[:, None, None], grid[0], grid[1]]
 
-    def products_within(self, groups: Places, blocks: Places | slice | None = None) -> Floats:
+    def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
         """Return the products of the columns of each group with each other; (block, group, k, k).
 
         Parameters
@@ -387,7 +387,7 @@ class GramArrays:
     def _sums(self) -> dict[tuple[tuple[int, ...], ...], list[Floats]]:
         return {}
 
-    def sums(self, folds: Sequence[Places]) -> list[Floats]:
+    def sums(self, folds: Sequence[Indices]) -> list[Floats]:
         """Return the sum over the blocks of each fold; kept, because every question asks for them."""
         key = tuple(tuple(fold.tolist()) for fold in folds)
         if key not in self._sums:
@@ -399,7 +399,7 @@ class GramArrays:
         """Gram matrices of columns in physical units; (block, column, column)."""
         return np.asarray(self.gram / np.outer(self.scale, self.scale))
 
-    def centred(self, columns: Places, base: Places) -> Floats:
+    def centred(self, columns: Indices, base: Indices) -> Floats:
         """Return the total Gram matrix of columns, each less what it shares with one column of the base.
 
         It is an effect's own variance about a constant channel: a temperature of 293 K that moves by one
@@ -418,7 +418,7 @@ class GramArrays:
 
     # Other blocks.
 
-    def of_blocks(self, blocks: Places | slice) -> Self:
+    def of_blocks(self, blocks: Indices | slice) -> Self:
         """Return some blocks."""
 
         def some(values: Any) -> Any:
@@ -461,7 +461,7 @@ class GramArrays:
             raise CalibrationError("a block lies across or outside the edges", remedy="use edges of blocks")
         return self.merge_groups([group for group in groups if group.size])
 
-    def merge_groups(self, groups: Sequence[Sequence[int] | Places]) -> Self:
+    def merge_groups(self, groups: Sequence[Sequence[int] | Indices]) -> Self:
         """Return wider blocks: each the sum of some consecutive ones; see `merge`."""
         pieces = [np.asarray(group) for group in groups if len(group)]
         first = [group[0] for group in pieces]
@@ -524,7 +524,7 @@ class GramArrays:
         kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
         return self._of_columns(kept)
 
-    def _of_columns(self, kept: Places) -> Self:
+    def _of_columns(self, kept: Indices) -> Self:
         grid = (slice(None), kept[:, None], kept[None, :])
         along = dict.fromkeys(("column", "other"), kept)
         return self._with(
@@ -554,7 +554,7 @@ class GramArrays:
         names = (*self.names[:own], *functions, *self.names[own:])
         return self._times(names, origin, weight)
 
-    def _times(self, names: Sequence[str], origin: Places, weight: Floats) -> Self:
+    def _times(self, names: Sequence[str], origin: Indices, weight: Floats) -> Self:
         """Return blocks of columns that are those at `origin` times a factor of each block."""
         grid = (slice(None), origin[:, None], origin[None, :])
         factor = weight[:, :, None], weight[:, None, :]
@@ -845,7 +845,7 @@ def _is_residual(name: str) -> bool:
     return name.split("~", maxsplit=1)[0] == RESIDUAL
 
 
-def _in_order(pieces: Sequence[Floats], order: Places) -> Floats:
+def _in_order(pieces: Sequence[Floats], order: Indices) -> Floats:
     """Return the pieces as one array in an order; of gigabytes only one copy is made."""
     place = np.argsort(order, kind="stable")
     out = np.empty((order.size, *pieces[0].shape[1:]))

@@ -16,7 +16,7 @@ BIWEIGHT_WIDTH = 6.0
 WEIGHTED_RMS = 0.9447
 
 #: Standard deviation of a Gaussian over the median of its absolute deviations.
-TO_SIGMA = 1.482602218505602
+MAD_TO_SIGMA = 1.482602218505602
 
 #: The scale is estimated from about this many samples, evenly spread.
 _SCALE_SAMPLES = 20_000
@@ -38,7 +38,7 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
     if residual.size == 0:
         return floor
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
-    return max(TO_SIGMA * _median(np.abs(part)), floor)
+    return max(MAD_TO_SIGMA * _median(np.abs(part)), floor)
 
 
 def _median(values: Floats) -> float:

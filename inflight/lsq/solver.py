@@ -23,7 +23,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 
 #: Places of columns in a Gram matrix.
-Places = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,9 @@ def gram_inverse(matrix: Floats, cut: float = SOLVER.weak_cut) -> Floats:
     return np.asarray(root @ root.T)
 
 
-def regression(gram: Floats, fitted: Places, ignored: Places, cut: float = SOLVER.weak_cut) -> Floats:
+def regression_coefficients(
+    gram: Floats, fitted: Indices, ignored: Indices, cut: float = SOLVER.weak_cut
+) -> Floats:
     """Return how much of each fitted column stands for one unit of each ignored one; (..., fitted, ignored).
 
     With X the fitted columns and z an ignored one it is ``(X^T X)^-1 X^T z``: least squares of z on X.
@@ -155,7 +157,7 @@ def regression(gram: Floats, fitted: Places, ignored: Places, cut: float = SOLVE
     return solve_scaled(own, gram[..., fitted[:, None], ignored[None, :]], cut)
 
 
-def marginalise(gram: Floats, marginalised: Places, kept: Places, cut: float = SOLVER.weak_cut) -> Floats:
+def marginalise(gram: Floats, marginalised: Indices, kept: Indices, cut: float = SOLVER.weak_cut) -> Floats:
     """Return the Gram matrix of the kept columns less what the marginalised ones explain; (..., kept, kept).
 
     The Schur complement ``G_kk - G_km G_mm^-1 G_mk``.
@@ -169,7 +171,7 @@ def marginalise(gram: Floats, marginalised: Places, kept: Places, cut: float = S
     cut : float
         As of `solve_scaled`.
     """
-    explained = regression(gram, marginalised, kept, cut)
+    explained = regression_coefficients(gram, marginalised, kept, cut)
     cross = gram[..., kept[:, None], marginalised[None, :]]
     return np.asarray(gram[..., kept[:, None], kept[None, :]] - cross @ explained)
 

@@ -5,12 +5,12 @@ Takes the days' wide equations, their auxiliary columns and the continuous fit; 
 - the coil's temperature (`fit_coil_lag`): its coefficients, its lag, and its rivals. The auxiliary columns
   are the residual's derivatives by the temperature's rate. A lag is bilinear: its column is the rate's
   times the coefficients, so that a few passes settle it together with everything that the model fits.
-- the field of day and night (`fit_daylight`), fitted together with everything else, trends included: what
+- the field of day and night (`fit_day_night_jointly`), fitted together with everything else, trends included: what
   a panel's current explains by day is not counted twice, and the error contains it. Without it the angles
   of each day's own fit vary with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
 - cross-talk: what one unit of an ignored cause does to everything else. With the nine alone, a cause goes
-  into them as far as they can imitate it (`of_the_nine`; Yin 2010, section 4.2). With everything fitted
-  together (`of_everything`), C the covariance, leaving out a parameter j of size c moves parameter i by
+  into them as far as they can imitate it (`nine_parameter_cross_talk`; Yin 2010, section 4.2). With everything fitted
+  together (`joint_cross_talk`), C the covariance, leaving out a parameter j of size c moves parameter i by
   ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
 """
 
@@ -37,14 +37,14 @@ from inflight.lsq import (
     posterior_covariance,
     retained_fraction,
 )
-from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
-from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable, Ignored, cross_talk
+from inflight.mission_fit.continuous import MissionFit, daily_parameters, fit_with_auxiliary, shift_columns
+from inflight.mission_fit.crosstalk import DISPLAY_UNITS, CrossTalkTable, IgnoredCause, cross_talk
 from inflight.mission_fit.daily_equations import (
+    free_terms,
     holds_day_night,
-    joined_with,
     reference_of,
     temperature_entry,
-    terms_of,
+    with_auxiliary_columns,
 )
 from inflight.mission_fit.day_night import LEAST_RETAINED, SERIES, SWITCHED, DayNightField
 from inflight.mission_fit.temperature import (
@@ -98,7 +98,7 @@ CAUSES = CauseSettings()
 def fit_coil_lag(
     equations: NormalEquations,
     strips: Sequence[xr.Dataset | None],
-    found: Continuous,
+    found: MissionFit,
     model: Model,
     lag: float,
 ) -> CoilFit:
@@ -109,7 +109,7 @@ def fit_coil_lag(
     equations : NormalEquations
         Wide ones of the days.
     strips : sequence of Dataset or None
-        As `inflight.mission_fit.daily_equations.split` makes them, one a day.
+        As `inflight.mission_fit.daily_equations.split_auxiliary` makes them, one a day.
     found : Continuous
         The fit of all days; its trends and the weights of its days hold.
     model : Model
@@ -136,14 +136,14 @@ def fit_coil_lag(
         )
     channel = entry.effect.channels[0]
     rates = [f"{channel}.{kind}[{axis}]" for kind in KINDS[2:] for axis in AXES]
-    wide = joined_with(equations, strips, rates)
+    wide = with_auxiliary_columns(equations, strips, rates)
     own = [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
-    sigma = np.append([one for term in terms_of(model) for one in term.sigma], PRIOR[2])
+    sigma = np.append([one for term in free_terms(model) for one in term.sigma], PRIOR[2])
     value, change = _values_of(found.fit, own), 0.0
     for _ in range(CAUSES.passes):
         before = change
         turned = _with_lag(wide, rates, own, value, change)
-        fit = fitted_beside(turned, equations, found, sigma)
+        fit = fit_with_auxiliary(turned, equations, found, sigma)
         value, change = _values_of(fit, own), float(fit.value[-1])
         if abs(change - before) <= 1e-2 * fit.sigma[-1]:
             break
@@ -206,10 +206,10 @@ def _as_coil(
     )
 
 
-def rival_temperatures(
+def compare_temperatures_jointly(
     equations: NormalEquations,
     strips: Sequence[xr.Dataset | None],
-    found: Continuous,
+    found: MissionFit,
     model: Model,
     channels: Sequence[str],
 ) -> TemperatureChoice:
@@ -238,11 +238,13 @@ def rival_temperatures(
         for name in channels
     }
     beside = [one for names in columns.values() for one in names if one not in held]
-    wide = joined_with(equations, strips, beside)
+    wide = with_auxiliary_columns(equations, strips, beside)
     names = wide.columns
     at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=SOLVER.weak_cut, least_kept=0.0)
     others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
-    known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
+    known = dict(
+        zip(equations.columns, [one for term in free_terms(model) for one in term.sigma], strict=True)
+    )
     count = wide.count
     squares: dict[str, Floats] = {}
     sections = np.array_split(np.arange(len(wide)), min(CAUSES.sections, len(wide)))
@@ -265,7 +267,7 @@ def _named(channel: str, kinds: Sequence[str]) -> list[str]:
     return [f"{channel}.{kind}[{axis}]" for kind in kinds for axis in AXES]
 
 
-def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> NormalEquations:
+def _at_the_fit(wide: NormalEquations, found: MissionFit, held: Sequence[str]) -> NormalEquations:
     """Return the equations with the residual at the fit of all days, without the coefficients held."""
     fit, middle = found.fit, wide.middle
     common = dict(zip(fit.trends, fit.at(middle)[0].T, strict=True))
@@ -319,7 +321,7 @@ _PRIOR = {
 
 
 @dataclass(frozen=True)
-class Daylight:
+class JointDayNight:
     """A field of day and night beside all else.
 
     Attributes
@@ -332,7 +334,7 @@ class Daylight:
     """
 
     field: DayNightField
-    found: Continuous
+    found: MissionFit
     equations: NormalEquations
 
     def daily(self) -> xr.Dataset:
@@ -340,13 +342,13 @@ class Daylight:
         return daily_parameters(self.equations, self.found, shift_columns(self.found.model))
 
 
-def fit_daylight(
+def fit_day_night_jointly(
     equations: NormalEquations,
     strips: Sequence[xr.Dataset | None],
-    found: Continuous,
+    found: MissionFit,
     model: Model,
     form: str = SWITCHED,
-) -> Daylight:
+) -> JointDayNight:
     """Fit the field in one of its forms, `SWITCHED` or `SERIES`, beside everything of the model.
 
     Parameters
@@ -371,9 +373,9 @@ def fit_daylight(
         raise CalibrationError(
             "the mission delivers no positions", remedy="state a channel of kind 'position'"
         )
-    wide = joined_with(equations, strips, names)
-    sigma = np.array([one for term in terms_of(model) for one in term.sigma] + [_PRIOR[form]] * len(names))
-    fit = fitted_beside(wide, equations, found, sigma)
+    wide = with_auxiliary_columns(equations, strips, names)
+    sigma = np.array([one for term in free_terms(model) for one in term.sigma] + [_PRIOR[form]] * len(names))
+    fit = fit_with_auxiliary(wide, equations, found, sigma)
     places = np.array([fit.place(name).start for name in names])
     columns = np.array([wide.columns.index(name) for name in names])
     retained = retained_fraction(wide.total[:-1, :-1])[columns]
@@ -396,7 +398,7 @@ def fit_daylight(
         found.fit.rms,
         fit.rms,
     )
-    return Daylight(field, replace(found, fit=fit), wide)
+    return JointDayNight(field, replace(found, fit=fit), wide)
 
 
 #: How much of a cause is asked about, by its unit: 10 ms, 1 ppm/K, ...
@@ -412,7 +414,7 @@ SIZES = {
 }
 
 
-def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) -> list[Ignored]:
+def ignored_causes(columns: Sequence[str], units: Mapping[str, str], model: Model) -> list[IgnoredCause]:
     """Return columns as causes of a size that people ask about; of a scalar bias 0.4 nT.
 
     Parameters
@@ -429,11 +431,13 @@ def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) ->
     for name in columns:
         unit = units.get(name, "nT")
         size = CAUSES.bias if name in biases else SIZES.get(unit, 1.0)
-        found.append(Ignored(name, size, unit))
+        found.append(IgnoredCause(name, size, unit))
     return found
 
 
-def of_the_nine(equations: NormalEquations, units: Mapping[str, str], model: Model) -> CrossTalkTable:
+def nine_parameter_cross_talk(
+    equations: NormalEquations, units: Mapping[str, str], model: Model
+) -> CrossTalkTable:
     """Return what every other column, ignored, does to the nine parameters fitted alone.
 
     Parameters
@@ -441,10 +445,10 @@ def of_the_nine(equations: NormalEquations, units: Mapping[str, str], model: Mod
     equations : NormalEquations
         Of days, the model's columns and any beside them.
     units, model
-        As `causes_of`.
+        As `ignored_causes`.
     """
     nine = equations.columns[:9]
-    causes = causes_of(equations.columns[9:], units, model)
+    causes = ignored_causes(equations.columns[9:], units, model)
     if not causes:
         raise CalibrationError(
             "the model has nothing but the nine parameters that data may move",
@@ -454,7 +458,7 @@ def of_the_nine(equations: NormalEquations, units: Mapping[str, str], model: Mod
     return cross_talk(equations.filled, causes, nine, told)
 
 
-def of_everything(equations: NormalEquations, units: Mapping[str, str], model: Model) -> xr.Dataset:
+def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model: Model) -> xr.Dataset:
     """Return what each parameter, ignored, does to all others that are fitted together.
 
     Parameters
@@ -462,7 +466,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
     equations : NormalEquations
         Of days, the model's columns alone; what is known beforehand of them holds them.
     units, model
-        As `causes_of`.
+        As `ignored_causes`.
 
     Returns
     -------
@@ -478,11 +482,11 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
     filled = equations.filled
     if not len(filled):
         raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
-    sigma = np.array([one for term in terms_of(model) for one in term.sigma])
+    sigma = np.array([one for term in free_terms(model) for one in term.sigma])
     scale = filled.scale[:-1]
     prior, names = sigma / scale, filled.columns
-    causes = causes_of(names, units, model)
-    shown = [SHOWN.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
+    causes = ignored_causes(names, units, model)
+    shown = [DISPLAY_UNITS.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
     factor = scale * np.array([one for one, _ in shown])
     size = np.array([one.size for one in causes]) / scale
     total, count = filled.total, float(filled.count.sum())

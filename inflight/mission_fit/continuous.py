@@ -3,7 +3,7 @@
 Takes the days' wide equations; makes a model, the calibration table that states how sure it is on each
 day, and each day's own parameters beside it. The scale factors follow one trend in time (Yin 2010, ch. 3),
 chosen on held-out days unless it is stated; angles, offsets and all that the model lets data refine have
-one value. `fitted_beside` fits further columns to all days, with the trends of the continuous fit.
+one value. `fit_with_auxiliary` fits further columns to all days, with the trends of the continuous fit.
 `daily_parameters` solves each day for the nine and for named ones such as the time shift, everything else
 at the values of the continuous fit: what changes from day to day once everything else is known.
 """
@@ -17,10 +17,17 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, SOURCES, UNITS, NormalEquations, reference_of, vector_sensor_of
+from inflight.calibration import (
+    PARAMETER_GROUPS,
+    PARAMETER_UNITS,
+    SOURCES,
+    NormalEquations,
+    reference_of,
+    vector_sensor_of,
+)
 from inflight.errors import CalibrationError
-from inflight.lsq import RESIDUAL, SOLVER, TO_SIGMA, gram_inverse, retained_fraction
-from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
+from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, SOLVER, gram_inverse, retained_fraction
+from inflight.mission_fit.daily_equations import DayDrift, about_offsets, free_terms, scale_factor_rates
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
 from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
 from inflight.model import Model
@@ -56,7 +63,7 @@ KINDS = ("constant", "linear", "parabola", "log", "spline")
 
 
 @dataclass(frozen=True)
-class Continuous:
+class MissionFit:
     """What all days together say.
 
     Attributes
@@ -88,7 +95,7 @@ def fit_mission(
     kind: str = "auto",
     origin: int | None = None,
     drift: DayDrift | None = None,
-) -> Continuous:
+) -> MissionFit:
     """Fit all days together.
 
     Parameters
@@ -109,7 +116,7 @@ def fit_mission(
     CalibrationError
         When the days do not suffice for the trend.
     """
-    sigma = np.array([one for term in terms_of(model) for one in term.sigma])
+    sigma = np.array([one for term in free_terms(model) for one in term.sigma])
     common = equations.at_one_reference()
     choice = None
     if kind == "auto":
@@ -117,9 +124,9 @@ def fit_mission(
     fit = _fitted(common, model, sigma, kind, origin)
     if drift is not None:
         # The first fit tells the rates to a part of what they are; they are small themselves.
-        equations = drift.taken_out(equations, rates(fit, equations))
+        equations = drift.remove_drift(equations, scale_factor_rates(fit, equations))
         fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
-    return Continuous(fit, choice, continuous_model(model, fit), equations)
+    return MissionFit(fit, choice, continuous_model(model, fit), equations)
 
 
 def _fitted(
@@ -156,7 +163,7 @@ def continuous_model(model: Model, fit: TrendFit) -> Model:
     """Return the model with fitted values: no parameter belongs to a block any more."""
     own = vector_sensor_of(model)
     kinds = own.effect.parameters()
-    timed = {part: fit.as_timed(f"{own.name}.{part}", kinds[part]) for part in PARTS}
+    timed = {part: fit.to_timed_value(f"{own.name}.{part}", kinds[part]) for part in PARAMETER_GROUPS}
     out = model.replace(own.with_parameters(dict(own.parameters) | timed))
     out = about_offsets(out, timed["offset"].value[:, 0])
     others = [name for name in fit.columns if not name.startswith(f"{own.name}.")]
@@ -166,7 +173,7 @@ def continuous_model(model: Model, fit: TrendFit) -> Model:
 
 
 def continuous_table(
-    equations: NormalEquations, found: Continuous, before: Model, noise: Floats
+    equations: NormalEquations, found: MissionFit, before: Model, noise: Floats
 ) -> xr.Dataset:
     """Return the calibration table of a continuous fit: one interval a day, without a jump between them.
 
@@ -192,7 +199,7 @@ def continuous_table(
     order = [list(fit.trends).index(name) for name in names]
     value = fit.values(times)
     slope = fit.slopes(times, names)
-    covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.whole_covariance, slope, optimize=True)
+    covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.full_covariance, slope, optimize=True)
     own, after = _left(common, value)
     known = np.array([fit.determined[fit.place(name)].all() for name in names])
     each, row = ("interval", "parameter"), ("interval",)
@@ -212,7 +219,7 @@ def continuous_table(
             ),
             "prior": ("parameter", prior.value),
             "prior_sigma": ("parameter", prior.sigma),
-            "units": ("parameter", np.array(UNITS, dtype="U8")),
+            "units": ("parameter", np.array(PARAMETER_UNITS, dtype="U8")),
             "start": (row, common.start, {"scale": "TT2000"}),
             "end": (row, common.end, {"scale": "TT2000"}),
             "blocks": (row, np.ones(len(times), dtype=np.int64)),
@@ -236,19 +243,19 @@ def _left(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
 
 
 def _nine(model: Model) -> list[str]:
-    return terms_of(model)[0].columns
+    return free_terms(model)[0].columns
 
 
 def _units(model: Model) -> dict[str, str]:
     return {
         name: term.entry.parameters[name[len(term.key) + 1 :].split("[")[0]].parameter.unit
-        for term in terms_of(model)
+        for term in free_terms(model)
         for name in term.columns
     }
 
 
-def fitted_beside(
-    wide: NormalEquations, equations: NormalEquations, found: Continuous, sigma: Floats
+def fit_with_auxiliary(
+    wide: NormalEquations, equations: NormalEquations, found: MissionFit, sigma: Floats
 ) -> TrendFit:
     """Fit all columns to all days, with the trends of the continuous fit and the weights it gave to days.
 
@@ -278,7 +285,7 @@ def shift_columns(model: Model) -> list[str]:
     ]
 
 
-def daily_parameters(equations: NormalEquations, found: Continuous, names: Sequence[str] = ()) -> xr.Dataset:
+def daily_parameters(equations: NormalEquations, found: MissionFit, names: Sequence[str] = ()) -> xr.Dataset:
     """Solve each day for the nine and for named parameters, everything else at the continuous fit.
 
     The errors are those of what the day's own bins leave. What is correlated for longer than a bin makes
@@ -366,5 +373,5 @@ def _widening(pulls: Floats) -> Floats:
     for index, column in enumerate(pulls.T):
         apart = np.abs(np.diff(column[np.isfinite(column)])) / np.sqrt(2.0)
         if apart.size >= CONTINUOUS.fewest:
-            out[index] = max(TO_SIGMA * float(np.median(apart)), 1.0)
+            out[index] = max(MAD_TO_SIGMA * float(np.median(apart)), 1.0)
     return out

@@ -18,14 +18,14 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq import regression
+from inflight.lsq import regression_coefficients
 
 #: Units in which people read shifts of the nine: unit of the column -> factor and unit shown.
-SHOWN = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "nT": (1.0, "nT")}
+DISPLAY_UNITS = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "nT": (1.0, "nT")}
 
 
 @dataclass(frozen=True)
-class Ignored:
+class IgnoredCause:
     """A cause that is in the readings and not in the model.
 
     Attributes
@@ -69,7 +69,7 @@ class CrossTalkTable:
         Rms residual the cause makes, and what of it is left when the parameters have answered, nT.
     """
 
-    ignored: tuple[Ignored, ...]
+    ignored: tuple[IgnoredCause, ...]
     parameters: tuple[str, ...]
     units: tuple[str, ...]
     shift: Floats
@@ -84,7 +84,7 @@ class CrossTalkTable:
         one = table.sel(ignored=list(names)) if names else table
         rows = zip(*(one[name].values.tolist() for name in ("ignored", "size", "size_units")), strict=True)
         return cls(
-            tuple(Ignored(*row) for row in rows),
+            tuple(IgnoredCause(*row) for row in rows),
             tuple(map(str, one["parameter"].values)),
             tuple(map(str, one["units"].values)),
             one["value"].values,
@@ -143,7 +143,7 @@ class CrossTalkTable:
 
 def cross_talk(
     equations: NormalEquations,
-    ignored: Sequence[Ignored],
+    ignored: Sequence[IgnoredCause],
     fitted: Sequence[str] = NINE,
     units: Mapping[str, str] | None = None,
 ) -> CrossTalkTable:
@@ -177,15 +177,15 @@ def cross_talk(
     scale = equations.scale
     size = np.array([one.size for one in ignored])
     known = NINE_UNITS | dict(units or {})
-    shown = [SHOWN.get(known.get(name, ""), (1.0, known.get(name, ""))) for name in fitted]
+    shown = [DISPLAY_UNITS.get(known.get(name, ""), (1.0, known.get(name, ""))) for name in fitted]
     # From one scaled unit of the cause to its size, from scaled to shown units of the parameter.
     turn = scale[own][:, None] * np.array([factor for factor, _ in shown])[:, None] * size / scale[other]
     count, wide = float(equations.count.sum()), np.concatenate([own, other])
     total = equations.total
-    over = regression(total, own, other)
+    over = regression_coefficients(total, own, other)
     each = equations.rows(wide, wide)
     places = np.arange(wide.size)
-    single = (regression(each, places[: own.size], places[own.size :]) * turn).swapaxes(1, 2)
+    single = (regression_coefficients(each, places[: own.size], places[own.size :]) * turn).swapaxes(1, 2)
     scatter = single.std(axis=0, ddof=1) if len(single) > 1 else np.full(single.shape[1:], np.nan)
     before = np.diag(total)[other]
     explained = np.einsum("fi,fi->i", over, total[np.ix_(own, other)])

@@ -9,7 +9,7 @@ of the drift within the day and, in a strip beside it, those of causes that the 
   keeps the products of the columns by which its residual would follow a drift; the fit of all days
   determines the rate, which is then taken out of the equations without reading a sample (`DayDrift`).
 - Auxiliary columns: temperatures with their lag, and the field of day and night. `split` makes the strip,
-  `joined_with` puts columns of it beside the model's, for all days together.
+  `with_auxiliary_columns` puts columns of it beside the model's, for all days together.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, NormalEquations, vector_sensor_of
+from inflight.calibration import PARAMETER_GROUPS, NormalEquations, vector_sensor_of
 from inflight.design import (
-    Rows,
+    DesignRows,
     Term,
+    bin_edges,
     bin_means,
     bridge_gaps,
     coarsen,
-    design,
-    grid,
+    design_matrix,
     sensor_matrices,
     term_of,
 )
 from inflight.errors import CalibrationError
 from inflight.frames import add_geometry
-from inflight.lsq import RESIDUAL, TO_SIGMA, gram_of
+from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, gram_of
 from inflight.mission_fit.day_night import series_columns, switched_columns
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.mission_fit.trends import TrendFit
@@ -93,7 +93,7 @@ def reference_of(entry: ModelEffect | None) -> float:
 
 
 @dataclass(frozen=True)
-class Beside:
+class AuxiliaryColumns:
     """What is looked at beside a model, for every day of a mission alike.
 
     Attributes
@@ -107,7 +107,7 @@ class Beside:
     temperatures: tuple[str, ...] = ()
     orbit: bool = False
 
-    def columns(self, model: Model, samples: xr.Dataset, edges: Int64, rows: Rows) -> dict[str, Floats]:
+    def columns(self, model: Model, samples: xr.Dataset, edges: Int64, rows: DesignRows) -> dict[str, Floats]:
         """Return the columns on the bins, physical units, (bin,) each; NaN where they are not known.
 
         Parameters
@@ -170,7 +170,9 @@ def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -
     return np.asarray(told["sunlit"].values), np.asarray(told["sun_phase"].values)
 
 
-def split(equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[str, bool]) -> xr.Dataset:
+def split_auxiliary(
+    equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[str, bool]
+) -> xr.Dataset:
     """Return the strip of one block's columns that are none of the model's.
 
     Parameters
@@ -201,7 +203,7 @@ def split(equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[st
     )
 
 
-def joined_with(
+def with_auxiliary_columns(
     equations: NormalEquations, strips: Sequence[xr.Dataset | None], names: Sequence[str]
 ) -> NormalEquations:
     """Return the equations with some columns of the strips beside the model's, of the days that know them.
@@ -267,7 +269,7 @@ class DayDrift:
         """Return the drift of some blocks."""
         return DayDrift(self.gram[index])
 
-    def taken_out(self, equations: NormalEquations, rate: Floats) -> NormalEquations:
+    def remove_drift(self, equations: NormalEquations, rate: Floats) -> NormalEquations:
         """Return the equations with a known drift in their residual.
 
         Parameters
@@ -284,7 +286,7 @@ class DayDrift:
         return equations.with_added_residual(along[:, :width], square)
 
 
-def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
+def scale_factor_rates(fit: TrendFit, equations: NormalEquations) -> Floats:
     """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
     times, out = equations.middle, []
     for name in equations.columns[:SCALES]:
@@ -302,14 +304,14 @@ BIN_S = 10.0
 _NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
 
 
-def terms_of(model: Model) -> tuple[Term, ...]:
+def free_terms(model: Model) -> tuple[Term, ...]:
     """Return the terms of everything a model lets data move: the nine first, then constants with a sigma.
 
     Columns are called as the model calls its values.
     """
     own = vector_sensor_of(model)
-    sigma = [float(one) for part in PARTS for one in own.parameters[part].sigma[:, 0]]
-    terms = [Term(own.name, own, PARTS, tuple(sigma))]
+    sigma = [float(one) for part in PARAMETER_GROUPS for one in own.parameters[part].sigma[:, 0]]
+    terms = [Term(own.name, own, PARAMETER_GROUPS, tuple(sigma))]
     for entry in model.effects:
         if entry is not own:
             term = term_of(entry, entry.name, free_only=True)
@@ -317,10 +319,10 @@ def terms_of(model: Model) -> tuple[Term, ...]:
     return tuple(terms)
 
 
-def with_nine(model: Model, value: Floats) -> Model:
+def with_nine_parameters(model: Model, value: Floats) -> Model:
     """Return the model with nine values (9,), physical units, in its vector sensor."""
     own = vector_sensor_of(model)
-    named = [name for part in PARTS for name in own.parameters[part].columns]
+    named = [name for part in PARAMETER_GROUPS for name in own.parameters[part].columns]
     return about_offsets(
         model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {})), value[6:]
     )
@@ -348,18 +350,18 @@ def wide_equations(
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
 ) -> xr.Dataset:
-    """Return the wide equations of one block; parameters and result as `wide_and_beside`."""
-    return wide_and_beside(fitted, samples, rows, span, attributes, bin_s)[0]
+    """Return the wide equations of one block; parameters and result as `wide_and_auxiliary_equations`."""
+    return wide_and_auxiliary_equations(fitted, samples, rows, span, attributes, bin_s)[0]
 
 
-def wide_and_beside(
+def wide_and_auxiliary_equations(
     fitted: Model,
     samples: xr.Dataset,
     rows: NativeRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
-    beside: Beside | None = None,
+    auxiliary: AuxiliaryColumns | None = None,
 ) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the wide equations of one block, and the strip of what is looked at beside the model.
 
@@ -368,7 +370,7 @@ def wide_and_beside(
     Parameters
     ----------
     fitted : Model
-        With the block's own nine: see `with_nine`.
+        With the block's own nine: see `with_nine_parameters`.
     samples : xarray.Dataset
         Aligned raw samples with the channels of the model.
     rows : inflight.model.rows.ResidualRows
@@ -379,7 +381,7 @@ def wide_and_beside(
         Comparison, model, cadence_ns and filter, as `NormalEquations` holds them.
     bin_s : float
         Seconds.
-    beside : Beside, optional
+    auxiliary : Beside, optional
         Causes that are none of the model's.
 
     Returns
@@ -388,10 +390,10 @@ def wide_and_beside(
         One block of `NormalEquations`, without `scatter`: nT^2, columns scaled by the step of their
         parameters; and `drift`, see `inflight.mission_fit.daily_equations.DayDrift`.
     strip : Dataset or None
-        As `inflight.mission_fit.daily_equations.split` makes it; None without causes.
+        As `inflight.mission_fit.daily_equations.split_auxiliary` makes it; None without causes.
     """
-    terms = terms_of(fitted)
-    edges = grid(*span, round(bin_s * SECOND))
+    terms = free_terms(fitted)
+    edges = bin_edges(*span, round(bin_s * SECOND))
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
     for name in sorted(used & set(map(str, samples.variables))):
@@ -399,10 +401,10 @@ def wide_and_beside(
     binned, _ = coarsen(
         samples, rows, edges, _channels(samples, used, stamps, edges), sensor_matrices(fitted, sum(span) // 2)
     )
-    columns = np.moveaxis(design(terms, binned), -1, 0)
+    columns = np.moveaxis(design_matrix(terms, binned), -1, 0)
     days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
     drifting = columns[:SCALES] * days[:, None]
-    more = beside.columns(fitted, samples, edges, binned) if beside is not None else {}
+    more = auxiliary.columns(fitted, samples, edges, binned) if auxiliary is not None else {}
     every = np.moveaxis(np.concatenate([columns, drifting, *_scaled(more)]), 0, -1)
     block = slice(0, len(binned.weight))
     gram = gram_of(every, binned.residual[:, :, None], binned.weight, [block])[0]
@@ -427,7 +429,7 @@ def _strip(
         {"gram": (("block", "column", "other"), gram[np.ix_(kept, kept)][None]), "scale": ("column", scale)},
         coords={"column": named, "other": named},
     )
-    return split(both, told, known)
+    return split_auxiliary(both, told, known)
 
 
 def _scaled(more: Mapping[str, Floats]) -> list[Floats]:
@@ -437,7 +439,7 @@ def _scaled(more: Mapping[str, Floats]) -> list[Floats]:
 
 def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> xr.Dataset:
     """Return the equations of a block that tells nothing; as `wide_equations` makes them."""
-    terms = terms_of(model)
+    terms = free_terms(model)
     width = sum(len(term.columns) for term in terms) + SCALES + 1
     return _packed(terms, np.zeros((width, width)), 0.0, span, attributes)
 
@@ -468,7 +470,7 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     known = np.isfinite(change)
     if not known.any():
         return out
-    least = DAY_ROWS.usual_differences * TO_SIGMA * float(np.median(change[known]))
+    least = DAY_ROWS.usual_differences * MAD_TO_SIGMA * float(np.median(change[known]))
     far = known & (change > max(least, DAY_ROWS.resolutions * float(channel.attrs.get("resolution") or 0.0)))
     for place in range(reach + 1):
         out[place : place + far.size] |= far

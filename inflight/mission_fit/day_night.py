@@ -23,11 +23,11 @@ from scipy.stats import t as student
 
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
-from inflight.effects import AXES, DayNight, DayNightSeries, of_orders
+from inflight.effects import AXES, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
 from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters
-from inflight.mission_fit.crosstalk import SHOWN
+from inflight.mission_fit.crosstalk import DISPLAY_UNITS
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
 SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
@@ -191,7 +191,7 @@ class DayNightField:
         axes: tuple[str, ...] = AXES
         if self._is_series:
             order = max(int(one.removesuffix("]").partition("[c")[2][1:]) for one in self.columns)
-            found["order"], axes = order, of_orders(order, sines=False)
+            found["order"], axes = order, order_names(order, sines=False)
         of_effect = DayNightSeries.amplitude if self._is_series else DayNight.vector
         told = {
             one.partition("[")[2].removesuffix("]"): (float(value), float(sigma))
@@ -335,7 +335,7 @@ def block_parameters(
     for name, value in (given or {}).items():
         start[equations.index([name])[0]] = value
     nine = equations.at(start).select(NINE)
-    factor = np.array([SHOWN[NINE_UNITS[name]][0] for name in NINE])
+    factor = np.array([DISPLAY_UNITS[NINE_UNITS[name]][0] for name in NINE])
     values, sigmas = np.empty((len(nine), 9)), np.empty((len(nine), 9))
     for index in range(len(nine)):
         one = nine.of_blocks(slice(index, index + 1))
@@ -343,7 +343,7 @@ def block_parameters(
         values[index] = (found - one.first_reference) * factor
         sigmas[index] = np.sqrt(np.diag(covariance)) * factor
     row = ("block", "parameter")
-    units = np.array([SHOWN[NINE_UNITS[name]][1] for name in NINE], dtype="U8")
+    units = np.array([DISPLAY_UNITS[NINE_UNITS[name]][1] for name in NINE], dtype="U8")
     return xr.Dataset(
         {
             "value": (row, values),

@@ -22,7 +22,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq import Chosen, ClusteredFit, Series, grams_by_cluster, robust_contrast, solve_clusters
+from inflight.lsq import ClusteredFit, Mask, Series, grams_by_cluster, robust_contrast, solve_clusters
 from inflight.residual import CurrentSteps
 from inflight.time import SECOND, Int64, day_of
 
@@ -71,7 +71,7 @@ class Windows:
         return np.asarray((np.arange(-count, count) + 0.5) * self.bin)
 
 
-def epochs_of(
+def extract_epochs(
     samples: xr.Dataset,
     residual: Floats,
     steps: CurrentSteps,
@@ -121,7 +121,7 @@ def epochs_of(
     return _dataset(rows, series, chosen)
 
 
-def join_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+def concat_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the epochs of several days together, in order of time.
 
     Raises
@@ -200,7 +200,7 @@ def _drift(series: Series, part: slice, seconds: Floats, windows: Windows) -> Fl
 
 def _usable(
     series: Series, part: slice, steps: CurrentSteps, index: int, windows: Windows
-) -> tuple[Chosen, Floats]:
+) -> tuple[Mask, Floats]:
     """Return which samples of a part can be used, and the shape looked for; (time,) each."""
     stamps = series.stamps[part]
     usable = (
@@ -216,7 +216,7 @@ def _usable(
     return usable, (stamps > steps.time[index]).astype(np.float64)
 
 
-def _both_sides(used: Floats, seconds: Floats, usable: Chosen, windows: Windows) -> bool:
+def _both_sides(used: Floats, seconds: Floats, usable: Mask, windows: Windows) -> bool:
     if windows.shape == "current":
         return bool(used.size > 0.5 * seconds.size and min((used < 0).sum(), (used > 0).sum()) > 2)
     # The usual spacing of samples tells how many there should be.
@@ -447,7 +447,7 @@ def fit_step(
     Parameters
     ----------
     epochs : xarray.Dataset
-        Of `epochs_of`, all days joined.
+        Of `extract_epochs`, all days joined.
     currents : sequence of str
         Currents fitted together; the one that steps when absent.
     prior_sigma : float
@@ -541,7 +541,7 @@ def _real_steps(epochs: xr.Dataset, name: str) -> Floats:
 
 
 @dataclass(frozen=True)
-class Stack:
+class EpochStack:
     """Mean curves around the steps with the band that resampling days gives.
 
     Attributes
@@ -579,9 +579,9 @@ class Stack:
         )
 
 
-def stack(
+def stack_epochs(
     epochs: xr.Dataset, value: Floats | None = None, *, seed: int = 0, bootstraps: int = _BOOTSTRAPS
-) -> Stack:
+) -> EpochStack:
     """Superpose the curves of the epochs of one direction; days are resampled, not epochs.
 
     Parameters
@@ -623,7 +623,7 @@ def stack(
     low, high = np.percentile(resampled, [15.865, 84.135], axis=0)
     mean = sums.sum(axis=0) / np.maximum(counts.sum(axis=0), 1.0)
     current = currents.sum(axis=0) / np.maximum(filled.sum(axis=0), 1.0)
-    return Stack(lag, mean, low, high, current, epochs.sizes["epoch"], int(days.size))
+    return EpochStack(lag, mean, low, high, current, epochs.sizes["epoch"], int(days.size))
 
 
 def _less_before(curves: Floats, lag: Floats) -> Floats:

@@ -24,7 +24,14 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
+from inflight.effects import (
+    PANEL_CYCLE_DAYS,
+    PANEL_CYCLE_START_H,
+    SIDE_NORMALS,
+    TOP_NORMAL,
+    panel_illumination,
+    panel_weights_at,
+)
 from inflight.errors import SamplesError
 from inflight.lsq import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
 from inflight.mission_fit.epochs import AXES, PRIOR, fit_contrasts, weights_of
@@ -37,7 +44,7 @@ _TIE = 2.0
 
 
 @dataclass(frozen=True)
-class LocalTimeCourse:
+class LocalTimeDependence:
     """Coefficient in bins of local time, vector minus scalar sensor.
 
     Attributes
@@ -71,9 +78,9 @@ class LocalTimeCourse:
         )
 
 
-def against_local_time(
+def fit_by_local_time(
     epochs: xr.Dataset, local_time: Floats, *, bins: int = 12, prior_sigma: float = PRIOR, fewest: int = 5
-) -> LocalTimeCourse:
+) -> LocalTimeDependence:
     """Fit the coefficient in bins of the orbit's local time.
 
     Parameters
@@ -101,7 +108,7 @@ def against_local_time(
         fit = fit_contrasts(part, _direction_columns(part), prior_sigma=prior_sigma, fewest=fewest)
         value[index], sigma[index], determined[index] = fit.value, fit.sigma, fit.determined
     middle = (np.arange(bins) + 0.5) * 24.0 / bins
-    return LocalTimeCourse(middle, value, sigma, determined, np.bincount(place, minlength=bins))
+    return LocalTimeDependence(middle, value, sigma, determined, np.bincount(place, minlength=bins))
 
 
 @dataclass(frozen=True)
@@ -204,7 +211,7 @@ class PanelChoice:
             return {
                 "effect": "solar_array",
                 "since": utc_text(self.begin),
-                "cycle": f"{CYCLE} d",
+                "cycle": f"{PANEL_CYCLE_DAYS} d",
                 "panels": values,
             }
         panels = self.normals[: len(values) // 3]
@@ -216,11 +223,11 @@ class PanelChoice:
         return entry | ({"areas": list(self.areas[: len(panels)])} if self.areas else {})
 
 
-def choose_panels(
+def select_panel_model(
     epochs: xr.Dataset,
     local_time: Floats | None = None,
     *,
-    normals: Sequence[Sequence[float]] = (*SIDES, TOP),
+    normals: Sequence[Sequence[float]] = (*SIDE_NORMALS, TOP_NORMAL),
     areas: Sequence[float] | None = None,
     folds: int = 5,
     prior_sigma: float = PRIOR,
@@ -259,7 +266,7 @@ def choose_panels(
     models = _ranked(fits, squares, day)
     begin = int(epochs["time"].values[0])
     if local_time is not None:
-        begin -= round(float(((BEGINS - local_time[0]) % 24.0) / 24.0 * CYCLE) * DAY)
+        begin -= round(float(((PANEL_CYCLE_START_H - local_time[0]) % 24.0) / 24.0 * PANEL_CYCLE_DAYS) * DAY)
     rows = tuple(tuple(float(x) for x in row) for row in normals)
     return PanelChoice(models, _sentence(models), rows, tuple(areas) if areas is not None else None, begin)
 
@@ -301,11 +308,11 @@ def _model_columns(
     single = _direction_columns(epochs)
     shares: dict[str, Floats] = {}
     if local_time is not None:
-        shares["two_panels"] = schedule(local_time)
+        shares["two_panels"] = panel_weights_at(local_time)
     if "sun_direction" in epochs:
         sun = epochs["sun_direction"].values
-        shares["two_sides"] = light_on(sun, normals[:2], None if areas is None else areas[:2])
-        shares["three_panels"] = light_on(sun, normals, areas)
+        shares["two_sides"] = panel_illumination(sun, normals[:2], None if areas is None else areas[:2])
+        shares["three_panels"] = panel_illumination(sun, normals, areas)
     if not shares:
         raise SamplesError(
             "epochs know neither local time nor the Sun's direction",

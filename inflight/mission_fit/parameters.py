@@ -1,8 +1,8 @@
 """Behaviour of daily parameters over a mission (Yin 2010, ch. 4).
 
 Takes daily values and their errors; makes running means that know their gaps (`running_mean`), slow trends,
-steps on event days and on days of the week (`event_steps`), spans of days on which a clock was wrong
-(`clock_faults`, from daily estimates of the time shift), and the local time of an orbit's ascending node
+steps on event days and on days of the week (`measure_event_steps`), spans of days on which a clock was wrong
+(`find_clock_faults`, from daily estimates of the time shift), and the local time of an orbit's ascending node
 from where samples lie on the orbit.
 """
 
@@ -23,7 +23,7 @@ from inflight.lsq import (
     long_run_covariance,
     robust_fit,
     robust_sigma,
-    windowed,
+    window_means,
 )
 
 
@@ -139,7 +139,7 @@ def running_mean(
     place = np.rint(mjd - mjd[0]).astype(np.int64)
     daily, weight = np.full((int(place[-1]) + 1, 1), np.nan), np.zeros(int(place[-1]) + 1)
     daily[place[known], 0], weight[place[known]] = value[known], 1.0
-    means = windowed(daily, weight, window)
+    means = window_means(daily, weight, window)
     mean, count, share, lean = (
         one[place] for one in (means.mean[:, 0], means.weight, means.coverage, means.lean)
     )
@@ -219,7 +219,7 @@ class Slope:
         )
 
 
-def slope_of(
+def fit_slope(
     mjd: Floats, value: Floats, sigma: Floats, periods: Sequence[float] = (), unit: str = ""
 ) -> Slope:
     """Fit a straight line robustly; its uncertainty knows the correlation of days.
@@ -328,7 +328,7 @@ class EventSteps:
         )
 
 
-def event_steps(
+def measure_event_steps(
     mjd: Floats, value: Floats, sigma: Floats, events: Floats, *, window: int = WINDOW, unit: str = ""
 ) -> EventSteps:
     """Measure the step of a parameter at each event.
@@ -460,7 +460,7 @@ class WeekPattern:
         )
 
 
-def week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> WeekPattern:
+def find_week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> WeekPattern:
     """Ask whether a parameter steps on one day of the week.
 
     The change across a day is from the day before to the day after, so that a reset at any hour of it is
@@ -570,7 +570,7 @@ class ClockFaults:
         )
 
 
-def clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = LONGEST) -> ClockFaults:
+def find_clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = LONGEST) -> ClockFaults:
     """Find spans of days whose time shift stands out from what it is around them.
 
     Every span of 1 to `longest` days is held against the median of the days around, and its significance

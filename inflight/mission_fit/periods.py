@@ -49,7 +49,7 @@ PERIODS = PeriodSettings()
 KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}
 
 #: A named period is resolved by a span of so many of it, and of so many beats with its neighbours.
-LEAST_TURNS = 1.5
+MIN_CYCLES = 1.5
 
 
 #: A peak is told when chance makes one as high in so small a part of spectra.
@@ -421,8 +421,8 @@ def _named(
 
 def _unresolved(name: str, known: Mapping[str, float], span: float) -> str:
     """Return why a span does not resolve a period; empty when it does."""
-    if span < LEAST_TURNS * known[name]:
-        return f"{span:.0f} days are less than {LEAST_TURNS:g} periods"
+    if span < MIN_CYCLES * known[name]:
+        return f"{span:.0f} days are less than {MIN_CYCLES:g} periods"
     for other, days in known.items():
         beat = np.inf if other == name else abs(1.0 / days - 1.0 / known[name])
         if span * beat < PERIODS.beats:

@@ -25,8 +25,8 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns
-from inflight.effects import AXES, slope
+from inflight.calibration import NINE, NormalEquations, block_equations, concat_equations, nine_columns
+from inflight.effects import AXES, time_derivative
 from inflight.errors import CalibrationError
 from inflight.lsq import SOLVER, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
 from inflight.time import GAP, SECOND, Int64
@@ -203,7 +203,7 @@ def coil_columns(
         degC.
     """
     change = _delayed(stamps, temperature, lag) - reference
-    rate = slope(change, stamps)
+    rate = time_derivative(change, stamps)
     parts = (-change, -(change**2), rate, 2.0 * change * rate)
     nine = nine_columns(field)
     return {
@@ -274,11 +274,11 @@ def fit_coil(
     CalibrationError
         A column is missing, or there are too few blocks.
     """
-    gram, count = left_of_each(equations, channel, each)
-    return solved(gram, count, channel, lag, reference, prior)
+    gram, count = residual_grams(equations, channel, each)
+    return solve_coil(gram, count, channel, lag, reference, prior)
 
 
-def left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
+def residual_grams(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
     own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
     common = equations.at_one_reference().select([*own, *each])
@@ -297,7 +297,7 @@ def coefficients_of(value: Floats) -> tuple[Floats, Floats]:
     return found, slopes
 
 
-def solved(
+def solve_coil(
     gram: Floats,
     count: Floats,
     channel: str,
@@ -409,7 +409,7 @@ def _formed(blocks: Sequence[CoilBlock], channel: str, lag: float, reference: fl
             made.append(coil_equations(own, {channel: lag}, reference))
         except CalibrationError:
             continue
-    return joined(made)
+    return concat_equations(made)
 
 
 @dataclass(frozen=True)
@@ -499,7 +499,7 @@ def compare_temperatures(
     squares: dict[str, Floats] = {}
     count = equations.count
     for channel in channels:
-        gram, rows = left_of_each(equations, channel, each)
+        gram, rows = residual_grams(equations, channel, each)
         squares.setdefault(NONE, gram[:, -1, -1] / rows)
         squares[channel] = _held_out(gram, rows, channel, folds, prior) / rows
     which = np.arange(len(count))
@@ -519,7 +519,7 @@ def _held_out(
     out = np.empty(len(gram))
     for part in np.array_split(np.arange(len(gram)), folds):
         rest = np.delete(np.arange(len(gram)), part)
-        fit = solved(gram[rest], count[rest], channel, 0.0, 0.0, prior).fit
+        fit = solve_coil(gram[rest], count[rest], channel, 0.0, 0.0, prior).fit
         at = np.append(coefficients_of(fit.value)[0], 1.0)
         out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
     return out

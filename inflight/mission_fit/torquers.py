@@ -37,18 +37,18 @@ from scipy import signal
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.lsq import (
+    MAD_TO_SIGMA,
     SOLVER,
-    TO_SIGMA,
     ClusteredFit,
     biweight,
     robust_sigma,
     solve_clusters,
-    windowed,
+    window_means,
 )
 from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
 
 #: Hz, around the 20 s of the modulation.
-BAND = (0.045, 0.055)
+TORQUER_BAND_HZ = (0.045, 0.055)
 
 AXES = ("x", "y", "z")
 
@@ -62,7 +62,7 @@ def band_equations(
     direction: Floats,
     current: Floats,
     *,
-    band: tuple[float, float] = BAND,
+    band: tuple[float, float] = TORQUER_BAND_HZ,
     longest: float = 3600.0,
     shortest: float = 400.0,
     order: int = 1,
@@ -244,7 +244,7 @@ class TorquerFit:
         )
 
 
-def join_equations(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+def concat_band_equations(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the stored equations of several days together, in order of time."""
     joined = xr.concat(list(parts), "segment", data_vars="minimal", join="exact", combine_attrs="override")
     return joined.isel(segment=np.argsort(joined["start"].values, kind="stable"))
@@ -413,17 +413,17 @@ def band_spectra(
 ETA = 7.1
 
 #: Days of the running mean: the local time falls by 24 h.
-WINDOW = 260.0
+CURRENT_WINDOW_DAYS = 260.0
 
 #: How a value came about; codes of `CarriedMean.state`.
-STATES = ("whole", "partial", "interpolated", "held")
+MEAN_STATES = ("whole", "partial", "interpolated", "held")
 
 #: A window counts as whole from this coverage on.
 _WHOLE = 0.999
 
 
 @dataclass(frozen=True)
-class CarriedMean:
+class FilledRunningMean:
     """Running mean of daily means; every day from the first to the last has a value.
 
     Attributes
@@ -454,7 +454,7 @@ class CarriedMean:
     @property
     def sentence(self) -> str:
         """What was done with ends and gaps, in words."""
-        count = {name: int(np.sum(self.state == code)) for code, name in enumerate(STATES)}
+        count = {name: int(np.sum(self.state == code)) for code, name in enumerate(MEAN_STATES)}
         told = ", ".join(f"{number} {name}" for name, number in count.items() if number)
         return f"running mean of {self.window:g} d over {self.day.size} days: {told}"
 
@@ -466,7 +466,7 @@ class CarriedMean:
             sigma=(dims, self.sigma, {"units": "A"}),
             daily=(dims, self.daily, {"units": "A"}),
             coverage=("interval", self.coverage),
-            state=("interval", self.state, {"flag_meanings": " ".join(STATES)}),
+            state=("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
         )
 
 
@@ -481,9 +481,9 @@ def _by_day(day: Int64) -> xr.Dataset:
     )
 
 
-def carried_mean(
-    day: Int64, value: Floats, count: Floats, *, window: float = WINDOW, least: float = 0.9
-) -> CarriedMean:
+def filled_running_mean(
+    day: Int64, value: Floats, count: Floats, *, window: float = CURRENT_WINDOW_DAYS, least: float = 0.9
+) -> FilledRunningMean:
     """Return the centred running mean of daily mean currents, carried to the days that have none.
 
     Parameters
@@ -514,7 +514,7 @@ def carried_mean(
     """
     daily, weight = _every_day(day, value, count)
     first = int(np.min(day))
-    means = windowed(daily, weight, window)
+    means = window_means(daily, weight, window)
     mean, spread, coverage = means.mean, means.spread, means.coverage
     good = coverage >= least
     if not good.any():
@@ -530,7 +530,7 @@ def carried_mean(
     state = np.where(coverage >= _WHOLE, 0, 1).astype(np.int8)
     mean, sigma, state = _carried(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
-    return CarriedMean(days, mean, sigma, coverage, state, daily, window)
+    return FilledRunningMean(days, mean, sigma, coverage, state, daily, window)
 
 
 def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
@@ -564,7 +564,7 @@ def _scatter_of_days(daily: Floats) -> Floats:
     steps = steps[np.isfinite(steps).all(axis=1)]
     if not len(steps):
         return np.zeros(3)
-    return np.asarray(TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2.0))
+    return np.asarray(MAD_TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2.0))
 
 
 def _carried(
@@ -609,7 +609,7 @@ def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknow
     return change
 
 
-def remanent_field(mean: CarriedMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
+def remanent_field(mean: FilledRunningMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
     """Return the body's remanent field at the scalar sensor, one interval a day.
 
     Parameters
@@ -685,7 +685,7 @@ class EtaFit:
         return self.difference / share, self.difference_sigma / abs(share)
 
 
-def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: CarriedMean, *, block: int = 60) -> EtaFit:
+def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, block: int = 60) -> EtaFit:
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean

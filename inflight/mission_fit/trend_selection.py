@@ -241,7 +241,7 @@ def _with_origin_column(equations: NormalEquations, sums: BlockSums, fit: TrendF
     times, scale, names = equations.middle, equations.scale[:-1], list(fit.trends)
     logs = [name for name, trend in fit.trends.items() if trend.time == "log"]
     bases = [trend.basis(times, name) for name, trend in fit.trends.items()]
-    bases += [fit.by_origin(name, times)[:, None] for name in logs]
+    bases += [fit.origin_derivative(name, times)[:, None] for name in logs]
     owners = np.array([*range(len(names)), *(names.index(name) for name in logs)])
     owners = np.repeat(owners, [basis.shape[1] for basis in bases])
     values = np.concatenate(bases, axis=1) / scale[owners]
@@ -254,7 +254,7 @@ def _with_origin_column(equations: NormalEquations, sums: BlockSums, fit: TrendF
 
 
 @dataclass(frozen=True)
-class Rival:
+class RivalTrend:
     """One kind of trend on held-out blocks.
 
     Attributes
@@ -293,7 +293,7 @@ class TrendComparison:
         Of the rms.
     """
 
-    rivals: tuple[Rival, ...]
+    rivals: tuple[RivalTrend, ...]
     chosen: str
     folds: int
     unit: str
@@ -379,7 +379,7 @@ def compare_trends(
         sigma = _sigma_behind(common, held[kind], held[best]) / float(count.sum()) if behind > 0 else 0.0
         size = maker.coefficients(kind)
         tied = kind == best or behind < SELECTION.tied * sigma
-        rivals.append(Rival(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
+        rivals.append(RivalTrend(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
     chosen = min((one for one in rivals if one.tied), key=lambda one: one.coefficients).kind
     unit = "sigma" if equations.attributes.get("filter") == "table" else "nT"
     return TrendComparison(tuple(rivals), chosen, folds, unit)
@@ -463,7 +463,7 @@ def _training(equations: NormalEquations, scores: Floats, held: np.ndarray, fit:
     scale = equations.scale[:-1]
     slope = 2.0 * scores[held] / scale
     gradient = np.einsum("tp,tpi->i", slope, fit.slopes(times))
-    return float(gradient @ fit.whole_covariance @ gradient)
+    return float(gradient @ fit.full_covariance @ gradient)
 
 
 def _inside(fit: TrendFit, times: Int64) -> Int64:

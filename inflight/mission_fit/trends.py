@@ -422,7 +422,7 @@ class TrendFit:
 
     def at(self, times: Int64) -> tuple[Floats, Floats]:
         """Return values and standard deviations at TT2000 times; (time, parameter) each, physical units."""
-        covariance = self.whole_covariance
+        covariance = self.full_covariance
         variance = []
         for name in self.trends:
             slope = self.slopes(times, [name])[:, 0]
@@ -439,7 +439,7 @@ class TrendFit:
         return np.stack([basis @ self.value[place] for basis, place in places], axis=1)
 
     @property
-    def whole_covariance(self) -> Floats:
+    def full_covariance(self) -> Floats:
         """Covariance of the coefficients, and of the origin (days) behind them where it was fitted."""
         found = self.origin
         if found is None or not found.determined:
@@ -448,7 +448,7 @@ class TrendFit:
         return np.block([[self.covariance, edge], [edge.T, np.array([[found.sigma**2]])]])
 
     def slopes(self, times: Int64, names: Sequence[str] | None = None) -> Floats:
-        """Return what parameters change by for one unit of each unknown of `whole_covariance`.
+        """Return what parameters change by for one unit of each unknown of `full_covariance`.
 
         d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``.
 
@@ -464,16 +464,16 @@ class TrendFit:
         ndarray, shape (time, parameter, unknown)
         """
         chosen = list(self.trends) if names is None else names
-        unknowns = len(self.whole_covariance)
+        unknowns = len(self.full_covariance)
         out = np.zeros((times.size, len(chosen), unknowns))
         for index, name in enumerate(chosen):
             place, trend = self.place(name), self.trends[name]
             out[:, index, place] = trend.basis(times, name)
             if trend.time == "log" and unknowns > self.value.size:
-                out[:, index, -1] = self.by_origin(name, times)
+                out[:, index, -1] = self.origin_derivative(name, times)
         return out
 
-    def by_origin(self, name: str, times: Int64) -> Floats:
+    def origin_derivative(self, name: str, times: Int64) -> Floats:
         """Return the change of a parameter that follows a logarithm for one day of its origin; (time,)."""
         trend = self.trends[name]
         return np.asarray(-self.value[self.place(name)][1] / (mjd2000(times) - float(mjd2000(trend.t0))))
@@ -504,7 +504,7 @@ class TrendFit:
     def _time_of(self, column: str) -> str:
         return self.trends[column.split("*", maxsplit=1)[0]].time
 
-    def as_timed(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
+    def to_timed_value(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
         """Return a parameter of a model, ready for its YAML (`TimedValue.as_yaml`).
 
         Parameters

@@ -112,7 +112,7 @@ class Relation:
         return np.concatenate([angles, more, self.fit.value[9:]])
 
 
-def relate(
+def fit_relation(
     first: Floats,
     second: Floats,
     stamps: Int64,
@@ -216,7 +216,7 @@ def _cluster(stamps: Int64, cluster_s: float) -> Int64:
 
 
 @dataclass(frozen=True)
-class Corners:
+class ThreeCornerVariances:
     """The part of each of three sensors in what they disagree about; nT^2, means over `mean_s`.
 
     Attributes
@@ -264,7 +264,7 @@ def corners(
     along: Floats | None = None,
     mean_s: float = 60.0,
     cluster_s: float = CLUSTER_S,
-) -> Corners:
+) -> ThreeCornerVariances:
     """Tell which of three sensors a disagreement belongs to.
 
     Parameters
@@ -312,7 +312,7 @@ def corner_moments(
     return np.stack([np.bincount(which, one) for one in (np.ones(a.size), a, b, a * a, a * b, b * b)], axis=1)
 
 
-def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> Corners:
+def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> ThreeCornerVariances:
     """Return the corners that clusters tell together; as `corner_moments` makes them.
 
     Raises
@@ -330,7 +330,7 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
     left = _parts(whole - moments)
     spread = left - left.mean(axis=0)
     covariance = (total - 1) / total * spread.T @ spread
-    return Corners(_parts(whole), covariance, closure, mean_s, total)
+    return ThreeCornerVariances(_parts(whole), covariance, closure, mean_s, total)
 
 
 def _parts(moments: Floats) -> Floats:

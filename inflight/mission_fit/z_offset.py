@@ -171,7 +171,7 @@ class SpreadLaw:
         )
 
 
-def spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadLaw:
+def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadLaw:
     """Fit ``std^2 = a Z0^2 + noise^2`` over days whose offset is known by other means (Yin 2010, eq. 3.6).
 
     Parameters
@@ -306,7 +306,7 @@ def offsets_from_spread(
         `day_statistics` along ``interval``.
     noise, sigma_noise : float
         Variance of the residual without an offset and its standard deviation, nT^2, such as
-        `SpreadLaw.noise` or `noise_of`.
+        `SpreadLaw.noise` or `residual_noise`.
     factor : float, optional
         Of the law; each day's own var(e_axis) when absent.
 
@@ -352,7 +352,7 @@ def _sigma_of_root(square: Floats, sigma: Floats) -> Floats:
     return np.asarray(np.sqrt(x**2 + sigma) - x)
 
 
-def noise_of(statistics: xr.Dataset) -> tuple[float, float]:
+def residual_noise(statistics: xr.Dataset) -> tuple[float, float]:
     """Return the residual's variance without an offset, and its standard deviation, from the days themselves.
 
     The median over days of what the slope on the direction leaves; nT^2.

@@ -1,31 +1,31 @@
-from .apply import ModelEffect, corrected
-from .diff import changes, tree_of
+from .apply import ModelEffect, correct_plain
+from .diff import changes, parse_tree
 from .model import Model, make_effect
-from .rows import Band, Layout, ResidualRows, RowFilter, filter_rows, folding_of, rows_of, turn_residual
-from .substitution import Substituted, Treated, Typical, missing_rows, substitute
+from .rows import Band, Layout, ResidualRows, RowFilter, filter_rows, folding_of, rows_of, spin_residual
+from .substitution import EffectSubstitution, SubstitutedSamples, Typical, missing_rows, substitute
 from .time_dependence import Dependence, TimedValue, component_names
 
 __all__ = [
     "Band",
     "Dependence",
+    "EffectSubstitution",
     "Layout",
     "Model",
     "ModelEffect",
     "ResidualRows",
     "RowFilter",
-    "Substituted",
+    "SubstitutedSamples",
     "TimedValue",
-    "Treated",
     "Typical",
     "changes",
     "component_names",
-    "corrected",
+    "correct_plain",
     "filter_rows",
     "folding_of",
     "make_effect",
     "missing_rows",
+    "parse_tree",
     "rows_of",
+    "spin_residual",
     "substitute",
-    "tree_of",
-    "turn_residual",
 ]

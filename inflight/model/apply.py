@@ -105,13 +105,13 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     SamplesError
         When a reading is missing.
     """
-    known = corrected(effects, samples)
+    known = correct_plain(effects, samples)
     made = {role: known[role] for role in (*VECTOR_ROLES, "scalar") if role in known}
     made |= {name: known[name] for name in _STALE if name in known}
     return samples.drop_vars(_STALE, errors="ignore").assign(made)
 
 
-def corrected(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
+def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
     """Return what `correct` does as plain variables: a Dataset would look at each of them again.
 
     Parameters and errors are those of `correct`.

@@ -16,7 +16,7 @@ Entry = Mapping[str, Any]
 _DIGITS = 9
 
 
-def tree_of(text: str, source: str = "model.yaml") -> dict[str, Any]:
+def parse_tree(text: str, source: str = "model.yaml") -> dict[str, Any]:
     """Return a model's YAML as plain mappings, lists, numbers and texts; no effect is made.
 
     Raises

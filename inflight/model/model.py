@@ -30,8 +30,8 @@ from inflight.effects import (
 )
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Sensor, sensors_of
-from inflight.model.apply import ModelEffect, correct, corrected, correction_terms, disturb
-from inflight.model.diff import changes, tree_of
+from inflight.model.apply import ModelEffect, correct, correct_plain, correction_terms, disturb
+from inflight.model.diff import changes, parse_tree
 from inflight.model.rows import Layout, rows_of
 from inflight.model.time_dependence import TimedValue, parse_timed
 from inflight.samples import PlainSamples
@@ -176,7 +176,7 @@ class Model:
         ModelError
             Naming `source` and the effect that is wrong.
         """
-        tree, own = tree_of(text, source), tuple(own)
+        tree, own = parse_tree(text, source), tuple(own)
         comparison = str(tree.get("comparison", "main"))
         if comparison not in mission.comparisons:
             raise ModelError(
@@ -324,8 +324,8 @@ class Model:
         return correct(self.effects, samples)
 
     def corrected(self, samples: xr.Dataset | PlainSamples) -> PlainSamples:
-        """Take the effects out of the readings, as plain variables: see `inflight.model.apply.corrected`."""
-        return corrected(self.effects, samples)
+        """Take the effects out of the readings, as plain variables: see `model.apply.correct_plain`."""
+        return correct_plain(self.effects, samples)
 
     def disturb(self, samples: xr.Dataset) -> xr.Dataset:
         """Put the effects into true fields: the exact inverse of `correct`."""

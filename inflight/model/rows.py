@@ -27,7 +27,7 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.effects import direction
+from inflight.effects import field_direction
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
 from inflight.mission import Sensor, sensors_of
@@ -255,7 +255,7 @@ def _runs(usable: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
-    along = direction(corrected)[:, None, :]
+    along = field_direction(corrected)[:, None, :]
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
     residual = (np.linalg.norm(field, axis=1) - total)[:, None]
     return ResidualRows(
@@ -290,7 +290,7 @@ def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
 def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     """Return F in the layout's band; a field at the vector sensor only turns a direction a little."""
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
-    along = direction(corrected)[:, None, :]
+    along = field_direction(corrected)[:, None, :]
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
     step = _step(corrected)
     good = _good(corrected, np.column_stack([total, field])) & (total > 0)
@@ -318,7 +318,7 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
         )
     sensor = layout.sensor("vector").name
     field = _values(corrected, "field")
-    residual, good = turn_residual(layout.folding, field, corrected)
+    residual, good = spin_residual(layout.folding, field, corrected)
     stamps = corrected["tt2000"].values
     steady = layout.folding.steady(field, _values(corrected, "spin_phase"), stamps, good)
     directions = np.zeros((len(field), 2, 3))
@@ -336,7 +336,7 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     )
 
 
-def turn_residual(
+def spin_residual(
     folding: Folding, field: Floats, folded: xr.Dataset
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return what turns with the spin in a calibrated field, and which samples are good.

@@ -22,7 +22,7 @@ from inflight.flags import Flag
 from inflight.mission import Sensor
 from inflight.model.apply import ModelEffect
 from inflight.model.model import Model
-from inflight.samples import parse, product
+from inflight.samples import channel_product, parse_channel
 from inflight.time import GAP, SECOND, Int64
 
 Rows = npt.NDArray[np.bool_]
@@ -107,7 +107,7 @@ class Typical:
 
 
 @dataclass(frozen=True)
-class Treated:
+class EffectSubstitution:
     """What was done for one effect: how many samples, for want of which channels, with what instead."""
 
     samples: int
@@ -120,7 +120,7 @@ class Treated:
 
 
 @dataclass(frozen=True)
-class Substituted:
+class SubstitutedSamples:
     """Samples with stand-ins.
 
     Attributes
@@ -158,7 +158,7 @@ class Substituted:
             ),
         )
 
-    def treated(self, model: Model) -> dict[str, Treated]:
+    def by_effect(self, model: Model) -> dict[str, EffectSubstitution]:
         """Return what was done, by effect."""
         out = {}
         for entry in model.effects:
@@ -167,7 +167,7 @@ class Substituted:
                 rows = np.logical_or.reduce([_any(self.rows[name]) for name in names])
                 instead = {self.typical[name].source if name in self.typical else "" for name in names}
                 replaced_by = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
-                out[entry.name] = Treated(int(rows.sum()), tuple(names), replaced_by)
+                out[entry.name] = EffectSubstitution(int(rows.sum()), tuple(names), replaced_by)
         return out
 
     def variance(self, model: Model) -> tuple[Floats, Floats]:
@@ -245,7 +245,7 @@ def substitute(
     typical: Mapping[str, Typical],
     ranges: Mapping[str, tuple[float, float]] | None = None,
     missing: Mapping[str, Rows] | None = None,
-) -> Substituted | None:
+) -> SubstitutedSamples | None:
     """Put typical values in the place of what is missing of a model's channels.
 
     Parameters
@@ -280,9 +280,9 @@ def substitute(
     out = out.assign(flag=("time", flag, samples["flag"].attrs))
     used = {name: one for name, one in typical.items() if name in rows}
     # A slow response or a play of geometry stays within its possible values; a product does not.
-    single = {name: parts[0].channel for name in rows if len(parts := parse(name).parts) == 1}
+    single = {name: parts[0].channel for name in rows if len(parts := parse_channel(name).parts) == 1}
     possible = {name: GEOMETRY_RANGES[base] for name, base in single.items() if base in GEOMETRY_RANGES}
-    return Substituted(out, rows, used, possible | dict(ranges or {}))
+    return SubstitutedSamples(out, rows, used, possible | dict(ranges or {}))
 
 
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
@@ -347,7 +347,7 @@ def _factors(entry: ModelEffect, samples: xr.Dataset) -> set[str]:
 
 def _parts(name: str, samples: xr.Dataset) -> Sequence[str]:
     """Return the factors of a product of series that are in the samples; none of anything else."""
-    parts = [part.name for part in parse(name).parts] if "*" in name else []
+    parts = [part.name for part in parse_channel(name).parts] if "*" in name else []
     return parts if all(part in samples for part in parts) else []
 
 
@@ -357,7 +357,7 @@ def _assigned(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
     for whole in map(str, samples.data_vars):
         parts = _parts(whole, samples)
         if name in parts:
-            made = product([np.asarray(out[part].values, dtype=np.float64) for part in parts])
+            made = channel_product([np.asarray(out[part].values, dtype=np.float64) for part in parts])
             out[whole] = samples[whole].copy(data=made)
     return out
 

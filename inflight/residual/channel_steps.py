@@ -21,12 +21,12 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq import TO_SIGMA, robust_sigma
+from inflight.lsq import MAD_TO_SIGMA, robust_sigma
 from inflight.time import SECOND, Int64
 
 #: Changes between neighbours, and sizes, count from this many sigma on: with 86 400 readings a day
 #: and Gaussian noise one false alarm in 10^10 days.
-SIGNIFICANCE = 8.0
+STEP_SIGNIFICANCE = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ def channel_noise(values: Floats, resolution: float | None = None) -> tuple[floa
         )
         resolution = least if least < span / 3.0 else 0.0
     spread = (
-        TO_SIGMA * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if values.size > 2 else 0.0
+        MAD_TO_SIGMA * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if values.size > 2 else 0.0
     )
     # A switch without noise still has the rounding of its binary form.
     return max(spread, resolution / np.sqrt(12.0), 1e-9 * span), resolution
@@ -126,7 +126,7 @@ def clean_readings(stamps: Int64, current: Floats, resolution: float | None = No
         )
     if np.any(np.diff(times) <= 0):
         raise SamplesError("times of the current do not rise", remedy="sort them and drop duplicates")
-    kept = ~_spikes(values, SIGNIFICANCE * np.sqrt(2.0) * channel_noise(values, resolution)[0])
+    kept = ~_spikes(values, STEP_SIGNIFICANCE * np.sqrt(2.0) * channel_noise(values, resolution)[0])
     return times[kept], values[kept]
 
 
@@ -249,7 +249,7 @@ def find_steps(
     unit: str = "A",
     longest: float = 60.0,
     window: float = 60.0,
-    significance: float = SIGNIFICANCE,
+    significance: float = STEP_SIGNIFICANCE,
     smallest: float = 0.0,
     resolution: float | None = None,
 ) -> CurrentSteps:
@@ -378,7 +378,10 @@ def _fit_step(channel: _Readings, allowed: tuple[int, int], run: tuple[int, int]
     sigma = float(np.hypot(old.sigma, new.sigma))
     start, end = float(channel.seconds[first]), float(channel.seconds[last])
     # Lines that meet inside the transition are a kink.
-    if abs(new.level - old.level) <= abs(new.slope - old.slope) * 0.5 * (end - start) + SIGNIFICANCE * sigma:
+    if (
+        abs(new.level - old.level)
+        <= abs(new.slope - old.slope) * 0.5 * (end - start) + STEP_SIGNIFICANCE * sigma
+    ):
         return None
     half = _half_passed(channel.seconds, channel.values, (first, last), 0.5 * (old.level + new.level))
     before, after = (line.level + line.slope * (half - middle) for line in (old, new))
@@ -486,7 +489,7 @@ def piecewise_mean(values: Floats) -> Floats:
     known = np.isfinite(values)
     readings = values[known]
     change = np.diff(readings)
-    white = TO_SIGMA * float(np.median(np.abs(change))) / np.sqrt(2.0) if readings.size > 1 else 0.0
+    white = MAD_TO_SIGMA * float(np.median(np.abs(change))) / np.sqrt(2.0) if readings.size > 1 else 0.0
     if not white > 0.0:
         return values
     begins = np.concatenate([[0], np.flatnonzero(np.abs(change) > STEPS.jump * np.sqrt(2.0) * white) + 1])

@@ -216,20 +216,20 @@ def bin_edges(values: Floats, bins: int) -> Floats | None:
     return edges if edges.size >= 3 else None
 
 
-def bin_of(values: Floats, edges: Floats) -> Ints:
+def bin_indices(values: Floats, edges: Floats) -> Ints:
     """Return the bin of each value; those beyond the ends are in the first and last."""
     place = np.searchsorted(edges, values, side="right") - 1
     return np.asarray(np.clip(place, 0, edges.size - 2), dtype=np.int64)
 
 
-def bins_of(kind: str, block: Ints, bins: int = DEPENDENCES.bins) -> int:
+def bin_count(kind: str, block: Ints, bins: int = DEPENDENCES.bins) -> int:
     """Return the bins of a coordinate of a kind: in time, each takes several blocks."""
     if kind != "time":
         return bins
     return int(np.clip(np.unique(block).size // DEPENDENCES.block_bins, 2, bins))
 
 
-def branch_of(values: Floats, reach: int) -> Floats:
+def rising_or_falling(values: Floats, reach: int) -> Floats:
     """Return +1 where a channel (sample,) rises over `reach` samples on either side, -1 where it falls.
 
     Zero where it hardly moves.
@@ -242,7 +242,7 @@ def branch_of(values: Floats, reach: int) -> Floats:
     return np.where(np.abs(change) > DEPENDENCES.moving * spread, np.sign(change), 0.0)
 
 
-def shifted(values: Any) -> Iterator[Any]:
+def placebo_shifts_of(values: Any) -> Iterator[Any]:
     """Yield a coordinate (sample,) as it was in other parts of the record: a placebo."""
     for part in DEPENDENCES.shifts:
         yield np.roll(values, round(part * len(values)))
@@ -343,7 +343,7 @@ def dependence(
     edges = bin_edges(x, bins)
     if blocks.size < DEPENDENCES.min_blocks or edges is None:
         return None
-    index, count = bin_of(x, edges), edges.size - 1
+    index, count = bin_indices(x, edges), edges.size - 1
     y = y - y.mean()
     cells = _means(y, which, index, count)
     met, mean, without = _branch(cells)
@@ -463,7 +463,7 @@ def axis_response(
     edges = bin_edges(x, bins) if bins > 1 else np.array([-np.inf, np.inf])
     if blocks.size < DEPENDENCES.min_blocks or edges is None:
         return None
-    index, count = bin_of(x, edges), edges.size - 1
+    index, count = bin_indices(x, edges), edges.size - 1
     cells = BinnedFit.of(u[:, None, :], (y - y.mean())[:, None, None], which, index, count)
     met = cells.met()
     if not met.all():
@@ -471,7 +471,7 @@ def axis_response(
     share = cells.share(met)
     field, without = cells.value[..., 0], cells.without[..., 0]
     if bins > 1:
-        field, without = less_mean(field, share), less_mean(without, share)
+        field, without = subtract_mean(field, share), subtract_mean(without, share)
     amplitude, sigma = np.array(
         [excess_rms(field[:, axis], without[..., axis], share) for axis in range(3)]
     ).T
@@ -486,7 +486,7 @@ def axis_response(
     )
 
 
-def less_mean(field: Floats, share: Floats) -> Floats:
+def subtract_mean(field: Floats, share: Floats) -> Floats:
     """Return a field (..., bin, axis) less its mean over the bins, weighted by `share` (bin,)."""
     return np.asarray(field - np.einsum("b,...ba->...a", share, field)[..., None, :])
 
@@ -519,7 +519,7 @@ def curve_of(
     """
     good = used & np.isfinite(x) & np.isfinite(y)
     _, which = np.unique(block[good], return_inverse=True)
-    cells = _means(y[good], which, bin_of(x[good], edges), edges.size - 1, 1)
+    cells = _means(y[good], which, bin_indices(x[good], edges), edges.size - 1, 1)
     met = cells.met(settings.lonely, settings.fewest)
     sigma = jackknife(cells.without[:, :, 0, 0]) if len(cells.count) > 1 else np.full(met.size, np.nan)
     centre = 0.5 * (edges[1:] + edges[:-1])
@@ -613,8 +613,8 @@ def field_response(
     edges = bin_edges(x[good], DEPENDENCES.curve_bins)
     if edges is None or np.unique(block[good]).size < DEPENDENCES.min_blocks:
         return None
-    before, index, count = residuals["before"], bin_of(x, edges), edges.size - 1
-    sign = branch_of(x, reach) if x.size > 2 * reach else np.zeros_like(x)
+    before, index, count = residuals["before"], bin_indices(x, edges), edges.size - 1
+    sign = rising_or_falling(x, reach) if x.size > 2 * reach else np.zeros_like(x)
     branches: dict[str, list[Curve]] = {}
     if min((sign > 0).mean(), (sign < 0).mean()) > DEPENDENCES.turning:
         sides = {"rising": good & (sign > 0), "falling": good & (sign < 0)}
@@ -626,10 +626,12 @@ def field_response(
     whole = _field_curves(x, index, count, before, u, block, {"all": good})["all"]
     rest = before - np.einsum("tra,at->tr", u, [np.nan_to_num(one.mean)[index] for one in whole])
     chance = []
-    for moved in shifted(x):
+    for moved in placebo_shifts_of(x):
         inside = {"chance": used & np.isfinite(moved)}
         one_block = np.zeros_like(block)
-        chance.append(_field_curves(moved, bin_of(moved, edges), count, rest, u, one_block, inside)["chance"])
+        chance.append(
+            _field_curves(moved, bin_indices(moved, edges), count, rest, u, one_block, inside)["chance"]
+        )
     return FieldResponse(
         channel=name,
         unit=unit,
@@ -654,10 +656,10 @@ def _field_curves(
     share, total = fit.share(met), fit.count.sum(axis=0)
     sums = np.bincount(place, weights=x[inside], minlength=cells)
     centre = np.divide(sums, total, out=np.full(cells, np.nan), where=total > 0)
-    field = less_mean(np.where(met[:, None], fit.value[..., 0], 0.0), share)
+    field = subtract_mean(np.where(met[:, None], fit.value[..., 0], 0.0), share)
     sigma = np.full_like(field, np.nan)
     if len(fit.count) > 1:
-        sigma = jackknife(less_mean(np.where(met[:, None], fit.without[..., 0], 0.0), share))
+        sigma = jackknife(subtract_mean(np.where(met[:, None], fit.without[..., 0], 0.0), share))
     field, sigma = (np.where(met[:, None], one, np.nan) for one in (field, sigma))
     parts = {name: slice(at * bins, (at + 1) * bins) for at, name in enumerate(sides)}
     return {
@@ -666,12 +668,12 @@ def _field_curves(
     }
 
 
-def strongest(found: Sequence[Dependence], count: int = DEPENDENCES.count) -> list[Dependence]:
+def strongest_dependences(found: Sequence[Dependence], count: int = DEPENDENCES.count) -> list[Dependence]:
     """Return the dependences that stand out by five sigma, largest first."""
     return sorted((one for one in found if one.is_clear), key=lambda one: -one.amplitude)[:count]
 
 
-def successive(
+def select_successively(
     residual: Residual,
     measure: Callable[[Residual], list[Structure]],
     *,
@@ -765,7 +767,7 @@ class Coordinate:
 
 
 @dataclass(frozen=True)
-class Failure:
+class RankedDependence:
     """One structure of the residual, less the stronger ones before it."""
 
     dependence: Dependence
@@ -830,7 +832,7 @@ class Failure:
         )
 
 
-def measure(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) -> list[Dependence]:
+def measure_dependences(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) -> list[Dependence]:
     """Return how the residual (sample,) depends on each coordinate that varies, in their order."""
     found = (_dependence_on(one, residual, block) for one in coordinates)
     return [one for one in found if one is not None]
@@ -838,16 +840,16 @@ def measure(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) ->
 
 def _dependence_on(one: Coordinate, residual: Floats, block: Ints, rising: bool = True) -> Dependence | None:
     branches = one.rising if rising else None
-    return dependence(one.name, one.unit, one.values, residual, block, branches, bins_of(one.kind, block))
+    return dependence(one.name, one.unit, one.values, residual, block, branches, bin_count(one.kind, block))
 
 
-def find_failures(
+def rank_dependences(
     coordinates: Mapping[str, Coordinate],
     found: list[Dependence],
     residual: Floats,
     direction: Floats,
     block: Ints,
-) -> list[Failure]:
+) -> list[RankedDependence]:
     """Return the strongest structures of a residual of one row, each after the stronger ones were taken off.
 
     Parameters
@@ -866,7 +868,7 @@ def find_failures(
     varying = [coordinates[one.coordinate] for one in found]
 
     def measured(rest: Floats) -> list[Dependence]:
-        return found if rest is residual else measure(varying, rest, block)
+        return found if rest is residual else measure_dependences(varying, rest, block)
 
     def response(of: Floats, best: Dependence) -> AxisResponse | None:
         one = coordinates[best.coordinate]
@@ -880,11 +882,11 @@ def find_failures(
 
     def chance(rest: Floats, best: Dependence) -> float:
         one = coordinates[best.coordinate]
-        moved = (Coordinate(one.name, one.unit, one.kind, values) for values in shifted(one.values))
-        return max((each.amplitude for each in measure(moved, rest, block)), default=0.0)
+        moved = (Coordinate(one.name, one.unit, one.kind, values) for values in placebo_shifts_of(one.values))
+        return max((each.amplitude for each in measure_dependences(moved, rest, block)), default=0.0)
 
     least = DEPENDENCES.least_part * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
-    structures = successive(
+    structures = select_successively(
         residual,
         measured,
         size=lambda one: one.amplitude,
@@ -895,7 +897,7 @@ def find_failures(
         count=DEPENDENCES.count,
     )
     return [
-        Failure(best, response(of, best), coordinates[best.coordinate].kind, rank)
+        RankedDependence(best, response(of, best), coordinates[best.coordinate].kind, rank)
         for rank, (best, of, _, _, _) in enumerate(structures)
     ]
 

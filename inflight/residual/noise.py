@@ -27,7 +27,7 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.lsq import TO_SIGMA
+from inflight.lsq import MAD_TO_SIGMA
 from inflight.time import SECOND
 
 
@@ -184,7 +184,7 @@ def _without_outliers(values: Floats) -> Floats:
     known = np.isfinite(away)
     if not known.any():
         return values
-    usual = TO_SIGMA * float(np.median(np.abs(away[known])))
+    usual = MAD_TO_SIGMA * float(np.median(np.abs(away[known])))
     # Readings so coarse that most do not change have no usual distance; their steps are no outliers.
     usual = usual if usual > 0 else float(np.std(away[known]))
     return np.where(known & (np.abs(away) > NOISE.outlier * usual), np.nan, values)
@@ -307,7 +307,7 @@ def size_of(residual: Floats) -> Size:
         mean=float(finite.mean()),
         std=float(finite.std()),
         rms=float(np.sqrt(np.mean(finite**2))),
-        robust=float(TO_SIGMA * np.median(np.abs(finite - middle))),
+        robust=float(MAD_TO_SIGMA * np.median(np.abs(finite - middle))),
         least=float(finite.min()),
         largest=float(finite.max()),
     )

@@ -185,7 +185,7 @@ def add_power(sums: dict[tuple[int, float], Power], power: Power | None) -> None
         sums[grid] = power
 
 
-def finest(sums: Mapping[tuple[int, float], Power]) -> Power | None:
+def finest_power(sums: Mapping[tuple[int, float], Power]) -> Power | None:
     """Return the sums on the finest grid; None without any."""
     return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
 
@@ -251,7 +251,7 @@ def record_power(
     for start in range(0, count - length + 1, max(length // 2, 1)):
         part = grid[start : start + length]
         add_power(sums, stretch_power(part[:, :rows], part[:, rows:], step, settings))
-    return finest(sums)
+    return finest_power(sums)
 
 
 def mean_density(
@@ -299,7 +299,7 @@ def background_of(density: Floats, settings: SpectrumSettings = SPECTRA) -> Floa
     return np.asarray(near ** (1 - weight) * wide**weight)
 
 
-def thinned(frequency: Floats, density: Floats, points: int = SPECTRA.points) -> tuple[Floats, Floats]:
+def thin_spectrum(frequency: Floats, density: Floats, points: int = SPECTRA.points) -> tuple[Floats, Floats]:
     """Return about so many points of a spectrum: means in steps of equal ratio, single ones at the slow end.
 
     `density` has shape (..., frequency).

@@ -1,22 +1,30 @@
 from .alignment import FIELD_ROLES, PlainSamples, align
-from .derived import Derived, Part, base_channels, derive, parse, product, respond
-from .spin_folding import FOLDING_VERSION, ORDER, Complex, Folding, fold, fold_series
+from .derived import (
+    ChannelFactor,
+    DerivedChannel,
+    base_channels,
+    channel_product,
+    derive_channel,
+    parse_channel,
+    slow_response,
+)
+from .spin_folding import FOLD_ORDER, FOLDING_VERSION, Complex, Folding, fold, fold_series
 
 __all__ = [
     "FIELD_ROLES",
     "FOLDING_VERSION",
-    "ORDER",
+    "FOLD_ORDER",
+    "ChannelFactor",
     "Complex",
-    "Derived",
+    "DerivedChannel",
     "Folding",
-    "Part",
     "PlainSamples",
     "align",
     "base_channels",
-    "derive",
+    "channel_product",
+    "derive_channel",
     "fold",
     "fold_series",
-    "parse",
-    "product",
-    "respond",
+    "parse_channel",
+    "slow_response",
 ]

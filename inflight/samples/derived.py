@@ -58,7 +58,7 @@ _REMEDY = "write a channel, 'channel@lag=600s', 'channel@width=2', or a product 
 
 
 @dataclass(frozen=True)
-class Part:
+class ChannelFactor:
     """One factor of a derived channel.
 
     Attributes
@@ -110,15 +110,15 @@ class Part:
         step_s : float or ndarray, shape (time - 1,)
             Seconds between samples.
         """
-        slow = respond(values, step_s, self.lag_s) if self.lag_s else values
+        slow = slow_response(values, step_s, self.lag_s) if self.lag_s else values
         return play(slow, self.width) if self.width else slow
 
 
 @dataclass(frozen=True)
-class Derived:
+class DerivedChannel:
     """A channel as the product of its parts; one part is no product."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[ChannelFactor, ...]
 
     @property
     def name(self) -> str:
@@ -131,7 +131,7 @@ class Derived:
         return len(self.parts) == 1 and self.parts[0].is_plain
 
 
-def parse(name: str) -> Derived:
+def parse_channel(name: str) -> DerivedChannel:
     """Read the name of a channel, derived or not.
 
     Raises
@@ -139,10 +139,10 @@ def parse(name: str) -> Derived:
     ModelError
         When it is no such name.
     """
-    return Derived(tuple(_part(text, name) for text in name.split("*")))
+    return DerivedChannel(tuple(_part(text, name) for text in name.split("*")))
 
 
-def _part(text: str, name: str) -> Part:
+def _part(text: str, name: str) -> ChannelFactor:
     match = _PART.match(text.strip())
     if match is None:
         raise ModelError(f"{name!r} names no channel", channel=name, remedy=_REMEDY)
@@ -151,7 +151,7 @@ def _part(text: str, name: str) -> Part:
         if key not in ("lag", "width") or key in options:
             raise ModelError(f"{name!r} has no use for '@{key}={value}'", channel=name, remedy=_REMEDY)
         options[key] = _size(key, value, name)
-    return Part(
+    return ChannelFactor(
         match["channel"].strip(),
         options.get("lag", 0.0),
         options.get("width", 0.0),
@@ -178,15 +178,15 @@ def base_channels(name: str) -> tuple[str, ...]:
     ModelError
         When it is no channel's name.
     """
-    return tuple(dict.fromkeys(part.channel for part in parse(name).parts))
+    return tuple(dict.fromkeys(part.channel for part in parse_channel(name).parts))
 
 
 def history_s(name: str) -> float:
     """Return the seconds of earlier data a derived channel needs before its first sample."""
-    return max(part.history_s for part in parse(name).parts)
+    return max(part.history_s for part in parse_channel(name).parts)
 
 
-def product(factors: Sequence[Floats]) -> Floats:
+def channel_product(factors: Sequence[Floats]) -> Floats:
     """Return the product of channels; (time,), or (time, axis) when one of them is a vector.
 
     Raises
@@ -207,7 +207,7 @@ def product(factors: Sequence[Floats]) -> Floats:
     return out
 
 
-def derive(name: str, channels: Mapping[str, Floats], step_s: float | Floats) -> Floats:
+def derive_channel(name: str, channels: Mapping[str, Floats], step_s: float | Floats) -> Floats:
     """Return a derived channel from channels that already stand on one time base.
 
     Parameters
@@ -228,16 +228,16 @@ def derive(name: str, channels: Mapping[str, Floats], step_s: float | Floats) ->
     ModelError
         When a channel is not there, or the name asks for a placebo.
     """
-    derived = parse(name)
+    derived = parse_channel(name)
     for part in derived.parts:
         if part.channel not in channels:
             raise ModelError(f"{name!r} needs a channel that is not there", channel=part.channel)
         if part.placebo:
             raise ModelError(f"{name!r} is a placebo", channel=name, remedy="only a search makes placebos")
-    return product([part.of(channels[part.channel], step_s) for part in derived.parts])
+    return channel_product([part.of(channels[part.channel], step_s) for part in derived.parts])
 
 
-def respond(values: Floats, step_s: float | Floats, lag_s: float) -> Floats:
+def slow_response(values: Floats, step_s: float | Floats, lag_s: float) -> Floats:
     """Return the first-order response ``lag dy/dt + y = c`` of a channel, exact between its samples.
 
     The channel runs straight from sample to sample, so that the response of a coarse series agrees

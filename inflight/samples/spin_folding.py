@@ -30,7 +30,7 @@ from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 Complex = npt.NDArray[np.complex128]
 
 #: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
-SECTORS, ORDER = 12, 4
+SECTORS, FOLD_ORDER = 12, 4
 
 #: Bumped by hand when the numbers of folded samples change.
 FOLDING_VERSION = 2
@@ -363,14 +363,14 @@ class _Day:
             np.where(self.known, self.phase, 0.0),
             self.interval,
             self.intervals,
-            ORDER + 1,
+            FOLD_ORDER + 1,
             good,
         )
         # A harmonic k in the body is k + 1 in payload axes across the spin axis.
-        for place, harmonic in enumerate(range(-ORDER - 1, ORDER + 2)):
-            if not -ORDER <= harmonic - 1 <= ORDER:
+        for place, harmonic in enumerate(range(-FOLD_ORDER - 1, FOLD_ORDER + 2)):
+            if not -FOLD_ORDER <= harmonic - 1 <= FOLD_ORDER:
                 found.coefficients[:, place, 0] = 0.0
-            if abs(harmonic) > ORDER:
+            if abs(harmonic) > FOLD_ORDER:
                 found.coefficients[:, place, 1] = 0.0
         turned = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
@@ -475,7 +475,7 @@ class _Day:
         usable = known & np.isfinite(steady).all(axis=1)
         phase = np.where(self.known, self.phase, 0.0)
         found = fourier_sums(
-            np.where(usable[:, None], steady, 0.0), phase, self.interval, self.intervals, ORDER, usable
+            np.where(usable[:, None], steady, 0.0), phase, self.interval, self.intervals, FOLD_ORDER, usable
         )
         out = self._sectors(found, usable).real
         return xr.Variable(series.dims, out.reshape(-1, *values.shape[1:]), series.attrs)

@@ -1,5 +1,5 @@
 from .figure import Basis, Figure, Report, Verdict, Within
-from .registry import SECTIONS, figures, scorecard, selected
+from .registry import SECTIONS, figures, run_scorecard, select_figures
 from .scene import OrbitDay, Scene
 
 __all__ = [
@@ -12,6 +12,6 @@ __all__ = [
     "Verdict",
     "Within",
     "figures",
-    "scorecard",
-    "selected",
+    "run_scorecard",
+    "select_figures",
 ]

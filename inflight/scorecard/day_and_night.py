@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, block_equations, joined, nine_columns
+from inflight.calibration import NINE, block_equations, concat_equations, nine_columns
 from inflight.frames import sun_direction
 from inflight.mission_fit import (
     SWITCHED,
@@ -75,7 +75,7 @@ def wander(scene: Scene) -> tuple[float, float]:
         columns = nine_columns(day.field) | switched_columns(day.direction, day.sunlit)
         residual = generator.normal(0.0, _NOISE, day.strength.size) - columns[f"{SWITCHED}[z]"] * DAY_NIGHT
         blocks.append(block_equations(columns, residual, day.span, robust=False))
-    whole = joined(blocks)
+    whole = concat_equations(blocks)
     found = fit_day_night(whole)
     name = NINE[4]
     ignored, known = (
@@ -99,7 +99,7 @@ def _recovered(scene: Scene, seed: int) -> float:
         columns = nine_columns(day.field) | switched_columns(day.direction, day.sunlit)
         residual = generator.normal(0.0, _NOISE, day.strength.size) - columns[f"{SWITCHED}[z]"] * DAY_NIGHT
         blocks.append(block_equations(columns, residual, day.span))
-    return fit_day_night(joined(blocks)).values[f"{SWITCHED}[z]"]
+    return fit_day_night(concat_equations(blocks)).values[f"{SWITCHED}[z]"]
 
 
 def _declination(days: Floats) -> Floats:

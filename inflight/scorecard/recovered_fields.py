@@ -13,20 +13,20 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.calibration import PERIOD, distribute
+from inflight.calibration import FILTER_PERIOD_S, distribute
 from inflight.dipole import dipole_split
-from inflight.effects import schedule
+from inflight.effects import panel_weights_at
 from inflight.mission_fit import (
     band_equations,
-    carried_mean,
-    choose_panels,
+    concat_band_equations,
+    concat_epochs,
     daily_fits,
-    epochs_of,
+    extract_epochs,
+    filled_running_mean,
     fit_eta,
     fit_step,
-    join_epochs,
-    join_equations,
     robust_mean,
+    select_panel_model,
 )
 from inflight.residual import find_steps
 from inflight.scorecard import continuous_parameters
@@ -108,7 +108,7 @@ def _epochs(day: FastDay, residual: Floats, current: Floats, name: str) -> xr.Da
         }
     )
     steps = find_steps(day.stamps[::10], np.rint(current[::10] / 0.005) * 0.005)
-    return epochs_of(samples, residual, steps, channel=name)
+    return extract_epochs(samples, residual, steps, channel=name)
 
 
 def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
@@ -116,7 +116,7 @@ def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
     parts, hours = [], []
     for mjd in DAYS:
         day = scene.once(fast_day, mjd)
-        share = schedule(np.array([day.local_time])) if both else np.array([[1.0, 0.0]])
+        share = panel_weights_at(np.array([day.local_time])) if both else np.array([[1.0, 0.0]])
         coefficient = (share @ np.reshape(PANELS, (2, 3)))[0] / _SPLIT[0]
         for repeat in range(_REPEATS):
             random = np.random.default_rng([21, mjd, repeat])
@@ -125,7 +125,7 @@ def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
             parts.append(_epochs(day, residual, current, "solar_current"))
             hours.append(np.full(parts[-1].sizes["epoch"], day.local_time))
     # Days in order of time, as the epochs are when they are joined.
-    return join_epochs(parts), np.concatenate(hours)
+    return concat_epochs(parts), np.concatenate(hours)
 
 
 def difference_of_array(scene: Scene) -> tuple[float, ...]:
@@ -137,7 +137,7 @@ def difference_of_array(scene: Scene) -> tuple[float, ...]:
 def both_panels(scene: Scene) -> tuple[float, ...]:
     """Return both panels' fields at the vector sensor: the fitted differences, split as a dipole's; nT/A."""
     epochs, hours = _arrays(scene, both=True)
-    model = next(one for one in choose_panels(epochs, hours).models if one.name == "two_panels")
+    model = next(one for one in select_panel_model(epochs, hours).models if one.name == "two_panels")
     return tuple(float(one) for row in model.value for one in dipole_split(row, VECTOR, SCALAR).vector)
 
 
@@ -149,7 +149,7 @@ def field_of_camera(scene: Scene) -> float:
         current = _DAZZLED * _switched(day, random)
         field = current[:, None] * np.array([0.0, 0.0, 1e3 * CAMERA])
         parts.append(_epochs(day, _disturbed(day, field, random), current, "camera_current"))
-    return float(fit_step(join_epochs(parts)).value[0, 2]) / 1e3
+    return float(fit_step(concat_epochs(parts)).value[0, 2]) / 1e3
 
 
 def change_of_matrix(scene: Scene) -> tuple[float, ...]:
@@ -164,7 +164,7 @@ def change_of_matrix(scene: Scene) -> tuple[float, ...]:
             field = -current @ np.reshape(CHANGE, (3, 3)).T
             residual = _disturbed(day, field, np.random.default_rng([23, mjd, seed]))
             parts.append(band_equations(day.stamps, residual, day.direction, current))
-    found = robust_mean(daily_fits(join_equations(parts)))
+    found = robust_mean(daily_fits(concat_band_equations(parts)))
     return tuple((-found["value"].values).ravel())
 
 
@@ -188,7 +188,7 @@ def _eta_of(grams: Floats, count: float, over: float, seed: int) -> float:
     slow = _ETA_SLOW * random.standard_normal((_ETA_DAYS // 20 + 1, 3))[np.arange(_ETA_DAYS) // 20]
     field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
     gram = _grams_with(grams[np.arange(_ETA_DAYS) % len(grams)], field, count, random)
-    mean = carried_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
+    mean = filled_running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
     return fit_eta(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0]
 
 
@@ -221,7 +221,7 @@ def distributed(scene: Scene) -> tuple[float, float]:
     day = scene.once(fast_day, DAYS[0])
     residual = _disturbed(day, np.zeros_like(day.direction), np.random.default_rng(16))
     found = distribute(40_000.0 * day.direction, residual, day.stamps)
-    return found.rms, found.rms_left
+    return found.rms, found.rms_remaining
 
 
 FIGURES = (
@@ -289,7 +289,7 @@ FIGURES = (
         "period that the distribution of the residual passes by half, from tones with noise",
         "s",
         "Yin 2010, eq. 3.7",
-        PERIOD,
+        FILTER_PERIOD_S,
         # Noise 0.02 s, and both ends of the day.
         0.2,
         half_passed,

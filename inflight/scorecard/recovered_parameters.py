@@ -16,8 +16,8 @@ from inflight.calibration import (
     NormalEquations,
     Reference,
     block_equations,
+    concat_equations,
     fit_block,
-    joined,
     nine_columns,
     table_jumps,
     trend_jumps,
@@ -28,9 +28,9 @@ from inflight.mission_fit import (
     day_statistics,
     fit_coil_samples,
     fit_origin,
+    fit_spread_law,
     fit_trends,
     make_trend,
-    spread_law,
 )
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
@@ -81,7 +81,7 @@ def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEqu
 
 
 def _mission(scene: Scene, seed: int) -> NormalEquations:
-    return joined([day_equations(scene, mjd, number, seed) for number, mjd in enumerate(_MISSION)])
+    return concat_equations([day_equations(scene, mjd, number, seed) for number, mjd in enumerate(_MISSION)])
 
 
 def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
@@ -120,7 +120,7 @@ def _jump_of_intervals(scene: Scene, boundary: int) -> float:
     edges = from_mjd2000(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
     for seed in range(SEEDS):
         days = np.arange(boundary - 15, boundary + 15) + 0.5
-        both = joined([day_equations(scene, mjd, round(mjd), seed) for mjd in days])
+        both = concat_equations([day_equations(scene, mjd, round(mjd), seed) for mjd in days])
         fits = [fit_trends(both.within(*span), {}, _PRIOR) for span in pairwise(edges)]
         table = xr.Dataset(
             {
@@ -157,7 +157,7 @@ def regression(scene: Scene) -> tuple[float, float]:
             parts.append(day_statistics(one * day.direction[:, 2] + noise, day.direction, start, start + 1))
         told = offset + generator.normal(0.0, _OFFSET_ERROR, offset.size)
         statistics = xr.concat(parts, "interval", join="exact")
-        fit = spread_law(statistics, told, np.full(offset.size, _OFFSET_ERROR))
+        fit = fit_spread_law(statistics, told, np.full(offset.size, _OFFSET_ERROR))
         found.append((fit.factor, fit.noise))
     factor, noise = np.mean(found, axis=0)
     return float(factor), float(noise)

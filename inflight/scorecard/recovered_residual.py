@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.mission_fit import WEEKDAYS, clock_faults, day_statistics, slope_of, week_pattern
+from inflight.mission_fit import WEEKDAYS, day_statistics, find_clock_faults, find_week_pattern, fit_slope
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION
@@ -32,7 +32,7 @@ def drift(scene: Scene) -> float:
     for seed in range(SEEDS):
         wave = _WAVE * np.cos(2.0 * np.pi * days / 260.5)
         value = _DRIFT * days + wave + np.random.default_rng([4, seed]).normal(0.0, _SCATTER, days.size)
-        found.append(slope_of(days, value, np.full(days.size, _SCATTER), periods=(260.5,)).slope)
+        found.append(fit_slope(days, value, np.full(days.size, _SCATTER), periods=(260.5,)).slope)
     return float(np.mean(found))
 
 
@@ -47,7 +47,7 @@ def weekday_of_resets(scene: Scene) -> tuple[float, ...]:
         steps = np.where(np.floor(days) % 7 == WEDNESDAY, generator.normal(size=days.size), 0.0)
         # A reset at noon: half of it is in the mean of its own day.
         value = np.cumsum(steps) - 0.5 * steps + generator.normal(size=days.size)
-        pattern = week_pattern(days, value)
+        pattern = find_week_pattern(days, value)
         found.append(float(pattern.day) if pattern.found else np.nan)
     return float(np.min(found)), float(np.max(found))
 
@@ -58,7 +58,7 @@ def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
     for seed in range(SEEDS):
         shift = 0.015 + np.random.default_rng([6, seed]).normal(0.0, _CLOCK_SCATTER, days.size)
         shift += np.where((days > _FAULT[0]) & (days < _FAULT[1] + 1), _FAULT[2], 0.0)
-        faults = clock_faults(days, shift, np.full(days.size, _CLOCK_SCATTER)).faults
+        faults = find_clock_faults(days, shift, np.full(days.size, _CLOCK_SCATTER)).faults
         one = faults[0] if len(faults) == 1 else None
         found.append((one.first, one.last, one.shift) if one else (np.nan,) * 3)
     first, last, size = np.mean(found, axis=0)

@@ -55,7 +55,7 @@ def figures() -> tuple[Figure, ...]:
     return tuple(sorted(every, key=lambda figure: order.index(figure.section)))
 
 
-def selected(only: Sequence[str] = (), section: str | None = None) -> tuple[Figure, ...]:
+def select_figures(only: Sequence[str] = (), section: str | None = None) -> tuple[Figure, ...]:
     """Return some figures.
 
     Parameters
@@ -86,7 +86,7 @@ def _selects(wanted: str, figure: Figure) -> bool:
     return figure.id == wanted or figure.id.startswith(f"{wanted}.")
 
 
-def scorecard(only: Sequence[str] = (), section: str | None = None) -> list[Report]:
+def run_scorecard(only: Sequence[str] = (), section: str | None = None) -> list[Report]:
     """Work out figures, now: what several need is made once.
 
     Parameters
@@ -95,4 +95,4 @@ def scorecard(only: Sequence[str] = (), section: str | None = None) -> list[Repo
         As `selected` takes them.
     """
     scene = Scene()
-    return [figure.report(scene) for figure in selected(only, section)]
+    return [figure.report(scene) for figure in select_figures(only, section)]

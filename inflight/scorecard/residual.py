@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.calibration import joined
-from inflight.mission_fit import SWITCHED, CrossTalkTable, Ignored, correlation, cross_talk, orbit_period
+from inflight.calibration import concat_equations
+from inflight.mission_fit import SWITCHED, CrossTalkTable, IgnoredCause, correlation, cross_talk, orbit_period
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scene import DAYS, MJD_ZERO, NOON, Scene
 
@@ -14,10 +14,10 @@ XZ = "misalignment[xz]"
 #: 10 ms, 0.4 nT, and the day/night field of Fig. 4.21, whose two slopes differ by so much.
 LAG, BIAS, DAY_NIGHT = 0.010, 0.4, 0.47 + 0.18
 _CAUSES = (
-    Ignored("time_shift", LAG, "s", "lag"),
-    Ignored("bias", BIAS, "nT", "bias"),
-    Ignored(f"{SWITCHED}[x]", DAY_NIGHT, "nT", "day_night_x"),
-    Ignored(f"{SWITCHED}[z]", DAY_NIGHT, "nT", "day_night_z"),
+    IgnoredCause("time_shift", LAG, "s", "lag"),
+    IgnoredCause("bias", BIAS, "nT", "bias"),
+    IgnoredCause(f"{SWITCHED}[x]", DAY_NIGHT, "nT", "day_night_x"),
+    IgnoredCause(f"{SWITCHED}[z]", DAY_NIGHT, "nT", "day_night_z"),
 )
 _SCALES = ("scale_factor[x]", "scale_factor[y]", "scale_factor[z]")
 #: The rate of k3 per time shift as the thesis rounds it, 1/s.
@@ -29,7 +29,7 @@ _RESETS = (2517, 3168)
 
 def ignored_causes(scene: Scene, *days: int) -> CrossTalkTable:
     """Return what each cause does when it is ignored, the days being one calibration."""
-    return cross_talk(joined([scene.equations(mjd) for mjd in days]), _CAUSES)
+    return cross_talk(concat_equations([scene.equations(mjd) for mjd in days]), _CAUSES)
 
 
 def _mission(scene: Scene) -> CrossTalkTable:

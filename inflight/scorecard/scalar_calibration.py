@@ -9,7 +9,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.calibration import (
-    SCALE,
+    PARAMETER_SCALE,
     fit_difference,
     fit_squares,
     grams,
@@ -93,7 +93,7 @@ def _exact(reading: Floats, scalar: Floats, start: Floats) -> Floats:
             kernel_scale(value),
             edges,
         )
-        value = value - np.linalg.solve(gram[0, :-1, :-1], gram[0, :-1, -1]) * SCALE
+        value = value - np.linalg.solve(gram[0, :-1, :-1], gram[0, :-1, -1]) * PARAMETER_SCALE
     return value
 
 

@@ -33,7 +33,7 @@ from inflight.zero_level import (
     Estimate,
     Estimator,
     Intervals,
-    Question,
+    OffsetSearch,
     zero_of_minimum_correlation,
 )
 
@@ -220,7 +220,7 @@ def correlation_sets(
     averages: Floats,
     size: int = SET,
     good: Bools | None = None,
-    bound: float = Question.bound,
+    bound: float = OffsetSearch.bound,
     free: tuple[bool, bool, bool] = (True, True, True),
 ) -> OffsetSets:
     """Find the offset of each set of successive averages by minimum correlation along all axes at once.
@@ -249,7 +249,7 @@ def correlation_sets(
     number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // STUDY.parts
     rows = [np.flatnonzero(number == one) for one in np.unique(number)]
     rows = [row for row in rows if row.size >= STUDY.parts // 2]
-    question = Question(free, bound=bound)
+    question = OffsetSearch(free, bound=bound)
     found = np.array([zero_of_minimum_correlation(intervals.where(row), question) for row in rows]).reshape(
         -1, 2, 3
     )
@@ -301,7 +301,7 @@ def scatter_with_hours(
     hours: Floats,
     generator: np.random.Generator,
     draws: int = 60,
-    question: Question | None = None,
+    question: OffsetSearch | None = None,
 ) -> ScatterWithHours:
     """Draw sets of whole hours from a record, with repetition, and estimate each.
 

@@ -10,7 +10,7 @@ from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
 from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
-from inflight.simulate.spinning import CRAFT, wind
+from inflight.simulate.spinning import CRAFT, solar_wind
 from inflight.time import DAY, SECOND
 from inflight.zero_level import (
     Intervals,
@@ -98,7 +98,7 @@ def scatter_in_wind(scene: Scene, hours: float) -> float:
     errors = []
     for seed in range(_WINDS):
         seconds = np.arange(0.0, hours * 3600.0, _CADENCE)
-        field = wind(seconds, seed, 0, CRAFT["themis"])
+        field = solar_wind(seconds, seed, 0, CRAFT["themis"])
         sign = 1.0 - 2.0 * (seed % 2)
         stamps = (seconds * SECOND).astype(np.int64)
         found = davis_smith(Intervals.of(stamps, field + sign * np.array(_OFFSET), _LENGTH))

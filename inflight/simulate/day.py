@@ -18,7 +18,7 @@ from inflight.simulate.orbit import EARTH_RADIUS, Geometry, geometry, node_local
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.power import Currents, currents, switched
 from inflight.simulate.randomness import generator
-from inflight.simulate.second import as_second, in_second_axes, second_effects
+from inflight.simulate.second_fluxgate import as_second, in_second_axes, second_effects
 from inflight.simulate.settings import SimulationSettings
 from inflight.simulate.stray import Pair, stray_fields
 from inflight.simulate.thermal import temperatures

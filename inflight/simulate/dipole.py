@@ -30,8 +30,8 @@ def dipole_matrix(displacement: npt.ArrayLike) -> Float:
     return (_MU0_4PI / distance**3) * (3.0 * np.outer(unit, unit) - np.eye(3))
 
 
-def transfer(
-    field: npt.ArrayLike, source: npt.ArrayLike, known: npt.ArrayLike, wanted: npt.ArrayLike
+def extrapolate_dipole(
+    field: npt.ArrayLike, source: npt.ArrayLike, known: npt.ArrayLike, target: npt.ArrayLike
 ) -> Float:
     """Return a dipole's field at one point from its field at another.
 
@@ -49,4 +49,4 @@ def transfer(
     """
     origin = np.asarray(source, dtype=np.float64)
     moment = np.linalg.solve(dipole_matrix(np.asarray(known) - origin), np.asarray(field, dtype=np.float64))
-    return dipole_matrix(np.asarray(wanted) - origin) @ moment
+    return dipole_matrix(np.asarray(target) - origin) @ moment

@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from inflight.simulate.dipole import transfer
+from inflight.simulate.dipole import extrapolate_dipole
 from inflight.simulate.grid import Float
 from inflight.simulate.parameters import Parameters, Vector
 from inflight.simulate.power import Currents
@@ -41,7 +41,7 @@ def coefficients(parameters: Parameters) -> dict[str, Pair]:
 
 
 def _pair(field: Vector, position: Vector, parameters: Parameters) -> Pair:
-    reached = transfer(field, position, parameters.vector_position, parameters.scalar_position)
+    reached = extrapolate_dipole(field, position, parameters.vector_position, parameters.scalar_position)
     return np.array(field), reached
 
 
@@ -53,7 +53,9 @@ def remanent_fields(seconds: Float, parameters: Parameters) -> Pair:
     """
     at_scalar = parameters.remanent_per_current * mean_current(seconds, parameters) * [0.0, 1.0, 1.0]
     basis = [
-        transfer(axis, parameters.remanent_position, parameters.scalar_position, parameters.vector_position)
+        extrapolate_dipole(
+            axis, parameters.remanent_position, parameters.scalar_position, parameters.vector_position
+        )
         for axis in np.eye(3)
     ]
     return at_scalar @ np.array(basis), at_scalar

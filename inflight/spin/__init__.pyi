@@ -23,10 +23,10 @@ from .farrell import (
 )
 from .fits import SpinFits, despin, fit_spins, respin
 from .intervals import BlockLayout, Bools, Exclusion, SubIntervals, cut_into_blocks
-from .phase import Fault, PeriodCheck, SpinPhase, check_period, phase_from_angle, phase_from_pulses
+from .phase import PeriodCheck, PhaseFault, SpinPhase, check_period, phase_from_angle, phase_from_pulses
 from .product import Attitude, make_spin_product
 from .residual import (
-    ROWS,
+    ROW_NAMES,
     TONES,
     ToneCoordinate,
     ToneDependence,
@@ -51,7 +51,7 @@ from .update import (
 __all__ = [
     "GROUND",
     "NAMES",
-    "ROWS",
+    "ROW_NAMES",
     "SPIN",
     "SPIN_RELATED",
     "TONES",
@@ -65,10 +65,10 @@ __all__ = [
     "Exclusion",
     "ExternalValue",
     "FarrellFit",
-    "Fault",
     "JointEstimate",
     "ParameterTable",
     "PeriodCheck",
+    "PhaseFault",
     "Selection",
     "SensorAngles",
     "SpinEstimates",

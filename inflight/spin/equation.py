@@ -94,7 +94,7 @@ class CalibrationParameters:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
-    def of_values(cls, values: npt.ArrayLike) -> CalibrationParameters:
+    def from_values(cls, values: npt.ArrayLike) -> CalibrationParameters:
         """Return parameters from twelve numbers in the order of `NAMES`."""
         one = [float(value) for value in np.asarray(values, dtype=np.float64)]
         if len(one) != len(NAMES):
@@ -140,7 +140,7 @@ class CalibrationParameters:
         values = self.values()
         for name, value in new.items():
             values[NAMES.index(name)] = value
-        return CalibrationParameters.of_values(values)
+        return CalibrationParameters.from_values(values)
 
     def factors(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return Phi, Sigma, Gamma and G (eqs. 4 to 7), each of shape (3, 3)."""

@@ -39,7 +39,14 @@ from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq import TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, long_run_covariance, sigma_of_mean
+from inflight.lsq import (
+    MAD_TO_SIGMA,
+    WEIGHTED_RMS,
+    biweight,
+    biweight_slope,
+    long_run_covariance,
+    sigma_of_mean,
+)
 from inflight.spin.fits import SpinFits
 from inflight.time import DAY, SECOND, Int64, utc_text
 
@@ -307,10 +314,10 @@ def _robust_weights(residual: Complexes, *, real: bool) -> tuple[Floats, Floats]
     that happen to be near the line would draw it to themselves.
     """
     step = np.abs(np.diff(residual, prepend=residual[:1] + residual[0] - residual[1]))
-    scatter = TO_SIGMA / np.sqrt(2.0) * _median_around(step)
+    scatter = MAD_TO_SIGMA / np.sqrt(2.0) * _median_around(step)
     scatter = np.maximum(scatter, np.percentile(scatter, FARRELL.quiet_percent))
     size = np.abs(residual)
-    usual = np.maximum(TO_SIGMA * _median_around(size), scatter)
+    usual = np.maximum(MAD_TO_SIGMA * _median_around(size), scatter)
     known = usual > 0
     scaled = np.divide(size, usual, out=np.zeros_like(size), where=known)
     base = np.divide(1.0, scatter**2, out=np.ones_like(size), where=scatter > 0)

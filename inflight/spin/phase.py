@@ -37,8 +37,8 @@ from scipy.ndimage import median_filter, percentile_filter
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.lsq import TO_SIGMA, robust_sigma
-from inflight.residual import SIGNIFICANCE
+from inflight.lsq import MAD_TO_SIGMA, robust_sigma
+from inflight.residual import STEP_SIGNIFICANCE
 from inflight.time import SECOND, Int64, utc_text
 
 
@@ -447,7 +447,7 @@ def _scatter(seconds: Floats, turns: Floats, rate: Floats) -> float:
 
 def _tolerance(sigma: float) -> float:
     """Return by how much of a turn marks of a scatter may be off whole turns from each other."""
-    return float(np.clip(SIGNIFICANCE * np.sqrt(2.0) * sigma, MARKS.finest, MARKS.coarsest))
+    return float(np.clip(STEP_SIGNIFICANCE * np.sqrt(2.0) * sigma, MARKS.finest, MARKS.coarsest))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -571,7 +571,7 @@ def check_period(
     plane = field[kept, 0] + 1j * field[kept, 1]
     plane = plane - np.median(plane.real) - 1j * np.median(plane.imag)
     size = np.abs(plane)
-    most = PERIOD_CHECK.limit * TO_SIGMA * float(np.median(size))
+    most = PERIOD_CHECK.limit * MAD_TO_SIGMA * float(np.median(size))
     plane = np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
     cadence = float(np.median(np.diff(seconds)))
     used = _mean_period(stamps, phase)
@@ -688,7 +688,7 @@ _BRIDGED = "samples between carry the flag phase_bridged, or no_phase where that
 _UNKNOWN = "samples without a phase carry the flag no_phase and have their field in turning axes only"
 
 
-class Fault(NamedTuple):
+class PhaseFault(NamedTuple):
     """Something about the marks that was not as it should be, and what to do about it; a sentence each."""
 
     found: str
@@ -724,7 +724,7 @@ class SpinPhase:
     flag: npt.NDArray[np.uint32]
     marks: Marks
     nominal: float = float("nan")
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[PhaseFault, ...] = ()
 
     @property
     def reports(self) -> tuple[str, ...]:
@@ -864,7 +864,7 @@ def _from_marks(
     faults = []
     if not once.all():
         found = f"{np.count_nonzero(~once)} repeated {kind}s dropped"
-        faults.append(Fault(found, "see why the deliveries hold them twice; nothing is lost"))
+        faults.append(PhaseFault(found, "see why the deliveries hold them twice; nothing is lost"))
     times, turns = times[once], turns[once]
     if times.size < 3:
         raise CalibrationError(
@@ -898,7 +898,9 @@ def _from_marks(
     spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
     if spurious:
         found = f"{spurious} spurious {kind}s dropped"
-        faults.append(Fault(found, "see what else the Sun sensor saw; the rest tells the phase without them"))
+        faults.append(
+            PhaseFault(found, "see what else the Sun sensor saw; the rest tells the phase without them")
+        )
     covered = _turns_between(marks, stamps)
     faults += _mark_faults(counted, covered, nominal, kind) + _jump_faults(marks, covered)
     return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, max_sigma, nominal, kind, faults)
@@ -919,25 +921,25 @@ def _turns_between(marks: Marks, stamps: Int64) -> Floats:
     return np.where(there, (ordered[last] - ordered[first]) / SECOND * marks.rate[:-1], -1.0)
 
 
-def _mark_faults(marks: Marks, covered: Floats, nominal: float | None, kind: str) -> list[Fault]:
+def _mark_faults(marks: Marks, covered: Floats, nominal: float | None, kind: str) -> list[PhaseFault]:
     """Return what is wrong with the marks around the samples; `covered` is of `_turns_between`."""
     faults = []
     usual = float(np.median(marks.period))
     if nominal is not None and abs(usual / nominal - 1.0) > PHASE.nominal:
         found = f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen"
-        faults.append(Fault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
+        faults.append(PhaseFault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
     missing = int(np.minimum(marks.missing_turns, np.floor(np.maximum(covered, 0.0))).sum())
     if kind == "Sun pulse" and missing:
-        faults.append(Fault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
+        faults.append(PhaseFault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
     lost = np.flatnonzero(marks.uncountable & (covered > 2.0 * PHASE.carried))
     if lost.size:
         longest = float((np.diff(marks.time)[lost] / SECOND).max())
         found = f"{lost.size} gap(s) too long to count turns, the longest {longest:.0f} s"
-        faults.append(Fault(found, f"deliver more {kind}s; {_UNKNOWN}"))
+        faults.append(PhaseFault(found, f"deliver more {kind}s; {_UNKNOWN}"))
     return faults
 
 
-def _jump_faults(marks: Marks, covered: Floats) -> list[Fault]:
+def _jump_faults(marks: Marks, covered: Floats) -> list[PhaseFault]:
     """Return where the phase jumps: the first ten places, and how many more there are."""
     places = np.flatnonzero(marks.jumped & (covered >= 0.0))
     touched = marks.shifted | marks.ambiguous
@@ -948,10 +950,10 @@ def _jump_faults(marks: Marks, covered: Floats) -> list[Fault]:
     found = []
     for place in places[:10]:
         size, when = 360.0 * marks.residual[place], utc_text(int(marks.time[place]))
-        found.append(Fault(f"the phase jumps by {size:+.2f} degrees after {when}", remedy))
+        found.append(PhaseFault(f"the phase jumps by {size:+.2f} degrees after {when}", remedy))
     if not found:
-        found.append(Fault("the phase jumps before or after the samples", remedy))
-    return [*found, Fault(f"and {places.size - 10} more jumps", remedy)] if places.size > 10 else found
+        found.append(PhaseFault("the phase jumps before or after the samples", remedy))
+    return [*found, PhaseFault(f"and {places.size - 10} more jumps", remedy)] if places.size > 10 else found
 
 
 def _at_samples(
@@ -961,7 +963,7 @@ def _at_samples(
     max_sigma: float,
     nominal: float | None,
     kind: str,
-    faults: list[Fault],
+    faults: list[PhaseFault],
 ) -> SpinPhase:
     """Interpolate the phase from the marks to the samples."""
     place = np.clip(np.searchsorted(marks.time, stamps, side="right") - 1, 0, marks.time.size - 2)
@@ -999,11 +1001,11 @@ def _at_samples(
     beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))
     if beyond:
         found = f"{beyond} samples lie beyond the first or last {kind}, which tell no phase there"
-        faults.append(Fault(found, f"deliver more {kind}s; {_UNKNOWN}"))
+        faults.append(PhaseFault(found, f"deliver more {kind}s; {_UNKNOWN}"))
     phase = np.where(bad, np.nan, TURN * phase + offset)
     if not np.isfinite(phase).any() and stamps.size:
         found = f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees"
-        faults.append(Fault(found, f"see whether the times are those of one Sun sensor; {_UNKNOWN}"))
+        faults.append(PhaseFault(found, f"see whether the times are those of one Sun sensor; {_UNKNOWN}"))
     stated = float("nan") if nominal is None else float(nominal)
     return SpinPhase(
         stamps=stamps,

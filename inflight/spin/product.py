@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
 from inflight.spin.equation import NAMES, CalibrationParameters
@@ -102,7 +102,7 @@ def make_spin_product(
     for name, term in model.correction_terms(corrected).items():
         kind = {"units": "nT", "long_name": f"taken out of the reading: {name}"}
         variables[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, dict(kind))
-    masks, names = meanings()
+    masks, names = flag_meanings()
     out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
     out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
     out["tt2000"] = (_SCALAR, corrected["tt2000"].values, {"units": "ns", "scale": "TT2000"})

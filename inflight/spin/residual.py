@@ -23,21 +23,21 @@ from inflight.lsq import jackknife
 from inflight.residual import (
     DEPENDENCES,
     BinnedFit,
+    bin_count,
     bin_edges,
-    bin_of,
-    bins_of,
-    shifted,
-    successive,
+    bin_indices,
+    placebo_shifts_of,
+    select_successively,
 )
-from inflight.samples import ORDER, Complex
+from inflight.samples import FOLD_ORDER, Complex
 
 Ints = npt.NDArray[np.int64]
 
 #: The rows, and what their tones are called.
-ROWS = ("along the spin axis", "of the modulus across it")
+ROW_NAMES = ("along the spin axis", "of the modulus across it")
 
 #: Tones in the order of `Tones.value`: (row, harmonic).
-TONES = tuple((row, harmonic) for row in range(len(ROWS)) for harmonic in range(1, ORDER + 1))
+TONES = tuple((row, harmonic) for row in range(len(ROW_NAMES)) for harmonic in range(1, FOLD_ORDER + 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +106,7 @@ def tones_of(rows: Floats, sectors: int) -> Complex:
     whole = rows[: len(rows) // sectors * sectors].reshape(-1, sectors, rows.shape[1])
     # The first sample is half a sector after phase zero.
     phase = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
-    waves = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
+    waves = np.exp(1j * phase[:, None] * np.arange(1, FOLD_ORDER + 1))
     # As a cosine and a sine: Re(A exp(-i h phase)).
     found = np.einsum("isr,sh->irh", whole, waves) * 2.0 / sectors
     return np.asarray(found.reshape(len(whole), -1))
@@ -221,8 +221,8 @@ def _bins(one: ToneCoordinate, used: npt.NDArray[np.bool_], block: Ints) -> Ints
         return np.zeros(int(used.sum()), dtype=np.int64) if turns else None
     if one.kind == "spin_phase":
         return np.zeros(int(used.sum()), dtype=np.int64) if used.any() else None
-    edges = bin_edges(one.values[used], bins_of(one.kind, block[used], TONE_SETTINGS.bins))
-    return None if edges is None else bin_of(one.values[used], edges)
+    edges = bin_edges(one.values[used], bin_count(one.kind, block[used], TONE_SETTINGS.bins))
+    return None if edges is None else bin_indices(one.values[used], edges)
 
 
 def without_structure(tones: Tones, found: ToneDependence) -> Tones:
@@ -280,7 +280,7 @@ class ToneFailure:
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         row, harmonic = TONES[self.tone]
         structure = (
-            f"{opening} {ROWS[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
+            f"{opening} {ROW_NAMES[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
         )
         rivals = ", ".join(self.rivals)
         also = f". These data cannot tell it from: {rivals}" if rivals else ""
@@ -383,7 +383,7 @@ def find_tone_failures(
         found = [tone_dependence(rest, one, block) for one in _at_other_times(best.coordinate)]
         return max((float(one.amplitude[best.strongest]) for one in found if one is not None), default=0.0)
 
-    structures = successive(
+    structures = select_successively(
         tones,
         measured,
         size=lambda one: float(one.amplitude[one.strongest]),
@@ -404,8 +404,8 @@ def _at_other_times(one: ToneCoordinate) -> Iterator[ToneCoordinate]:
     """Yield a coordinate as it was in other parts of the record; none of the spin's own phase."""
     if one.kind == "spin_phase":
         return
-    channel_tones = shifted(one.channel_tone) if one.channel_tone is not None else repeat(None)
-    for values, tone in zip(shifted(one.values), channel_tones, strict=False):
+    channel_tones = placebo_shifts_of(one.channel_tone) if one.channel_tone is not None else repeat(None)
+    for values, tone in zip(placebo_shifts_of(one.values), channel_tones, strict=False):
         yield replace(one, values=values, channel_tone=tone)
 
 

@@ -216,7 +216,7 @@ class ValuesInUse:
     drift: Drift
 
     @classmethod
-    def of_ground(cls, ground: CalibrationParameters, sigma: Mapping[str, float]) -> Self:
+    def from_ground(cls, ground: CalibrationParameters, sigma: Mapping[str, float]) -> Self:
         """Return what is used before the flight."""
         value = ground.spin_related()
         errors = np.array([sigma[name] for name in SPIN_RELATED])
@@ -447,7 +447,7 @@ class ParameterTable:
     @property
     def parameters(self) -> CalibrationParameters:
         """The values as parameters of the calibration equation."""
-        return CalibrationParameters.of_values(self.value)
+        return CalibrationParameters.from_values(self.value)
 
     def sigmas(self) -> dict[str, float]:
         """Return the uncertainties by name."""

@@ -1,5 +1,5 @@
 from .combination import CombinedEstimate, combine_methods
-from .estimate import Estimate, Question
+from .estimate import Estimate, OffsetSearch
 from .flipper import PARTS, Flipped, separate_flipped
 from .intervals import AXES, Bools, Intervals
 from .methods import (
@@ -30,7 +30,7 @@ __all__ = [
     "Flipped",
     "IntervalKinds",
     "Intervals",
-    "Question",
+    "OffsetSearch",
     "combine_methods",
     "davis_smith",
     "minimum_correlation",

@@ -1,6 +1,6 @@
 r"""All methods on one record: one offset, whether they agree, and whether other offsets are refused.
 
-Takes: `Intervals` and a `Question`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of the
+Takes: `Intervals` and a `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of the
 methods of `METHODS`, each on the intervals that suit it, with their agreement.
 
 Methods share intervals and fluctuations, so they are not independent. Each is weighted by the inverse of its
@@ -33,7 +33,7 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
-from inflight.zero_level.estimate import SOLVER, Estimate, Question, covariance_of, freedom_of
+from inflight.zero_level.estimate import SOLVER, Estimate, OffsetSearch, covariance_of, freedom_of
 from inflight.zero_level.intervals import AXES, Intervals
 from inflight.zero_level.methods import (
     METHODS,
@@ -141,7 +141,7 @@ def likelihood_ratio(better: Floats, other: Floats) -> float:
     return float(apart.sum() / np.sqrt(chance))
 
 
-def most_likely_offset(intervals: Intervals, through: Floats, question: Question) -> Floats:
+def most_likely_offset(intervals: Intervals, through: Floats, question: OffsetSearch) -> Floats:
     """Return the most likely offset within the bound, one axis after the other; (3,), nT.
 
     Parameters
@@ -156,14 +156,14 @@ def most_likely_offset(intervals: Intervals, through: Floats, question: Question
     return offset
 
 
-def offsets_along(through: Floats, axis: int, question: Question) -> Floats:
+def offsets_along(through: Floats, axis: int, question: OffsetSearch) -> Floats:
     """Return offsets on a line along an axis, from one end of the bound to the other; (point, 3), nT."""
     line = np.tile(np.asarray(through, dtype=np.float64), (LIKELIHOOD.steps, 1))
     line[:, axis] = question.start[axis] + np.linspace(-question.bound, question.bound, LIKELIHOOD.steps)
     return line
 
 
-def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: Question) -> Estimate:
+def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: OffsetSearch) -> Estimate:
     """Return an estimate without the axes along which other offsets within the bound are as likely.
 
     Along each axis, the others at their values, the offsets that the readings do not refuse must be one
@@ -286,7 +286,7 @@ class CombinedEstimate:
         )
 
 
-def combine_methods(intervals: Intervals, question: Question | None = None) -> CombinedEstimate:
+def combine_methods(intervals: Intervals, question: OffsetSearch | None = None) -> CombinedEstimate:
     """Estimate the offset by every method on the intervals that suit it.
 
     The methods and their intervals are those of `METHODS`. Which intervals are of which kind depends on the
@@ -299,7 +299,7 @@ def combine_methods(intervals: Intervals, question: Question | None = None) -> C
     CalibrationError
         No method determines anything, with the reason of each.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     found, failed = [], []
     for near in _starts(intervals, question):
         try:
@@ -336,7 +336,7 @@ def _chosen(intervals: Intervals, found: list[CombinedEstimate]) -> CombinedEsti
     return min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
 
 
-def _combine_from(intervals: Intervals, question: Question, near: Floats) -> CombinedEstimate:
+def _combine_from(intervals: Intervals, question: OffsetSearch, near: Floats) -> CombinedEstimate:
     """Return the result from one offset to begin with."""
     offset, seen = near, set[tuple[bytes, bytes]]()
     for _ in range(COMBINATION.rounds):
@@ -368,7 +368,7 @@ def _combine_from(intervals: Intervals, question: Question, near: Floats) -> Com
     )
 
 
-def _starts(intervals: Intervals, question: Question) -> list[Floats]:
+def _starts(intervals: Intervals, question: OffsetSearch) -> list[Floats]:
     """Return offsets to begin with: what is known, the most likely one, and those of two simple methods."""
     start = np.asarray(question.start, dtype=np.float64)
     least = np.clip(
@@ -382,7 +382,7 @@ def _starts(intervals: Intervals, question: Question) -> list[Floats]:
 
 
 def _estimate_by_each(
-    intervals: Intervals, found: IntervalKinds, question: Question
+    intervals: Intervals, found: IntervalKinds, question: OffsetSearch
 ) -> tuple[list[Estimate], list[str]]:
     """Return the estimates of the methods, and why others give none."""
     methods, refused = [], []
@@ -401,7 +401,7 @@ def _estimate_by_each(
     return methods, refused
 
 
-def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
+def weighted_mean(methods: list[Estimate], question: OffsetSearch) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
     Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they

@@ -3,7 +3,7 @@
 Takes: a method's equations, as scores and slopes of every interval (`Equations`). Makes (`solve`,
 `estimate_from_scores`): `Estimate`, the offset with its covariance, the axes that are determined, and the
 intervals it is from. The offset is where the scores sum to zero; its covariance is the sandwich of the
-scores, with their correlation in time. `Question` states which axes to estimate, within which bound.
+scores, with their correlation in time. `OffsetSearch` states which axes to estimate, within which bound.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Estimate:
         wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
         return wider.with_reasons(f"{why} may pull it by {sizes} nT")
 
-    def with_axes(self, determined: Bools, question: Question) -> Estimate:
+    def with_axes(self, determined: Bools, question: OffsetSearch) -> Estimate:
         """Return the same with only some axes (3,) determined: the others at the question's start."""
         lost = np.where(self.determined & ~determined, (SOLVER.undetermined * question.bound) ** 2, 0.0)
         return replace(
@@ -171,7 +171,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Question:
+class OffsetSearch:
     """Which axes to estimate, within which bound, from where.
 
     Attributes
@@ -268,7 +268,7 @@ def solve(
     equations: Equations,
     intervals: Intervals,
     used: Bools,
-    question: Question,
+    question: OffsetSearch,
     true_slopes: Slopes | None = None,
     *,
     first: Floats | None = None,
@@ -359,7 +359,7 @@ def estimate_from_scores(
     parts: tuple[Floats, Floats, Floats, Floats],
     intervals: Intervals,
     used: Bools,
-    question: Question,
+    question: OffsetSearch,
     reasons: tuple[str, ...],
 ) -> Estimate:
     """Return the estimate at a solution, its covariance from the scores of the intervals.

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.residual import SIGNIFICANCE, channel_noise
+from inflight.residual import STEP_SIGNIFICANCE, channel_noise
 from inflight.time import GAP, SECOND, Int64
 
 Bools = npt.NDArray[np.bool_]
@@ -275,7 +275,9 @@ def _spikes(values: Floats) -> Bools:
         usual = max(float(np.sqrt(2.0)) * channel_noise(column)[0], 1.4826 * float(np.median(np.abs(change))))
         ahead, behind = change[:-1], change[1:]
         least = np.minimum(np.abs(ahead), np.abs(behind))
-        out[1:-1] |= (least > SIGNIFICANCE * usual) & (np.abs(ahead + behind) < INTERVALS.returns * least)
+        out[1:-1] |= (least > STEP_SIGNIFICANCE * usual) & (
+            np.abs(ahead + behind) < INTERVALS.returns * least
+        )
     return out
 
 

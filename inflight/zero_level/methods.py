@@ -1,6 +1,6 @@
 r"""The methods of the zero level, one call each: ``method(intervals, used, question) -> Estimate``.
 
-Takes: `Intervals`, which of them are of the method's kind, and a `Question`. Makes: `Estimate`. The table
+Takes: `Intervals`, which of them are of the method's kind, and a `OffsetSearch`. Makes: `Estimate`. The table
 `METHODS` names every method, the intervals that suit it, and whether `inflight.zero_level.combination` uses
 it. B is a reading, O the offset, :math:`\bar B` the mean of an interval.
 
@@ -68,7 +68,7 @@ from inflight.time import Int64
 from inflight.zero_level.estimate import (
     SOLVER,
     Estimate,
-    Question,
+    OffsetSearch,
     best_estimate,
     estimate_from_scores,
     inverse_of_true_slopes,
@@ -197,7 +197,7 @@ def compression(intervals: Intervals, offset: Floats) -> Floats:
 
 
 def davis_smith(
-    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset by Davis-Smith, with the bias of compressions taken off.
 
@@ -213,7 +213,7 @@ def davis_smith(
     CalibrationError
         Too few intervals.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(DAVIS_SMITH, intervals, used)
     a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
@@ -235,14 +235,14 @@ def davis_smith(
 
 
 def davis_smith_as_published(
-    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset by Davis-Smith as published; the bias of compressions enters the covariance.
 
     Linear in the offset, so that readings in turning axes are allowed. Parameters and errors as for
     `davis_smith`.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(DAVIS_SMITH, intervals, used)
     a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
@@ -254,7 +254,7 @@ def davis_smith_as_published(
     return found.with_systematic(compression_bias(intervals, found, question), "compressions")
 
 
-def least_variance_offset(intervals: Intervals, question: Question) -> Floats:
+def least_variance_offset(intervals: Intervals, question: OffsetSearch) -> Floats:
     """Return the offset of least variance of the square of all intervals, in closed form; (3,), nT."""
     a, b = least_variance_equations(intervals)
     start, weight = np.asarray(question.start), intervals.count[:, None]
@@ -262,7 +262,7 @@ def least_variance_offset(intervals: Intervals, question: Question) -> Floats:
     return np.asarray(start + inverse @ np.sum(weight * (b - a @ start), axis=0))
 
 
-def compression_bias(intervals: Intervals, found: Estimate, question: Question) -> Floats:
+def compression_bias(intervals: Intervals, found: Estimate, question: OffsetSearch) -> Floats:
     """Return the bias of a Davis-Smith offset as published by compressions along the mean field; (3,), nT."""
     part = intervals.where(found.used)
     rest = np.maximum(compression(part, found.solution) - part.white**2, 0.0)
@@ -295,7 +295,7 @@ def pair_changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, 
 
 
 def minimum_correlation(
-    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset along all axes at once from uncorrelated changes of size and direction.
 
@@ -315,7 +315,7 @@ def minimum_correlation(
     CalibrationError
         Too few intervals.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(
         MINIMUM_CORRELATION, intervals, used, above_noise=False
     )  # noise drops out
@@ -365,7 +365,9 @@ def interval_lines(intervals: Intervals) -> tuple[Floats, Floats]:
     return least, np.eye(3) - least[:, :, None] * least[:, None, :]
 
 
-def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question | None = None) -> Estimate:
+def wang_pan(
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+) -> Estimate:
     """Estimate the offset as the meeting point of the intervals' lines.
 
     Parameters
@@ -380,7 +382,7 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
     CalibrationError
         Too few intervals.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(WANG_PAN, intervals, used)
     a, b = least_variance_equations(intervals)
     across = interval_lines(intervals)[1]
@@ -429,7 +431,7 @@ def direction_of_most_variance(intervals: Intervals) -> Floats:
 
 
 def mirror_mode(
-    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset from the direction of most variance.
 
@@ -445,7 +447,7 @@ def mirror_mode(
     CalibrationError
         Too few intervals.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(MIRROR_MODE, intervals, used)
     direction, mean = direction_of_most_variance(intervals), intervals.mean
 
@@ -644,7 +646,9 @@ def _nearest_zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple
     return float(fine[at] + share * (fine[at + 1] - fine[at])), int(where.size)
 
 
-def hedgecock(intervals: Intervals, used: Bools | None = None, question: Question | None = None) -> Estimate:
+def hedgecock(
+    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+) -> Estimate:
     """Estimate the offset one axis after the other, as the tests on IMP-8 and Helios did it.
 
     The covariance is that of the joint equations ``V = 0`` of the free axes at the solution, each with its
@@ -663,7 +667,7 @@ def hedgecock(intervals: Intervals, used: Bools | None = None, question: Questio
     CalibrationError
         Too few intervals, or too few pairs 30 to 150 degrees from an axis.
     """
-    question = question or Question()
+    question = question or OffsetSearch()
     mask = question.select_intervals(HEDGECOCK, intervals, used, above_noise=False)  # noise drops out
     free, part = np.asarray(question.free), intervals.where(mask)
     axes = tuple(int(axis) for axis in np.flatnonzero(free))
@@ -707,7 +711,7 @@ def hedgecock(intervals: Intervals, used: Bools | None = None, question: Questio
     )
 
 
-def zero_of_minimum_correlation(intervals: Intervals, question: Question) -> Floats:
+def zero_of_minimum_correlation(intervals: Intervals, question: OffsetSearch) -> Floats:
     """Return the zero of minimum correlation of a short record and its error, without further tests; (2, 3).
 
     The errors are those of the intervals' scores, taken as independent. NaN where there is no zero within the
@@ -734,7 +738,7 @@ def zero_of_minimum_correlation(intervals: Intervals, question: Question) -> Flo
     return max(found, key=lambda one: abs(float(np.log(compression_over_rotation(intervals, one[0])))))
 
 
-Estimator = Callable[[Intervals, Bools | None, Question | None], Estimate]
+Estimator = Callable[[Intervals, Bools | None, OffsetSearch | None], Estimate]
 
 
 @dataclass(frozen=True, kw_only=True)

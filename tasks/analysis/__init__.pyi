@@ -1,7 +1,7 @@
-from .comparing import compare, measured
+from .comparing import compare, measure_comparison
 from .diagnosis import diagnose
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, examine, report
-from .gram_pass import DiagnoseSettings, block_evidence
+from .gram_pass import DiagnoseSettings, block_grams
 from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench, require_sampled
 
 __all__ = [
@@ -9,14 +9,14 @@ __all__ = [
     "DiagnosisReport",
     "Revision",
     "Workbench",
-    "block_evidence",
+    "block_grams",
     "compare",
     "diagnose",
     "diagnose_span",
     "diagnosis_sections",
     "examine",
     "last_diagnosis",
-    "measured",
+    "measure_comparison",
     "open_workbench",
     "report",
     "require_sampled",

@@ -8,7 +8,7 @@ from typing import Any
 from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
-from inflight.tasks.pipelines import Compared, Report, pipeline_of, published_products
+from inflight.tasks.pipelines import CompareResult, Report, pipeline_of, published_products
 from inflight.tasks.report import Progress, write_page
 from inflight.time import DayLike
 
@@ -45,7 +45,7 @@ def compare(
     CatalogError
         When no product of the comparison is published in the span.
     """
-    found = measured(cat, mission, start, end, comparison, progress)
+    found = measure_comparison(cat, mission, start, end, comparison, progress)
     if output is not None:
         write_page(output, html_page(found.title, found.sections(), mission.acknowledgement))
         found.report.path = output
@@ -53,14 +53,14 @@ def compare(
     return report
 
 
-def measured(
+def measure_comparison(
     cat: Catalog,
     mission: Mission,
     start: DayLike | None = None,
     end: DayLike | None = None,
     comparison: str = "main",
     progress: Progress | None = None,
-) -> Compared[Any]:
+) -> CompareResult[Any]:
     """Measure as `compare` does; return with the report what its figures are drawn from."""
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = published_products(cat, comparison, span)

@@ -2,7 +2,7 @@
 
 Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`). The pieces are `plan_pass` (survey
 the span, linearise the model, decide what is tried), `make_pass` (make or find the Gram blocks),
-`begin_search` and `context_of` (what `inflight.diagnosis.conclude` takes).
+`begin_search` and `diagnosis_data` (what `inflight.diagnosis.conclude` takes).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from inflight.catalog import Catalog
 from inflight.design import BURSTS
 from inflight.diagnosis import (
-    Context,
     Diagnosis,
+    DiagnosisData,
     Rules,
     Search,
     conclude,
@@ -39,7 +39,7 @@ from inflight.tasks.analysis.gram_pass import (
     block_parts,
     cadence_for,
     find_switchings,
-    load_evidence,
+    load_grams,
     make_blocks,
     placebo_shifts,
     stretches_between,
@@ -53,9 +53,9 @@ from inflight.tasks.archive import (
     channel_needs,
     needs_of,
     position_channel,
-    shows_spin,
+    resolves_spin,
 )
-from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
@@ -69,7 +69,7 @@ class PassResult:
     """A pass that has been made: what the search reads. `switched` are switchings that two sensors show."""
 
     plan: PassPlan
-    used: UsedModel
+    used: VersionedModel
     survey: Survey
     loaded: Loaded
     context: str
@@ -106,7 +106,7 @@ def diagnose(
     """
     settings = settings or DiagnoseSettings()
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    context, searches = context_of(made, mission), [begin_search(made, settings)]
+    context, searches = diagnosis_data(made, mission), [begin_search(made, settings)]
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
     del made
     return conclude(searches.pop(), context)[0]
@@ -121,7 +121,7 @@ def make_pass(
     *,
     client: Any = None,
     progress: Progress | None = None,
-    used: UsedModel | None = None,
+    used: VersionedModel | None = None,
     narrow: Callable[[PassPlan], PassPlan] | None = None,
 ) -> PassResult:
     """Make or find the Gram blocks of a span and a model, the present one if none; narrow ones stay apart."""
@@ -133,14 +133,14 @@ def make_pass(
     run, blocks = make_blocks(
         cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
     )
-    loaded = load_evidence(cat, plan, blocks)
+    loaded = load_grams(cat, plan, blocks)
     if loaded.outliers.share > BURSTS.largest_share:
         # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
         plan = replace(plan, keep_bursts=True)
         run, blocks = make_blocks(
             cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
         )
-        loaded = load_evidence(cat, plan, blocks)
+        loaded = load_grams(cat, plan, blocks)
         dataset = f"{dataset}-bursts"
     seen = find_switchings(mission, plan, loaded.series)
     if seen is not None:
@@ -158,7 +158,7 @@ def make_pass(
             client,
             tell,
         )
-        loaded = load_evidence(cat, plan, blocks)
+        loaded = load_grams(cat, plan, blocks)
     failed = len(plan.blocks) - len(blocks)
     return PassResult(
         plan=plan,
@@ -179,7 +179,7 @@ class PlannedPass:
     plan: PassPlan
     index: ArchiveIndex
     base: Need
-    used: UsedModel
+    used: VersionedModel
     survey: Survey
 
 
@@ -189,7 +189,7 @@ def plan_pass(
     settings: DiagnoseSettings,
     start: DayLike | None = None,
     end: DayLike | None = None,
-    used: UsedModel | None = None,
+    used: VersionedModel | None = None,
     tell: Progress = lambda stage, done, total: None,
 ) -> PlannedPass:
     """Survey the span, linearise the model, and decide what is tried.
@@ -203,7 +203,7 @@ def plan_pass(
     needs = tuple(needs_of(mission, used.model))
     channels = channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
-    days = [day for day in index.with_all(needs) if is_within(day, start, end)]
+    days = [day for day in index.complete_days(needs) if is_within(day, start, end)]
     if not days:
         raise CatalogError(
             "the archive has no day of the span on which every instrument measured",
@@ -266,7 +266,7 @@ def _plan(
         (2.0 * cadence / SECOND, 0.5 * length / SECOND),
         found.fixed,
         frozenset(
-            need.name for need in channels if shows_spin(mission, found.model.comparison, need.cadence_ns)
+            need.name for need in channels if resolves_spin(mission, found.model.comparison, need.cadence_ns)
         ),
     )
     for name in found.still:
@@ -341,9 +341,9 @@ def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]
     return groups
 
 
-def context_of(made: PassResult, mission: Mission) -> Context:
+def diagnosis_data(made: PassResult, mission: Mission) -> DiagnosisData:
     """Return what a verdict needs in addition to the search."""
-    return Context(
+    return DiagnosisData(
         mission=mission,
         model=made.used.model,
         linearised=made.plan.model,

@@ -20,8 +20,8 @@ from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.diagnosis import (
     BeforeAfter,
-    Context,
     Diagnosis,
+    DiagnosisData,
     Search,
     Signature,
     along_field,
@@ -46,11 +46,11 @@ from inflight.figures import (
     candidate_table,
     cross_talk_figure,
     daily_figure,
-    drop_figure,
     epoch_figure,
     facts_list,
     fold_figure,
     found_effects,
+    gain_change_figure,
     heat_map_figures,
     histogram_figure,
     html_page,
@@ -60,8 +60,8 @@ from inflight.figures import (
     order_figure,
     paragraph,
     response_figures,
-    response_key,
-    rivals_apart,
+    response_legend,
+    separating_blocks,
     shift_table,
     short_name,
     strongest_pairs,
@@ -73,7 +73,7 @@ from inflight.mission import Mission
 from inflight.residual import drawn_periods, fold, format_period
 from inflight.tasks.analysis.diagnosis import (
     begin_search,
-    context_of,
+    diagnosis_data,
     make_pass,
 )
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
@@ -121,7 +121,7 @@ def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
         "a loop: hysteresis or a lag."
     )
     plots = [plot for one in found_ones for plot in response_figures(one)]
-    return "What it follows", [paragraph(note, kind="quiet"), response_key()] if plots else [], plots
+    return "What it follows", [paragraph(note, kind="quiet"), response_legend()] if plots else [], plots
 
 
 def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
@@ -133,7 +133,7 @@ def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
     return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
-def spectrum(seen: BeforeAfter, context: Context) -> Section:
+def spectrum(seen: BeforeAfter, context: DiagnosisData) -> Section:
     """Return the spectra along each axis before and after, with their lines."""
     known = periods_of(context)
     after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
@@ -156,7 +156,7 @@ def spectrum(seen: BeforeAfter, context: Context) -> Section:
 # Which effect.
 
 
-def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
+def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
     """Return the table of candidates and how their gains fall."""
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
@@ -171,13 +171,13 @@ def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
         candidate_table(found.candidates, trials(search, context, names), rivals),
         unscorable_list(found.unscorable),
     ]
-    return "Which effect", [one for one in text if one], [drop_figure(found.candidates)]
+    return "Which effect", [one for one in text if one], [gain_change_figure(found.candidates)]
 
 
 # The error falls.
 
 
-def error_falls(seen: BeforeAfter, search: Search, context: Context, found: Diagnosis) -> Section:
+def error_falls(seen: BeforeAfter, search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
     sizes_nt = found.residual
     floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
@@ -322,7 +322,7 @@ class Examined(NamedTuple):
     """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
 
     search: Search
-    context: Context
+    context: DiagnosisData
     found: Diagnosis
     settings: DiagnoseSettings
     facts: Mapping[str, Any]
@@ -343,7 +343,7 @@ def examine(
     tell = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
-    context = context_of(made, mission)
+    context = diagnosis_data(made, mission)
     found, search = conclude(begin_search(made, settings), context)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
@@ -354,7 +354,7 @@ def examine(
 
 def diagnosis_page(
     search: Search,
-    context: Context,
+    context: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -369,7 +369,7 @@ def diagnosis_page(
 
 def diagnosis_sections(
     search: Search,
-    context: Context,
+    context: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -387,7 +387,7 @@ def diagnosis_sections(
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *found_effects(fields), *rivals_apart(fields)], []),
+        ("Verdict", [strip, *found_effects(fields), *separating_blocks(fields)], []),
         fails_here(seen),
         follows(seen, found),
         spectrum(seen, context),
@@ -405,7 +405,7 @@ def diagnosis_sections(
 
 def _ledger(
     search: Search,
-    context: Context,
+    context: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any],

@@ -3,7 +3,7 @@
 Takes a `PassPlan` (the model at the values it is linearised at, the library, the blocks) and the archive;
 makes, for every block, the Gram matrices of [calibration | model | candidates | residual], raw and
 prewhitened, a coarse series for pictures and signatures, and sums over the native samples
-(`block_evidence`). `make_blocks` makes the blocks that are missing or whose inputs changed; `load_evidence`
+(`block_grams`). `make_blocks` makes the blocks that are missing or whose inputs changed; `load_grams`
 reads them.
 
 Before the pass, `survey` reads a few days: where the residual is linearised and what each channel does;
@@ -25,16 +25,16 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, Reference, fit_block, split_chain, usable
+from inflight.calibration import PARAMETER_GROUPS, Reference, fit_block, remove_other_effects, usable_samples
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.design import (
     ChannelSummary,
+    DesignRows,
     Library,
-    Outliers,
-    Rows,
+    OutlierReport,
     Term,
     coarsen,
-    design,
+    design_matrix,
     sensor_matrices,
 )
 from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin_rows
@@ -56,11 +56,11 @@ from inflight.tasks.archive import (
     as_variables,
     load_samples,
     orbit_of,
-    stand_in_value,
+    replacement_value,
 )
-from inflight.tasks.batches import each_result
-from inflight.tasks.pipelines import Job, Outcome, adopted_days, learns_states, make_days, take_outcome
-from inflight.tasks.pipelines.states import housekeeping
+from inflight.tasks.batches import iter_results
+from inflight.tasks.pipelines import Job, Outcome, adopt_days, learns_states, make_days, register_outcome
+from inflight.tasks.pipelines.states import housekeeping_channels
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
 
@@ -114,7 +114,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-EVIDENCE_VERSION = 14
+GRAM_VERSION = 14
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +259,7 @@ class PassPlan:
     def key(self) -> str:
         """sha256 of everything but the archive that the evidence is made from."""
         parts = {
-            "version": EVIDENCE_VERSION,
+            "version": GRAM_VERSION,
             "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
             "columns": self.library.columns,
@@ -275,7 +275,7 @@ class PassPlan:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
+def gram_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
     """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
     comparison = made.model.comparison
     reader = ChannelReader(
@@ -293,11 +293,11 @@ def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: Archiv
     return make_days(
         cat,
         job,
-        lambda day: block_evidence(cat, mission, made, index, derived, days_of[day]),
+        lambda day: block_grams(cat, mission, made, index, derived, days_of[day]),
     )
 
 
-def block_evidence(
+def block_grams(
     cat: Catalog,
     mission: Mission,
     made: PassPlan,
@@ -327,7 +327,7 @@ def block_evidence(
     return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
 
 
-def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
+def _as_recorded(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
     """Return rows whose channels are missing where they were not recorded, so that a series has it."""
     samples = {
         name: rows.samples[name].copy(data=values)
@@ -337,7 +337,7 @@ def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
     return replace(rows, samples=rows.samples.assign(samples))
 
 
-def _series(made: PassPlan, raw: GramArrays, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
+def _series(made: PassPlan, raw: GramArrays, rows: Sequence[DesignRows]) -> tuple[np.ndarray, Features]:
     """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
     plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
     channels = list(dict.fromkeys([*made.channel_summaries, *plain, *GEOMETRY]))
@@ -363,9 +363,9 @@ def _day_evidence(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[GramArrays, GramArrays, Rows, dict[str, Any]]:
+) -> tuple[GramArrays, GramArrays, DesignRows, dict[str, Any]]:
     rows, sums = day_rows(cat, mission, made, index, derived, day)
-    columns = design(made.library.all_terms, rows)
+    columns = design_matrix(made.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
     bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
@@ -397,7 +397,7 @@ def day_rows(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Rows, dict[str, Any]]:
+) -> tuple[DesignRows, dict[str, Any]]:
     """Return a day's rows on the library's cadence, and sums over its native samples."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
@@ -427,7 +427,7 @@ def day_rows(
     return rows, sums
 
 
-def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
+def _in_stretches(rows: DesignRows, stretches: Stretches) -> DesignRows:
     """Return rows whose residual is relative to its stretch; those in none have no weight."""
     stamps = rows.samples["tt2000"].values
     weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
@@ -468,10 +468,10 @@ class Loaded:
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
-    outliers: Outliers
+    outliers: OutlierReport
 
 
-def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
+def load_grams(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     """Read the evidence of blocks, in order of time."""
     names = (*made.library.columns, "residual")
     scale = np.array([*made.scale, 1.0])
@@ -489,7 +489,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: stand_in_value(made.channel_summaries, need.name) for need in made.channel_needs}
+    filled = {need.name: replacement_value(made.channel_summaries, need.name) for need in made.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
@@ -502,7 +502,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         series=replace(series, row_filter=made.row_filter),
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),
-        outliers=Outliers.of([day.report for day in ordered], made.keep_bursts),
+        outliers=OutlierReport.of([day.report for day in ordered], made.keep_bursts),
     )
 
 
@@ -533,7 +533,7 @@ def make_blocks(
     if not todo:
         return "", [kept[day] for day in sorted(kept)]
     with cat.run("diagnose", settings.model_dump(), context=context) as run:
-        kept |= adopted_days(run, dataset, keys, todo)
+        kept |= adopt_days(run, dataset, keys, todo)
         todo = [day for day in todo if day not in kept]
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
@@ -546,10 +546,10 @@ def make_blocks(
         failed: dict[np.datetime64, dict[str, str]] = {}
         for job, outcome in zip(
             jobs,
-            each_result(client, evidence_batch, [(cat, mission, plan, index, job) for job in jobs]),
+            iter_results(client, gram_batch, [(cat, mission, plan, index, job) for job in jobs]),
             strict=True,
         ):
-            kept |= {day.day: day for day in take_outcome(run, dataset, outcome, failed)}
+            kept |= {day.day: day for day in register_outcome(run, dataset, outcome, failed)}
             done += len(job.days)
             tell("pass", done, len(todo))
         if not kept:
@@ -682,20 +682,20 @@ def _linearised_spin(
 
 def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
     """Return values and prior sigmas of the nine parameters; 0 for those the model holds fixed."""
-    timed = [entry.parameters[part] for part in PARTS]
+    timed = [entry.parameters[part] for part in PARAMETER_GROUPS]
     kinds = VectorSensor.parameters()
     sigma = [
         np.where(np.isfinite(one.sigma[:, 0]), one.sigma[:, 0], kinds[part].sigma)
         if one.free
         else np.zeros(3)
-        for part, one in zip(PARTS, timed, strict=True)
+        for part, one in zip(PARAMETER_GROUPS, timed, strict=True)
     ]
     return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
 
 
 def _at_values(entry: ModelEffect, value: Floats) -> ModelEffect:
     parameters = dict(entry.parameters)
-    for place, part in enumerate(PARTS):
+    for place, part in enumerate(PARAMETER_GROUPS):
         numbers = value[3 * place : 3 * place + 3][:, None]
         sigma = entry.parameters[part].sigma[:, :1]
         parameters[part] = replace(parameters[part], time="constant", value=numbers, sigma=sigma, table=None)
@@ -704,7 +704,7 @@ def _at_values(entry: ModelEffect, value: Floats) -> ModelEffect:
 
 def _nine_terms(entry: ModelEffect, prior: Reference) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
     base, fixed = [], []
-    for place, part in enumerate(PARTS):
+    for place, part in enumerate(PARAMETER_GROUPS):
         sigma = prior.sigma[3 * place : 3 * place + 3]
         if np.any(sigma > 0):
             base.append(Term(entry.name, entry, (part,), tuple(sigma.tolist())))
@@ -718,7 +718,7 @@ def _extra_base(mission: Mission, model: Model) -> Term:
     sensors = sensors_of(mission, model.comparison)
     vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
     entry = make_effect({"effect": "vector_sensor", "name": "calibration", "sensor": vector.name}, sensors)
-    return Term("calibration", entry, PARTS, (np.inf,) * 9)
+    return Term("calibration", entry, PARAMETER_GROUPS, (np.inf,) * 9)
 
 
 def _dual_base(mission: Mission, model: Model) -> Term:
@@ -738,8 +738,8 @@ def _thinned_samples(
     index: ArchiveIndex,
 ) -> tuple[Floats, Floats, Floats, np.ndarray]:
     samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
-    reading, additive, scalar = split_chain(model, samples)
-    good = usable(samples, reading, additive, scalar)
+    reading, additive, scalar = remove_other_effects(model, samples)
+    good = usable_samples(samples, reading, additive, scalar)
     step = max(1, len(reading) // PASS.surveyed_samples)
     additive = np.broadcast_to(additive, reading.shape)
     return reading[::step], additive[::step], scalar[::step], good[::step]
@@ -827,7 +827,7 @@ def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> JumpAtt
         return None
     residual = series["residual"].reshape(len(series.tt2000), -1)
     there = (series["weight"] > 0) & np.asarray(np.isfinite(residual).all(axis=1))
-    names = [name for name in housekeeping(mission) if name in series.channels]
+    names = [name for name in housekeeping_channels(mission) if name in series.channels]
     channels = {}
     for name in names:
         values = series[name].copy()

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog, Workspace
-from inflight.design import EQUATIONS, Library, Term
+from inflight.design import SENSOR_EQUATIONS, Library, Term
 from inflight.diagnosis import (
     DRIFTS,
     Addition,
@@ -45,9 +45,20 @@ from inflight.errors import ModelError, SettingsError
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, folding_of
-from inflight.tasks.analysis.diagnosis import PassResult, begin_search, context_of, intervals_of, make_pass
+from inflight.tasks.analysis.diagnosis import (
+    PassResult,
+    begin_search,
+    diagnosis_data,
+    intervals_of,
+    make_pass,
+)
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
-from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
+from inflight.tasks.models import (
+    VersionedModel,
+    current_model,
+    version_before_change,
+    version_with_gram_blocks,
+)
 from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
@@ -78,7 +89,7 @@ class Revision:
 
     command: str
     effect: str
-    model: UsedModel
+    model: VersionedModel
     parent: int
     in_sample: tuple[float, float]
     held_out: tuple[float, float]
@@ -192,7 +203,7 @@ class Workbench:
 
     def __post_init__(self) -> None:
         self.current = current_model(self.cat, self.mission, self.settings.comparison)
-        root = evidence_root(self.cat, self.mission, self.current)
+        root = version_with_gram_blocks(self.cat, self.mission, self.current)
         if self.fresh and root and root[0].text != self.current.text:
             root = None
         #: The mission as it was when the Gram blocks were made; it is part of their key.
@@ -205,7 +216,7 @@ class Workbench:
         self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
 
-    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> PassResult:
+    def _prepared(self, used: VersionedModel, needs: Sequence[Term] | None) -> PassResult:
         def narrow(plan: PassPlan) -> PassPlan:
             own = plan.library
             there = {name for term in (*own.base, *own.refined) for name in term.columns}
@@ -224,7 +235,7 @@ class Workbench:
         added = [entry for entry in self.current.model.effects if entry.name not in root]
         self.additions: list[Addition] = [addition_of_entry(self.maker, entry) for entry in added]
         for entry in self.root.model.effects:
-            if isinstance(entry.effect, EQUATIONS) and entry.name in now:
+            if isinstance(entry.effect, SENSOR_EQUATIONS) and entry.name in now:
                 self.additions += self._freed(entry.name)
 
     def _freed(self, name: str) -> list[Addition]:
@@ -239,7 +250,7 @@ class Workbench:
         ]
 
     @property
-    def root(self) -> UsedModel:
+    def root(self) -> VersionedModel:
         """The version the Gram blocks were made at."""
         return self.made.used
 
@@ -306,7 +317,7 @@ class Workbench:
                 f"model '{self.current.model.name}' has no effect {name!r}{did_you_mean(name, known)}",
                 remedy=f"it has {', '.join(known)}",
             )
-        if isinstance(self.current.model.effect(name).effect, EQUATIONS):
+        if isinstance(self.current.model.effect(name).effect, SENSOR_EQUATIONS):
             raise ModelError(
                 f"'{name}' holds the parameters every calibration fits",
                 remedy="drop another, or hold its parameters by 'free: false' in the pre-flight model",
@@ -321,7 +332,7 @@ class Workbench:
         ModelError
             When there is nothing to go back to.
         """
-        found = before_last(self.cat, self.mission, self.current)
+        found = version_before_change(self.cat, self.mission, self.current)
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         before, first = self._fit(setup, fixed, self.additions), self.current
         message = f"undo version {first.version}: back to version {found.version}"
@@ -351,9 +362,9 @@ class Workbench:
         values = fitted_values(model, addition.entries) if addition else []
         return replace(self._revision(command, message, parent, before, after), values=values)
 
-    def _saved(self, model: Model, message: str, text: str) -> UsedModel:
-        version = self.cat.save_model(model.name, text, self.current.version, message, again=True)
-        return UsedModel(model, version, text)
+    def _saved(self, model: Model, message: str, text: str) -> VersionedModel:
+        version = self.cat.save_model(model.name, text, self.current.version, message, new_version=True)
+        return VersionedModel(model, version, text)
 
     # The fit.
 
@@ -393,7 +404,7 @@ class Workbench:
             model = self.root.model
             for name in hard:
                 model = model.drop(name)
-            used = UsedModel(model, self.root.version, model.text)
+            used = VersionedModel(model, self.root.version, model.text)
             self._narrow = key, self._prepared(used, needs)
         return _fit_setup_of(self._narrow[1], self.settings), held
 
@@ -473,7 +484,7 @@ class Workbench:
 
     def _searched(self) -> tuple[Diagnosis, Search]:
         self._refresh()
-        context = context_of(self.made, self.mission)
+        context = diagnosis_data(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
         return conclude(begin_search(self.made, self.settings), replace(context, model=model))
 

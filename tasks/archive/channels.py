@@ -14,14 +14,14 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.design import ChannelSummary, bin_channel, grid
+from inflight.design import ChannelSummary, bin_channel, bin_edges
 from inflight.effects import NO_CAUSE
 from inflight.frames import add_geometry
 from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.residual import piecewise_mean
-from inflight.samples import Folding, Part, fold_series, parse, product
-from inflight.tasks.archive.inputs import ArchiveIndex, Need, channel_homes, clock_of
+from inflight.samples import ChannelFactor, Folding, channel_product, fold_series, parse_channel
+from inflight.tasks.archive.inputs import ArchiveIndex, Need, channels_by_name, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
 from inflight.time import SECOND, Int64, day_bounds
 
@@ -29,7 +29,7 @@ from inflight.time import SECOND, Int64, day_bounds
 _READINGS = 4
 
 
-def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
+def resolves_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
     """Return True when a channel of a cadence shows what goes with a spin comparison's spin."""
     if folding_of(mission, comparison) is None:
         return False
@@ -66,9 +66,9 @@ class SpinClock:
             clock=clock_of(mission, comparison)[0],
         )
 
-    def is_seen_by(self, cadence_ns: int) -> bool:
+    def is_resolved_by(self, cadence_ns: int) -> bool:
         """Return True when a channel of a cadence shows what goes with the spin."""
-        return shows_spin(self.mission, self.comparison, cadence_ns)
+        return resolves_spin(self.mission, self.comparison, cadence_ns)
 
     def phase(self, stamps: Int64) -> Floats:
         """Return the phase at the stamps of an instrument's channels, rad; NaN where it is not known."""
@@ -126,7 +126,7 @@ class ChannelReader:
     @property
     def scalars(self) -> list[str]:
         """Names of the channels of one number a time, attitudes and positions not among them."""
-        homes = channel_homes(self.mission)
+        homes = channels_by_name(self.mission)
         found = []
         for need in self.needs:
             instrument, name = homes[need.name]
@@ -138,9 +138,9 @@ class ChannelReader:
     def edges(self, day: np.datetime64) -> Int64:
         """Return the edges of a day's bins."""
         start, end = day_bounds(day)
-        return grid(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
+        return bin_edges(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
 
-    def forget(self) -> None:
+    def clear_cache(self) -> None:
         """Let go of the days that were read."""
         self._read.clear()
 
@@ -154,7 +154,7 @@ class ChannelReader:
 
     def _load(self, day: np.datetime64) -> dict[str, Floats]:
         edges = self.edges(day)
-        homes = channel_homes(self.mission)
+        homes = channels_by_name(self.mission)
         turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         by_dataset: dict[str, list[Need]] = {}
         for need in self.needs:
@@ -163,7 +163,7 @@ class ChannelReader:
         for needs in by_dataset.values():
             there = self.index.get(needs[0], day)
             data = (
-                self.cat.read(there, [need.channel for need in needs], dated=False)
+                self.cat.read(there, [need.channel for need in needs], with_time=False)
                 if there is not None
                 else None
             )
@@ -181,7 +181,7 @@ class ChannelReader:
                 values, stamps = data[need.channel].values, data["tt2000"].values
                 if self.by_levels and values.ndim == 1:
                     values = piecewise_mean(np.asarray(values, dtype=np.float64))
-                if turning is not None and turning.is_seen_by(cadence):
+                if turning is not None and turning.is_resolved_by(cadence):
                     # One instrument's channels have the same stamps.
                     phase = turning.phase(stamps) if phase is None else phase
                     out[need.name] = turning.folded(values, stamps, phase, edges)
@@ -235,11 +235,11 @@ class DerivedChannels:
             if name in geometry or not name:
                 continue
             known = set(self.reader.day(day)) | set(geometry)
-            parts = (Part(name),) if name in known else parse(name).parts
-            out[name] = product([self._part(day, part, geometry) for part in parts])
+            parts = (ChannelFactor(name),) if name in known else parse_channel(name).parts
+            out[name] = channel_product([self._part(day, part, geometry) for part in parts])
         return out
 
-    def _part(self, day: np.datetime64, part: Part, geometry: Mapping[str, Floats]) -> Floats:
+    def _part(self, day: np.datetime64, part: ChannelFactor, geometry: Mapping[str, Floats]) -> Floats:
         if part.channel in geometry and part.is_plain:
             return geometry[part.channel]
         place = list(self.days).index(day)
@@ -282,23 +282,23 @@ class DerivedChannels:
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:
         values = self.reader.day(day)[channel]
-        return np.where(np.isfinite(values), values, stand_in_value(self.told, channel))
+        return np.where(np.isfinite(values), values, replacement_value(self.told, channel))
 
 
-def stand_in_value(told: Mapping[str, ChannelSummary], channel: str) -> float:
+def replacement_value(summaries: Mapping[str, ChannelSummary], channel: str) -> float:
     """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
-    return told[channel].mean if channel in told else 0.0
+    return summaries[channel].mean if channel in summaries else 0.0
 
 
 def as_variables(
     mission: Mission, values: Mapping[str, Floats], geometry: xr.Dataset | None
 ) -> dict[str, xr.Variable]:
     """Return channels as variables of samples, with their units."""
-    homes = channel_homes(mission)
+    homes = channels_by_name(mission)
     out: dict[str, xr.Variable] = {}
     for name, array in values.items():
         unit = "1"
-        parts = [name] if name in homes else [part.channel for part in parse(name).parts]
+        parts = [name] if name in homes else [part.channel for part in parse_channel(name).parts]
         if len(parts) == 1 and parts[0] in homes:
             instrument, channel = homes[parts[0]]
             unit = mission.instruments[instrument].channels[channel].unit

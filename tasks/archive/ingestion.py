@@ -27,9 +27,9 @@ from inflight.catalog.readers import (
     NameSpan,
     RawTable,
     assemble_day,
-    describe,
     find_files,
-    newest,
+    newest_versions,
+    parse_name,
     read_file,
     read_times,
     split_days,
@@ -37,7 +37,7 @@ from inflight.catalog.readers import (
 from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
-from inflight.tasks.batches import each_result
+from inflight.tasks.batches import iter_results
 from inflight.tasks.report import Progress, RunReport, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
 
@@ -149,14 +149,14 @@ def survey(
     key = content_key(files, instrument)
     records = cat.files(name)
     present, superseded = find_files(data, files)
-    absent = (describe(path, files) for path in records if not (data / path).exists())
+    absent = (parse_name(path, files) for path in records if not (data / path).exists())
     gone = [delivered for delivered in absent if delivered is not None]
     # A delivery that was taken in and removed since still holds for its days.
-    listed, also = newest([*present, *gone])
+    listed, also = newest_versions([*present, *gone])
     known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
     fresh = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
     jobs = [(data / file.name, file, files, instrument) for file in fresh]
-    found = {index.name: index for index in each_result(client, index_file, jobs)}
+    found = {index.name: index for index in iter_results(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
     return Delivery(name, key, tuple(indexed), superseded | also)
 
@@ -580,7 +580,7 @@ def _jobs(
 def _make_days(
     run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, report_progress: Progress
 ) -> None:
-    results = each_result(client, make_batch, [(job,) for job in jobs])
+    results = iter_results(client, make_batch, [(job,) for job in jobs])
     for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
         plan = plans[job.instrument_name]
         if result.segment is not None:

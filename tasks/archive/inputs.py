@@ -18,7 +18,7 @@ from inflight.errors import SamplesError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.samples import FIELD_ROLES, Part, base_channels, parse
+from inflight.samples import FIELD_ROLES, ChannelFactor, base_channels, parse_channel
 from inflight.time import DAY, SECOND
 
 #: Name of the spin's phase in samples.
@@ -40,16 +40,16 @@ class InputSettings:
     margin_cadences : int
         Samples kept of the neighbouring days, so that filters and lags run on across midnight (derived from
         the width of `inflight.samples.AlignmentSettings`).
-    known_part : float
+    least_coverage : float
         A channel's typical value comes from its own day when this part of it is known, else from other days
         (assumed).
-    stand_in_days : int
+    typical_value_days : int
         Other days are looked for this far on both sides (assumed).
     """
 
     margin_cadences: int = 40
-    known_part: float = 0.1
-    stand_in_days: int = 15
+    least_coverage: float = 0.1
+    typical_value_days: int = 15
 
 
 INPUTS = InputSettings()
@@ -76,7 +76,7 @@ class Need:
     channel: str
     cadence_ns: int
     lag_ns: int = 0
-    part: Part | None = None
+    part: ChannelFactor | None = None
     products: tuple[str, ...] = ()
     smooth_ns: int = 0
     replaceable: bool = False
@@ -102,7 +102,7 @@ class Need:
         return INPUTS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
-def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
+def channels_by_name(mission: Mission) -> dict[str, tuple[str, str]]:
     """Return name in the samples -> (instrument, channel).
 
     A name that several instruments use is written ``instrument.channel``; the plain name then
@@ -152,7 +152,10 @@ def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> 
     Attitudes and positions have no typical value, and fields are what it is all about.
     """
     used = {
-        part.name for entry in model.effects for name in entry.effect.channels for part in parse(name).parts
+        part.name
+        for entry in model.effects
+        for name in entry.effect.channels
+        for part in parse_channel(name).parts
     }
     used |= {channel for entry in model.effects for channel in entry.effect.channels}
     out = []
@@ -167,7 +170,7 @@ def geometry_channels(mission: Mission) -> list[str]:
     """Return the names of attitude and position channels, which products use when they exist."""
     return [
         name
-        for name, (instrument, channel) in channel_homes(mission).items()
+        for name, (instrument, channel) in channels_by_name(mission).items()
         if mission.instruments[instrument].channels[channel].kind in ("attitude", "position")
     ]
 
@@ -181,7 +184,7 @@ def channel_needs(mission: Mission) -> tuple[Need, ...]:
             channel=channel,
             cadence_ns=mission.instruments[instrument].cadence,
         )
-        for name, (instrument, channel) in channel_homes(mission).items()
+        for name, (instrument, channel) in channels_by_name(mission).items()
     )
 
 
@@ -227,7 +230,7 @@ class _Known:
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
-        self.homes = channel_homes(mission)
+        self.homes = channels_by_name(mission)
         self.geometry = geometry_channels(mission)
         self.position = position_channel(mission)
         self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
@@ -279,7 +282,7 @@ class _Known:
         """Return the series that names are made from, each once, in the order of their names."""
         found: dict[str, Need] = {}
         for name in sorted(names):
-            parts = (Part(name),) if name in self.homes else parse(name).parts
+            parts = (ChannelFactor(name),) if name in self.homes else parse_channel(name).parts
             for part in parts:
                 for need in self._of_part(part, (name,) if len(parts) > 1 else ()):
                     before = found.get(need.name)
@@ -287,7 +290,7 @@ class _Known:
                     found[need.name] = replace(need, products=products)
         return [found[name] for name in sorted(found)]
 
-    def _of_part(self, part: Part, products: tuple[str, ...]) -> list[Need]:
+    def _of_part(self, part: ChannelFactor, products: tuple[str, ...]) -> list[Need]:
         """Return the series a part is made from; what geometry adds comes from position and attitude."""
         if part.placebo:
             raise SamplesError(
@@ -300,7 +303,7 @@ class _Known:
             needs.append(replace(self._need(self.position, part, products), name=part.name))
         return needs
 
-    def _need(self, name: str, part: Part | None, products: tuple[str, ...]) -> Need:
+    def _need(self, name: str, part: ChannelFactor | None, products: tuple[str, ...]) -> Need:
         instrument, channel = self.homes[name]
         home = self.mission.instruments[instrument]
         called = part.name if part else name
@@ -319,7 +322,7 @@ class _Known:
 
 def position_channel(mission: Mission) -> str:
     """Return the channel with the position over the Earth; empty when there is none."""
-    for name, (instrument, channel) in channel_homes(mission).items():
+    for name, (instrument, channel) in channels_by_name(mission).items():
         described = mission.instruments[instrument].channels[channel]
         if described.kind == "position" and described.frame in ("itrf", "gcrf"):
             return name
@@ -391,11 +394,11 @@ class ArchiveIndex:
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
         """Return the days that a channel's typical value comes from: the day itself, else the nearest two.
 
-        One before and one after, at most `INPUTS.stand_in_days` away; none when there is none. A day that
+        One before and one after, at most `INPUTS.typical_value_days` away; none when there is none. A day that
         hardly has the channel counts only when no other does.
         """
-        far = INPUTS.stand_in_days + 1
-        for least in (INPUTS.known_part, np.finfo(float).tiny):
+        far = INPUTS.typical_value_days + 1
+        for least in (INPUTS.least_coverage, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
                 found = []
                 for side in sides:
@@ -406,7 +409,7 @@ class ArchiveIndex:
                     return found
         return []
 
-    def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
+    def complete_days(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
         sets = [
             {day for name, day in self.days if name == need.dataset}
@@ -419,14 +422,14 @@ class ArchiveIndex:
         """Return the archive days one day's samples are made from, in a fixed order."""
         found = []
         for need in needs:
-            steps = range(1) if self.stands_alone(need, base, day) else range(-need.days_before, 2)
+            steps = range(1) if self.shares_stamps(need, base, day) else range(-need.days_before, 2)
             found += [self.get(need, day + step * _DAY) for step in steps]
             if need.replaceable:
                 found += self.typical_days(need, day)
         unique = {source.id: source for source in found if source is not None}
         return [unique[key] for key in sorted(unique)]
 
-    def stands_alone(self, need: Need, base: Need, day: np.datetime64) -> bool:
+    def shares_stamps(self, need: Need, base: Need, day: np.datetime64) -> bool:
         """Return True when a series has the base's stamps, so that nothing is interpolated."""
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:

@@ -4,7 +4,7 @@
 is added, from sun pulses or from an angle. A flipper (`inflight.zero_level.flipper`) swaps sensors 1 and 3 at
 events of kind ``flip`` and ``flip_back``; readings are in the spacecraft's axes throughout, so that a flip
 changes the offsets of x and z, and a day is calibrated for the position that holds longest on it.
-`stand_ins` puts typical values in the place of missing channels.
+`substitute_missing` puts typical values in the place of missing channels.
 """
 
 from __future__ import annotations
@@ -28,16 +28,24 @@ from inflight.flags import Flag
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
-from inflight.model import Model, Substituted, Treated, Typical, folding_of, missing_rows, substitute
-from inflight.samples import FIELD_ROLES, Part, align, fold, parse, product
-from inflight.spin import Fault, SpinPhase, phase_from_angle, phase_from_pulses
+from inflight.model import (
+    EffectSubstitution,
+    Model,
+    SubstitutedSamples,
+    Typical,
+    folding_of,
+    missing_rows,
+    substitute,
+)
+from inflight.samples import FIELD_ROLES, ChannelFactor, align, channel_product, fold, parse_channel
+from inflight.spin import PhaseFault, SpinPhase, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
     SPIN_AXIS,
     SPIN_PHASE,
     ArchiveIndex,
     Need,
     base_role,
-    channel_homes,
+    channels_by_name,
     geometry_channels,
     position_channel,
 )
@@ -111,7 +119,7 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
     return out.reshape(np.shape(values))
 
 
-def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
+def _derived(series: xr.DataArray, part: ChannelFactor) -> xr.DataArray:
     """Return a slow response or a play of a channel, or of geometry from positions, at its own stamps."""
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
@@ -127,7 +135,7 @@ def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
     return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
 
 
-def _from_positions(series: xr.DataArray, part: Part) -> Floats:
+def _from_positions(series: xr.DataArray, part: ChannelFactor) -> Floats:
     """Return sunlight or latitude at the positions' own stamps; (time,)."""
     if part.channel not in SLOW_GEOMETRY:
         raise SamplesError(
@@ -175,7 +183,7 @@ def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
     key = (day.segment, day.rows, need.channel, flagged)
     found = cache.pop(key, None) if cache is not None else None
     if found is None:
-        data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
+        data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], with_time=False)
         series = data[need.channel]
         flag = data["flag"].values if flagged else None
         found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
@@ -219,7 +227,7 @@ def position_edges(mission: Mission) -> list[np.datetime64]:
     return sorted(set(edges))
 
 
-def cut_at_flips(edges: Sequence[np.datetime64], mission: Mission) -> list[np.datetime64]:
+def split_at_flips(edges: Sequence[np.datetime64], mission: Mission) -> list[np.datetime64]:
     """Return edges of windows with those of the positions among them: no window holds two."""
     inside = [day for day in position_edges(mission) if edges[0] < day < edges[-1]]
     return sorted({*edges, *inside})
@@ -231,7 +239,7 @@ PARTIAL = "partial"
 _REMEDY = "ingest the missing housekeeping; until then the samples carry the flag channel_missing"
 
 
-def stand_ins(
+def substitute_missing(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -239,7 +247,7 @@ def stand_ins(
     index: ArchiveIndex,
     day: np.datetime64,
     samples: xr.Dataset,
-) -> Substituted | None:
+) -> SubstitutedSamples | None:
     """Return a day's samples with typical values where channels of the model are missing; None if none is.
 
     Parameters
@@ -276,14 +284,14 @@ def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetim
     known = list(days)
     if not known:
         return None
-    read = [cat.read(one, [need.channel], dated=False) for one in known]
+    read = [cat.read(one, [need.channel], with_time=False) for one in known]
     values = np.concatenate([np.asarray(one[need.channel].values, dtype=np.float64) for one in read])
     stamps = np.concatenate([one["tt2000"].values for one in read])
     own = [one.day for one in known] == [day]
     return Typical.of(values, stamps, "the day" if own else " and ".join(str(one.day) for one in known))
 
 
-def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
+def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: float) -> dict[str, Any]:
     """Return the entries of a day's report about typical values: by effect, and as the day's message.
 
     Parameters
@@ -299,7 +307,7 @@ def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str
     return {"stand_ins": by_effect, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
 
 
-def partial_problems(days: Iterable[Day]) -> list[dict[str, str]]:
+def substitution_problems(days: Iterable[Day]) -> list[dict[str, str]]:
     """Return the entries of a run's problems for days whose products have stand-ins.
 
     Parameters
@@ -323,7 +331,7 @@ def partial_problems(days: Iterable[Day]) -> list[dict[str, str]]:
 
 
 #: Entry of a day's report, of estimates and of products: what was not as it should be of its spin.
-FAULTS = "spin_faults"
+SPIN_FAULTS = "spin_faults"
 
 
 @dataclass(frozen=True)
@@ -375,7 +383,7 @@ def spin_phase(
     try:
         found = _phase_of(kind, series, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
     except CalibrationError as error:
-        fault = Fault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
+        fault = PhaseFault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
         attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
         nothing = np.full(stamps.size, np.nan)
         return PhaseOfDay(
@@ -400,12 +408,12 @@ def _phase_of(
     return phase_from_angle(times, values, stamps, nominal_period=period)
 
 
-def _listed(faults: Iterable[Fault]) -> dict[str, list[str]]:
+def _listed(faults: Iterable[PhaseFault]) -> dict[str, list[str]]:
     whole = list(faults)
     return {"found": [one.found for one in whole], "remedies": [one.remedy for one in whole]}
 
 
-def saturated(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
+def saturation_flags(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
     """Return the flag SATURATED where a component lies at an end of its channel's range; (time,).
 
     Parameters
@@ -439,13 +447,13 @@ def day_faults(
     by_name = {need.name: need for need in needs}
     attributes = samples["spin_phase"].attrs
     found = [
-        (by_name[SPIN_PHASE], Fault(*both))
+        (by_name[SPIN_PHASE], PhaseFault(*both))
         for both in zip(attributes["found"], attributes["remedies"], strict=True)
     ]
     full = int(np.count_nonzero(samples["flag"].values & np.uint32(Flag.SATURATED)))
     if full:
         remedy = "they carry the flag saturated; turns around them are in no fit"
-        fault = Fault(f"{full} readings stand at an end of the sensor's range", remedy)
+        fault = PhaseFault(f"{full} readings stand at an end of the sensor's range", remedy)
         found.append((by_name["vector"], fault))
     out = []
     for need, fault in found:
@@ -475,7 +483,7 @@ def spin_problems(days: Iterable[Day]) -> list[dict[str, str]]:
             "message": fault["message"],
         }
         for day in days
-        for fault in day.report.get(FAULTS, ())
+        for fault in day.report.get(SPIN_FAULTS, ())
     ]
 
 
@@ -542,7 +550,7 @@ def _present(
 ) -> dict[str, xr.DataArray]:
     """Return the series of what is needed and there; refused where a field is not."""
     channels = {
-        need.name: channel_series(cat, need, day, index, index.stands_alone(need, base, day))
+        need.name: channel_series(cat, need, day, index, index.shares_stamps(need, base, day))
         for need in needs
     }
     missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
@@ -559,7 +567,7 @@ def _add_phase(
     """Add the spin phase to the samples, and flag what it, saturation and the flipper make unusable."""
     samples[SPIN_PHASE] = found.phase
     channel = mission.instruments[base.instrument].channels[base.channel]
-    flag = samples["flag"] | found.flag | saturated(samples[base.name].values, channel)
+    flag = samples["flag"] | found.flag | saturation_flags(samples[base.name].values, channel)
     samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
 
 
@@ -581,8 +589,8 @@ def _oriented(mission: Mission, model: Model, samples: xr.Dataset) -> xr.Dataset
 def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
     """Add the products of channels; a factor that is missing makes a product of nothing but gaps."""
     for name in sorted({name for need in needs for name in need.products}):
-        factors = [samples[part.name] for part in parse(name).parts]
-        values = product([np.asarray(factor.values, dtype=np.float64) for factor in factors])
+        factors = [samples[part.name] for part in parse_channel(name).parts]
+        values = channel_product([np.asarray(factor.values, dtype=np.float64) for factor in factors])
         dims = next((factor.dims for factor in factors if factor.ndim == values.ndim), ("time",))
         unit = parse_unit("1")
         for factor in factors:
@@ -608,7 +616,7 @@ def _name_geometry(mission: Mission, samples: xr.Dataset) -> xr.Dataset:
     """Call the attitude and the position by their kinds, whatever the mission names them."""
     first = {"position": position_channel(mission)}
     for name in geometry_channels(mission):
-        instrument, channel = channel_homes(mission)[name]
+        instrument, channel = channels_by_name(mission)[name]
         kind = mission.instruments[instrument].channels[channel].kind
         if name in samples:
             first[kind] = first.get(kind) or name

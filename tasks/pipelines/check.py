@@ -21,7 +21,7 @@ from inflight.catalog import Catalog, Day, Workspace
 from inflight.conformance import Faults
 from inflight.mission import Mission
 from inflight.samples import base_channels
-from inflight.tasks.archive import channel_homes
+from inflight.tasks.archive import channels_by_name
 from inflight.tasks.batches import batch_mapper
 from inflight.tasks.pipelines.base import (
     Batch,
@@ -181,7 +181,7 @@ def _handles_the_comparison(case: _Case) -> Iterator[str]:
 
 
 def _names_known_channels(case: _Case) -> Iterator[str]:
-    homes = channel_homes(case.mission)
+    homes = channels_by_name(case.mission)
     for name in case.pipeline.extra_channels(case.mission, case.comparison):
         if name not in homes and not set(base_channels(name)) <= set(homes):
             yield f"extra_channels names {name!r}, which the mission has not"
@@ -224,7 +224,7 @@ def _makes_a_day(case: _Case) -> Iterator[str]:
         if not start <= int(made["start"].values[0]) < int(made["end"].values[0]) <= end:
             yield "start and end of the statistics are no part of the day"
     to_json(report)
-    if len(case.pipeline.alike([made])) != 1:
+    if len(case.pipeline.unify_variables([made])) != 1:
         yield "alike gives another number of days than it was given"
 
 
@@ -278,7 +278,7 @@ def _publishes_products(case: _Case) -> Iterator[str]:
     if not case.pipeline.has_products:
         return
     for day in published_products(case.cat, case.comparison, slice(None, None)):
-        product = case.cat.read(day, dated=False)
+        product = case.cat.read(day, with_time=False)
         yield from (f"{day.day}: {fault}" for fault in _faults_of_product(product, day))
 
 

@@ -154,13 +154,13 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
 
 
 def tables_report(
-    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
 ) -> Report:
     """Return what the tables of all days together say, and write the page of it when a path is given.
 
     Parameters
     ----------
-    asked : str
+    cause : str
         A parameter or cause whose cross-talk with all others is asked for.
 
     Raises
@@ -170,7 +170,7 @@ def tables_report(
     CatalogError
         When no table is published.
     """
-    return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, asked)
+    return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, cause)
 
 
 def learns_states(mission: Mission, comparison: str) -> bool:

@@ -5,7 +5,7 @@ import pytest
 from calibration_cases import IDEAL, PRIOR, PRIOR_SIGMA, TRUTH, ar1, matrix_of, measure, polar_orbit
 from scipy.optimize import least_squares
 
-from inflight.calibration import Reference, sub_blocks_for
+from inflight.calibration import Reference, sub_block_count
 from inflight.errors import CalibrationError
 
 ORBIT = polar_orbit()
@@ -139,7 +139,7 @@ def test_a_short_day_settles_and_claims_no_more_than_it_knows(minutes, memory_s)
     for seed in range(12):
         g = np.random.default_rng(seed)
         noise = ar1(g, len(field), 0.2, memory_s) if memory_s else g.normal(0, 0.2, len(field))
-        fit = measure(field, TRUTH, noise).fit(sub_blocks=sub_blocks_for(minutes * 60))
+        fit = measure(field, TRUTH, noise).fit(sub_blocks=sub_block_count(minutes * 60))
         claimed = fit.solution.determined
         assert np.all(np.abs(fit.value - TRUTH)[claimed] < 6 * fit.sigma[claimed])
         assert np.all(np.abs(fit.value - TRUTH) < 4 * np.hypot(fit.sigma, PRIOR_SIGMA))

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import NormalEquations, block_equations, joined, nine_columns
+from inflight.calibration import NormalEquations, block_equations, concat_equations, nine_columns
 from inflight.mission import Mission
-from inflight.mission_fit import Continuous, fit_mission, switched_columns, terms_of
-from inflight.mission_fit.daily_equations import split
+from inflight.mission_fit import MissionFit, fit_mission, free_terms, switched_columns
+from inflight.mission_fit.daily_equations import split_auxiliary
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.model import Model
 from inflight.scorecard import Scene
@@ -54,7 +54,7 @@ class MadeUp:
     model: Model
     equations: NormalEquations
     strips: list[xr.Dataset]
-    found: Continuous = field(repr=False)
+    found: MissionFit = field(repr=False)
 
 
 def model_with(more: str = "") -> Model:
@@ -63,11 +63,11 @@ def model_with(more: str = "") -> Model:
 
 def made_up(model: Model, blocks: list[NormalEquations]) -> MadeUp:
     """Split blocks into the model's equations and their strips, and fit them."""
-    own = [name for term in terms_of(model) for name in term.columns]
-    strips = [split(one.dataset, own, dict.fromkeys(one.columns, True)) for one in blocks]
-    equations = joined([one.select(own) for one in blocks])
+    own = [name for term in free_terms(model) for name in term.columns]
+    strips = [split_auxiliary(one.dataset, own, dict.fromkeys(one.columns, True)) for one in blocks]
+    equations = concat_equations([one.select(own) for one in blocks])
     reference = np.concatenate(
-        [term.entry.parameters[p].value[:, 0] for term in terms_of(model) for p in term.parameters]
+        [term.entry.parameters[p].value[:, 0] for term in free_terms(model) for p in term.parameters]
     )
     data = equations.dataset
     whole = np.broadcast_to(np.append(reference, 0.0), data["reference"].shape)
@@ -129,7 +129,7 @@ def _columns(mjd: int) -> dict[str, np.ndarray]:
         kind = name.partition("[")[0]
         own = kind in [f"coil_temperature.{one}" for one in KINDS[:2]]
         renamed[name.replace("coil_temperature", "temperature") if own else name] = one
-    order = [name for term in terms_of(model_with(TEMPERATURE)) for name in term.columns]
+    order = [name for term in free_terms(model_with(TEMPERATURE)) for name in term.columns]
     renamed["time_shift.seconds"] = day.rate
     return {name: renamed[name] for name in [*order, *(one for one in renamed if one not in order)]}
 

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from inflight.calibration import NormalEquations, block_equations, joined, nine_columns
+from inflight.calibration import NormalEquations, block_equations, concat_equations, nine_columns
 from inflight.mission_fit import switched_columns
 from inflight.mission_fit.day_night import series_columns
 from inflight.scorecard import OrbitDay, Scene
@@ -71,4 +71,4 @@ def mission(days, field, seed=0, columns=switched_day, **options) -> NormalEquat
         blocks.append(
             block_equations(columns(mjd), y + noise(generator, y.size), orbit_day(mjd).span, **options)
         )
-    return joined(blocks)
+    return concat_equations(blocks)

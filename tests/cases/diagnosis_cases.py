@@ -14,11 +14,11 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import PARTS, Reference, fit_block
-from inflight.design import ChannelSummary, Library, Rows, Term, coarsen, design, sensor_matrices
+from inflight.calibration import PARAMETER_GROUPS, Reference, fit_block
+from inflight.design import ChannelSummary, DesignRows, Library, Term, coarsen, design_matrix, sensor_matrices
 from inflight.diagnosis import (
-    Context,
     Diagnosis,
+    DiagnosisData,
     Rules,
     Search,
     Series,
@@ -34,7 +34,7 @@ from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten
 from inflight.mission import Mission
 from inflight.model import Model, rows_of
 from inflight.residual import NoiseFloor
-from inflight.samples import parse, product, respond
+from inflight.samples import channel_product, parse_channel, slow_response
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Usual spacing of the samples, seconds.
@@ -193,7 +193,7 @@ class Flight:
 
     def channel(self, name: str) -> np.ndarray:
         """Return a derived channel."""
-        return product([part.of(self[part.channel], STEP_S) for part in parse(name).parts])
+        return channel_product([part.of(self[part.channel], STEP_S) for part in parse_channel(name).parts])
 
 
 def true_field(orbit: Orbit, seconds: np.ndarray, wobble: Rotation) -> tuple[np.ndarray, ...]:
@@ -243,9 +243,11 @@ def channels_of_flight(orbit: Orbit, samples: xr.Dataset, generator: np.random.G
         missing = max(missing + STEP_S * (load[k] * (1 - lit[k]) - flow[k]), 0.0)
     battery = flow - load * (1 - lit) + slow_noise(generator, count, 600.0, 0.02)
     boom = (
-        -10.0 + respond(30.0 * light + 8.0 * lit, STEP_S, 1800.0) + slow_noise(generator, count, 8000.0, 0.3)
+        -10.0
+        + slow_response(30.0 * light + 8.0 * lit, STEP_S, 1800.0)
+        + slow_noise(generator, count, 8000.0, 0.3)
     )
-    coil = 5.0 + respond(6.0 * lit, STEP_S, 2600.0) + slow_noise(generator, count, 40_000.0, 1.0)
+    coil = 5.0 + slow_response(6.0 * lit, STEP_S, 2600.0) + slow_noise(generator, count, 40_000.0, 1.0)
     return {
         "solar_current": ("time", load * lit + flow + 1.6 * light, {"units": "A"}),
         "battery_current": ("time", battery, {"units": "A"}),
@@ -328,7 +330,7 @@ class Case:
     mission: Mission
     model: Model
     library: Library
-    rows: Rows
+    rows: DesignRows
     residuals: np.ndarray
     raw: GramArrays
     white: GramArrays
@@ -354,7 +356,7 @@ class Case:
             time_variable=carriers_of(library),
         )
 
-    def material(self, residual: int = 0) -> Context:
+    def material(self, residual: int = 0) -> DiagnosisData:
         """Return what a verdict needs beside the search."""
         rows = replace(self.rows, residual=self.residuals[:, :, residual])
         features = features_of(rows, [*self.told, *GEOMETRY])
@@ -370,7 +372,7 @@ class Case:
         }
         floor = NoiseFloor(NOISE_NT, 0.98 * NOISE_NT, 1.02 * NOISE_NT, int(good.sum()))
         series = Series.of(packed, self.raw.start, features)
-        return Context(
+        return DiagnosisData(
             mission=self.mission,
             model=self.model,
             linearised=self.model,
@@ -431,7 +433,7 @@ def mission_and_model(orbit: Orbit = POLAR) -> tuple[Mission, Model]:
 def linearised(model: Model, readings: Readings) -> tuple[Model, tuple[Term, ...]]:
     """Return the model at its fitted nine parameters, held constant, and their terms."""
     (entry,) = model.effects
-    timed = [entry.parameters[part] for part in PARTS]
+    timed = [entry.parameters[part] for part in PARAMETER_GROUPS]
     sigma = np.concatenate([one.sigma[:, 0] for one in timed])
     prior = Reference(np.concatenate([one.value[:, 0] for one in timed]), sigma)
     good = np.ones(readings.scalar.size, dtype=bool)
@@ -444,11 +446,12 @@ def linearised(model: Model, readings: Readings) -> tuple[Model, tuple[Term, ...
             sigma=one.sigma[:, :1],
             table=None,
         )
-        for at, (part, one) in enumerate(zip(PARTS, timed, strict=True))
+        for at, (part, one) in enumerate(zip(PARAMETER_GROUPS, timed, strict=True))
     }
     entry = entry.with_parameters(fixed)
     terms = tuple(
-        Term(entry.name, entry, (part,), tuple(sigma[3 * at : 3 * at + 3])) for at, part in enumerate(PARTS)
+        Term(entry.name, entry, (part,), tuple(sigma[3 * at : 3 * at + 3]))
+        for at, part in enumerate(PARAMETER_GROUPS)
     )
     return replace(model, effects=(entry,)), terms
 
@@ -490,12 +493,12 @@ def derived_on(flight: Flight, name: str, shifts: Mapping[str, float]) -> np.nda
     if name in flight.samples:
         return flight[name]
     factors = []
-    for part in parse(name).parts:
+    for part in parse_channel(name).parts:
         values = flight[part.channel]
         if part.placebo:
             values = np.roll(values, round(shifts[f"{part.channel}~{part.placebo}"] / STEP_S))
         factors.append(part.of(values, STEP_S))
-    return product(factors)
+    return channel_product(factors)
 
 
 def case_of(
@@ -535,7 +538,7 @@ def case_of(
 
 def rows_on_bins(
     flight: Flight, model: Model, readings: Readings, channels: Mapping[str, np.ndarray]
-) -> Rows:
+) -> DesignRows:
     """Return the rows of readings; one sample a bin."""
     samples = samples_of(flight, readings)
     half = int(STEP_S * SECOND) // 2
@@ -543,7 +546,7 @@ def rows_on_bins(
     variables = {name: flight.samples[name].variable for name in GEOMETRY if name in flight.samples}
     for name, values in channels.items():
         if name not in variables:
-            base = parse(name).parts[0].channel
+            base = parse_channel(name).parts[0].channel
             variables[name] = xr.Variable("time", values, {"units": flight.samples[base].attrs["units"]})
     return coarsen(
         samples, rows_of(model, samples), edges, variables, sensor_matrices(model, int(flight.tt2000[0]))
@@ -551,10 +554,10 @@ def rows_on_bins(
 
 
 def evidence_of(
-    library: Library, rows: Rows, residuals: np.ndarray, block_days: float = 1.0, every: int = 1
+    library: Library, rows: DesignRows, residuals: np.ndarray, block_days: float = 1.0, every: int = 1
 ) -> tuple[GramArrays, GramArrays]:
     """Return raw and prewhitened evidence, a block a day or another span."""
-    columns, weight = design(library.all_terms, rows)[::every], rows.weight[::every]
+    columns, weight = design_matrix(library.all_terms, rows)[::every], rows.weight[::every]
     residuals, stamps = residuals[::every], rows.samples["tt2000"].values[::every]
     first, width = int(stamps[0]) - int(STEP_S * SECOND) // 2, int(block_days * DAY)
     span = int(rows.weight.size * STEP_S * SECOND)

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from scipy.signal import lfilter
 
-from inflight.mission_fit import epochs_of, join_epochs
+from inflight.mission_fit import concat_epochs, extract_epochs
 from inflight.residual import find_steps
 from inflight.time import SECOND, day_bounds
 
@@ -70,9 +70,9 @@ def epochs_of_days(days, others=(), windows=None, **options):
         samples, residual = make_day(number, **options)
         steps = steps_of(samples)
         parts.append(
-            epochs_of(samples, residual, steps, channel="solar_current", others=others, windows=windows)
+            extract_epochs(samples, residual, steps, channel="solar_current", others=others, windows=windows)
         )
-    return join_epochs(parts)
+    return concat_epochs(parts)
 
 
 def stored_epochs(seed, days=12, a_day=15, shared=0.0, value=TRUTH, share=None):

@@ -14,11 +14,11 @@ from inflight.frames import (
     geometry_at,
     itrf_to_nec,
     rotate,
+    rotate_with_earth,
     sidereal_angle,
     sun_direction,
     sunlit_fraction,
     to_date,
-    turn_with_earth,
 )
 from inflight.time import SECOND, to_tt2000
 
@@ -65,7 +65,7 @@ def test_precession_is_that_of_the_worked_example():
 def test_turning_with_the_earth_and_back_changes_nothing():
     vectors = np.random.default_rng(0).normal(size=(50, 3))
     days = np.linspace(8000, 8003, 50)
-    assert turn_with_earth(turn_with_earth(vectors, days, 1), days, -1) == pytest.approx(vectors)
+    assert rotate_with_earth(rotate_with_earth(vectors, days, 1), days, -1) == pytest.approx(vectors)
 
 
 def test_shadow_has_the_length_of_the_earth_and_a_soft_edge():
@@ -98,7 +98,7 @@ def orbit(
     argument = 2 * np.pi * t / PERIOD + 1.0
     plane = Rotation.from_euler("ZX", [40.0, inclination], degrees=True)
     inertial = plane.apply(RADIUS * np.stack([np.cos(argument), np.sin(argument), 0 * t], axis=1))
-    given = from_date(inertial, days) if frame == "gcrf" else turn_with_earth(inertial, days, -1)
+    given = from_date(inertial, days) if frame == "gcrf" else rotate_with_earth(inertial, days, -1)
     factor = {"km": 1.0, "m": 1e3}[unit]
     samples = xr.Dataset(
         {
@@ -183,7 +183,7 @@ def test_the_sun_is_seen_in_the_axes_of_the_sensor(frame):
     samples, _, _ = orbit(step=60.0)
     days = days_since_j2000(samples["tt2000"].values)
     position = samples["position"].values
-    fixed = turn_with_earth(sun_direction(days), days, -1)
+    fixed = rotate_with_earth(sun_direction(days), days, -1)
     target = {
         "itrf": fixed,
         "gcrf": from_date(sun_direction(days), days),

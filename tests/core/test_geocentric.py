@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import MissionError
-from inflight.frames import dipole_angle, dipole_axis, gse_to_gsm, payload_to_gse, sunward, to_gse
+from inflight.frames import dipole_angle, dipole_axis, gse_to_gsm, payload_to_gse, sun_direction_gse, to_gse
 from inflight.time import to_tt2000
 
 VECTOR = np.array([0.6, -0.64, 0.48])
@@ -73,7 +73,7 @@ def test_the_dipole_is_where_it_was():
 
 def test_payload_axes_are_turned_by_spin_axis_and_sun():
     axis = np.array([[0.1, -0.3, 2.0], [0.0, 0.0, -1.0]])
-    towards = sunward(np.zeros(2, dtype=np.int64))
+    towards = sun_direction_gse(np.zeros(2, dtype=np.int64))
     sun = payload_to_gse(np.tile([1.0, 0.0, 0.0], (2, 1)), axis, towards)
     up = payload_to_gse(np.tile([0.0, 0.0, 1.0], (2, 1)), axis, towards)
     side = payload_to_gse(np.tile([0.0, 1.0, 0.0], (2, 1)), axis, towards)
@@ -86,7 +86,7 @@ def test_payload_axes_are_turned_by_spin_axis_and_sun():
 
 
 def test_without_an_axis_or_with_one_at_the_sun_nothing_is_said():
-    towards = sunward(np.zeros(3, dtype=np.int64))
+    towards = sun_direction_gse(np.zeros(3, dtype=np.int64))
     axis = np.array([[np.nan, 0.0, 1.0], [1.0, 0.02, 0.0], [1.0, 0.2, 0.0]])
     known = np.isfinite(payload_to_gse(np.ones((3, 3)), axis, towards)).all(axis=1)
     assert known.tolist() == [False, False, True]
@@ -94,7 +94,7 @@ def test_without_an_axis_or_with_one_at_the_sun_nothing_is_said():
 
 def test_the_sun_is_seen_from_where_the_spacecraft_is():
     place = np.array([[0.0, 6371.2 * 20, 0.0], [np.nan] * 3])
-    towards = sunward(stamps_of("2012-01-03T00:00:00", "2012-01-03T00:00:00"), place)
+    towards = sun_direction_gse(stamps_of("2012-01-03T00:00:00", "2012-01-03T00:00:00"), place)
     assert np.rad2deg(np.arctan2(-towards[0, 1], towards[0, 0])) == pytest.approx(0.0496, abs=2e-4)
     np.testing.assert_allclose(towards[1], [1.0, 0.0, 0.0])
 

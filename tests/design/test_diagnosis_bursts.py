@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.design import Outliers, coarsen, grid
+from inflight.design import OutlierReport, bin_edges, coarsen
 from inflight.design.columns import find_bursts, is_signal
 from inflight.model import ResidualRows
 from inflight.time import SECOND
@@ -56,7 +56,7 @@ def rows_of(residual, ripple=0.0, at=BURST, seed=3):
 
 def said_signal(residual, rows, channels=None, cadence=1):
     stamps = stamps_of(len(residual))
-    edges = grid(START, int(stamps[-1]) + 1, int(cadence * STEP_S * SECOND))
+    edges = bin_edges(START, int(stamps[-1]) + 1, int(cadence * STEP_S * SECOND))
     every = found_in(residual)
     return [is_signal(one, every, rows, stamps, channels or {}, edges) for one in every]
 
@@ -190,7 +190,7 @@ def test_what_goes_with_a_recorded_channel_is_a_signal(kind, told):
 def coarse(residual, keep=False):
     rows, stamps = rows_of(residual), stamps_of(len(residual))
     samples = xr.Dataset({"tt2000": ("time", stamps), "vector": (("time", "axis"), rows.field)})
-    edges = grid(START, int(stamps[-1]) + 1, int(5 * STEP_S * SECOND))
+    edges = bin_edges(START, int(stamps[-1]) + 1, int(5 * STEP_S * SECOND))
     return coarsen(samples, rows, edges, {}, {}, {}, keep)
 
 
@@ -224,9 +224,9 @@ def test_outliers_of_a_span_are_the_sum_of_its_blocks_and_its_share_that_of_all_
     residual = quiet()
     residual[BURST] += wild()
     reports = [coarse(residual)[1], coarse(quiet(4))[1]]
-    told = Outliers.of(reports, kept=False)
+    told = OutlierReport.of(reports, kept=False)
     assert told.share == pytest.approx(told.burst_samples / (2 * COUNT))
-    assert Outliers.of([coarse(residual, True)[1], coarse(quiet(4))[1]], kept=True).share == told.share
+    assert OutlierReport.of([coarse(residual, True)[1], coarse(quiet(4))[1]], kept=True).share == told.share
     said = told.as_json()
     assert said["samples"] == told.burst_samples + told.spikes
     assert said["bursts"][0]["start"].endswith("Z")

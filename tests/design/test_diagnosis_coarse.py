@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.design import bin_channel, bin_means, bridge_gaps, coarsen, grid
+from inflight.design import bin_channel, bin_edges, bin_means, bridge_gaps, coarsen
 from inflight.design.columns import find_spikes
 from inflight.model import ResidualRows
 from inflight.time import SECOND
@@ -17,7 +17,7 @@ def stamps_of(count, step_s=1.0):
 
 
 def test_the_grid_covers_the_span_and_no_more_than_a_bin():
-    edges = grid(START, START + 95 * SECOND, 10 * SECOND)
+    edges = bin_edges(START, START + 95 * SECOND, 10 * SECOND)
     assert (edges[0], edges.size) == (START, 11)
     assert edges[-2] < START + 95 * SECOND <= edges[-1]
 
@@ -28,7 +28,7 @@ def test_means_of_bins_keep_linear_statements():
     columns, values = g.normal(size=(1000, 4)), np.array([1.0, -2.0, 0.5, 3.0])
     good = g.random(1000) > 0.3
     good[200:260] = False
-    edges = grid(START, START + 1000 * SECOND, 20 * SECOND)
+    edges = bin_edges(START, START + 1000 * SECOND, 20 * SECOND)
     stamps = stamps_of(1000)
     binned, count = bin_means(columns, stamps, edges, good)
     residual, _ = bin_means(columns @ values, stamps, edges, good)
@@ -39,7 +39,7 @@ def test_means_of_bins_keep_linear_statements():
 
 
 def test_samples_outside_the_bins_are_left_out():
-    edges = grid(START, START + 20 * SECOND, 10 * SECOND)
+    edges = bin_edges(START, START + 20 * SECOND, 10 * SECOND)
     mean, count = bin_means(np.arange(60.0), stamps_of(60) - 10 * SECOND, edges, np.ones(60, dtype=bool))
     np.testing.assert_array_equal(count, [10, 10])
     np.testing.assert_allclose(mean, [14.5, 24.5])
@@ -99,7 +99,7 @@ def test_a_record_too_short_has_no_spikes():
 
 
 def test_a_faster_channel_is_averaged():
-    edges = grid(START, START + 600 * SECOND, 60 * SECOND)
+    edges = bin_edges(START, START + 600 * SECOND, 60 * SECOND)
     stamps = stamps_of(600)
     values = np.arange(600.0)
     on = bin_channel(values, stamps, edges, SECOND)
@@ -107,7 +107,7 @@ def test_a_faster_channel_is_averaged():
 
 
 def test_a_slower_channel_is_a_straight_line_between_its_readings():
-    edges = grid(START, START + 600 * SECOND, 10 * SECOND)
+    edges = bin_edges(START, START + 600 * SECOND, 10 * SECOND)
     stamps = stamps_of(11, 60.0)
     on = bin_channel(3.0 * np.arange(11), stamps, edges, 60 * SECOND)
     centre = (edges[:-1] - START) / SECOND + 5.0
@@ -115,7 +115,7 @@ def test_a_slower_channel_is_a_straight_line_between_its_readings():
 
 
 def test_a_slower_channel_of_three_components_keeps_them():
-    edges = grid(START, START + 600 * SECOND, 10 * SECOND)
+    edges = bin_edges(START, START + 600 * SECOND, 10 * SECOND)
     values = np.stack([np.arange(11.0), np.ones(11), -np.arange(11.0)], axis=1)
     on = bin_channel(values, stamps_of(11, 60.0), edges, 60 * SECOND)
     assert on.shape == (60, 3)
@@ -124,7 +124,7 @@ def test_a_slower_channel_of_three_components_keeps_them():
 
 
 def test_a_short_gap_is_bridged_and_a_long_one_is_not():
-    edges = grid(START, START + 6000 * SECOND, 60 * SECOND)
+    edges = bin_edges(START, START + 6000 * SECOND, 60 * SECOND)
     stamps, values = stamps_of(6000), np.arange(6000.0)
     values[600:900] = np.nan
     values[3000:4200] = np.nan
@@ -137,7 +137,7 @@ def test_a_short_gap_is_bridged_and_a_long_one_is_not():
 def test_a_slower_channel_is_not_drawn_across_its_gaps():
     stamps, values = stamps_of(60, 60.0), np.arange(60.0)
     values[20:40] = np.nan
-    edges = grid(START, START + 3600 * SECOND, 10 * SECOND)
+    edges = bin_edges(START, START + 3600 * SECOND, 10 * SECOND)
     on = bin_channel(values, stamps, edges, 60 * SECOND)
     inside = (edges[:-1] > stamps[22]) & (edges[:-1] < stamps[37])
     assert np.isnan(on[inside]).all()
@@ -145,7 +145,7 @@ def test_a_slower_channel_is_not_drawn_across_its_gaps():
 
 
 def test_a_channel_that_says_nothing_is_missing_everywhere():
-    edges = grid(START, START + 600 * SECOND, 60 * SECOND)
+    edges = bin_edges(START, START + 600 * SECOND, 60 * SECOND)
     assert np.isnan(bin_channel(np.full(600, np.nan), stamps_of(600), edges, SECOND)).all()
 
 
@@ -169,7 +169,7 @@ def coarse(residual, good=None, step=10):
     rows = ResidualRows(
         residual=residual, directions={"fgm": unit}, fields={"fgm": field}, field=field, good=good, step_s=1.0
     )
-    return coarsen(samples, rows, grid(START, START + count * SECOND, step * SECOND), {}, {})
+    return coarsen(samples, rows, bin_edges(START, START + count * SECOND, step * SECOND), {}, {})
 
 
 def test_scatter_inside_bins_and_of_their_means_add_up_to_the_whole():

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
-from inflight.calibration import SCALE, kernel_parameters, kernel_scale
+from inflight.calibration import PARAMETER_SCALE, kernel_parameters, kernel_scale
 from inflight.calibration.scalar import _fill
-from inflight.design import Rows, Term, design, sensor_matrices, term_of
+from inflight.design import DesignRows, Term, design_matrix, sensor_matrices, term_of
 from inflight.design.columns import term_columns
 from inflight.model import Model, make_effect, rows_of
 
@@ -59,7 +59,7 @@ def rows_at(model, samples):
         field=(("time", "axis"), native.field, {"units": "nT"}), field_direction=corrected["field_direction"]
     )
     turn = sensor_matrices(model, int(samples["tt2000"].values[0]))
-    return Rows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
+    return DesignRows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
 
 
 def exact_columns(model, samples, entry, parameters):
@@ -129,7 +129,7 @@ def test_the_nine_columns_are_the_calibrations_own(flown):
     expected = np.empty((len(reading), 10))
     theta, scale = kernel_parameters(values), kernel_scale(values)
     _fill(expected, theta, reading, np.zeros((1, 3)), scalar, np.inf, scale, 0)
-    np.testing.assert_allclose(term.scale, SCALE)
+    np.testing.assert_allclose(term.scale, PARAMETER_SCALE)
     size = np.abs(expected[:, :9]).max(axis=0)
     assert np.all(np.abs(found - expected[:, :9]) < 1e-6 * size)
     np.testing.assert_allclose(rows.residual[:, 0], expected[:, 9], atol=1e-6)
@@ -174,7 +174,7 @@ def test_missing_values_and_rows_without_weight_are_nought(flown):
     entry = make_effect(
         {"effect": "channel_field", "channel": "solar_current", "sensor": "fgm"}, SENSORS, (), MISSION
     )
-    found = design([term_of(entry, "tried")], replace(rows, samples=held, weight=weight))
+    found = design_matrix([term_of(entry, "tried")], replace(rows, samples=held, weight=weight))
     assert not found[10:20].any()
     assert not found[30:40].any()
     assert found[40:].any()
@@ -183,4 +183,4 @@ def test_missing_values_and_rows_without_weight_are_nought(flown):
 
 def test_no_terms_are_no_columns(flown):
     _, _, rows = flown
-    assert design([], rows).shape == (*rows.residual.shape, 0)
+    assert design_matrix([], rows).shape == (*rows.residual.shape, 0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
-from inflight.diagnosis import TimeVariableColumns, batches, drifts, episodes, steps
+from inflight.diagnosis import TimeVariableColumns, batch_changes, drifts, episodes, steps
 from inflight.diagnosis.refine import refine_change_time
 from inflight.diagnosis.time_changes import ChangeSettings
 from inflight.residual import format_period
@@ -112,7 +112,7 @@ def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
     found = drifts(search.raw, search.time_variable) + steps(search.raw, search.time_variable)
     lone = TimeVariableColumns(clock=search.time_variable.clock)
     found += episodes(search.raw, search.forms["raw"], lone, search.y())
-    parts = list(batches(found))
+    parts = list(batch_changes(found))
     assert sorted(one.name for part in parts for one in part) == sorted(one.name for one in found)
     assert all(len({one.interleaved for one in part}) == 1 for part in parts)
     assert len(parts) > 3

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, dipole, flight_of, read, spun
 from scipy.signal import lfilter
 
-from inflight.design import design
+from inflight.design import design_matrix
 from inflight.diagnosis import Search
 from inflight.diagnosis.stepwise import calibration_shifts, detectable_amplitude, estimate, form_disagreement
 
@@ -102,7 +102,7 @@ def test_what_is_detectable_is_three_times_the_error():
 def columns_of(case, keys):
     terms = {term.key: term for term in case.library.all_terms}
     base = case.library.base if keys == "base" else [terms[key] for key in keys]
-    return design(base, case.rows)[::EVERY, 0]
+    return design_matrix(base, case.rows)[::EVERY, 0]
 
 
 def test_the_retained_part_is_that_of_a_regression_of_the_rows():

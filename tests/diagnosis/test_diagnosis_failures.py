@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import CHANNELS, DAWN_DUSK, POLAR, STEP_S, case_of, flight_of, read
 
-from inflight.samples import respond
+from inflight.samples import slow_response
 from inflight.samples.derived import play
 
 #: A switch nobody recorded: 41 minutes, on for two fifths of them.
@@ -21,7 +21,7 @@ def polar():
     """Forty days of a polar orbit; residuals of a lag, a hysteresis, a switch and a bias."""
     flight = flight_of(POLAR, 40)
     seconds = STEP_S * np.arange(flight.tt2000.size)
-    slow = respond(flight["heater_current"], STEP_S, LAG_S)
+    slow = slow_response(flight["heater_current"], STEP_S, LAG_S)
     loop = play(flight["boom_temperature"], 10.0)
     switch = 0.35 * (seconds % SWITCH_S < DUTY * SWITCH_S)
     hidden = [

@@ -8,7 +8,7 @@ from inflight.diagnosis import ModelColumns, make_folds
 from inflight.diagnosis.candidates import BANK
 from inflight.diagnosis.refine import lag_weights, profile_lag
 from inflight.lsq import GramArrays
-from inflight.samples import respond
+from inflight.samples import slow_response
 
 STEP_S, BLOCKS = 60.0, 30
 
@@ -23,8 +23,8 @@ BETWEEN = [90.0, 130.0, 360.0, 500.0, 1700.0, 2500.0]
 def mixed_up(lag, bank):
     """Return which part of a response the mixture of a bank misses."""
     channel = switch(0, 30_000)
-    wanted = respond(channel, STEP_S, lag)
-    columns = np.stack([respond(channel, STEP_S, one) if one else channel for one in bank], axis=1)
+    wanted = slow_response(channel, STEP_S, lag)
+    columns = np.stack([slow_response(channel, STEP_S, one) if one else channel for one in bank], axis=1)
     return np.std((columns @ lag_weights(lag, bank) - wanted)[1000:]) / np.std(wanted[1000:])
 
 
@@ -53,8 +53,10 @@ def lag_case(lag, size, seed, noise=0.09):
     channel = switch(seed, count)
     angle = 2 * np.pi * np.arange(count) * STEP_S / 5600.0
     turning = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    bank = {one: (respond(channel, STEP_S, one) if one else channel)[:, None] * turning for one in BANK.lags}
-    truth = (respond(channel, STEP_S, lag) if lag else channel)[:, None] * turning @ size
+    bank = {
+        one: (slow_response(channel, STEP_S, one) if one else channel)[:, None] * turning for one in BANK.lags
+    }
+    truth = (slow_response(channel, STEP_S, lag) if lag else channel)[:, None] * turning @ size
     y = -truth + g.normal(0, noise, count) + 0.3 * turning[:, 0]
     values = np.column_stack([turning, *bank.values(), y]).reshape(BLOCKS, 1440, -1)
     names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(BANK.lags))), "residual")

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, flight_of, read
 
-from inflight.design import Rows
+from inflight.design import DesignRows
 from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin_rows
 from inflight.diagnosis.residual import (
     correctable_evidence,
@@ -17,7 +17,7 @@ from inflight.diagnosis.residual import (
     unknown_rows,
     with_correctable_rows,
 )
-from inflight.samples import parse
+from inflight.samples import parse_channel
 from inflight.time import SECOND
 
 CHANNELS = ("heater_current", "payload_current")
@@ -157,7 +157,7 @@ def series_with(channel, lost):
 def test_a_response_is_known_again_some_time_after_a_gap():
     lost = np.zeros(1000, dtype=bool)
     lost[300:500] = True
-    rows = unknown_rows(series_with(np.zeros(1000), lost), parse("c@lag=100 s").parts[0])
+    rows = unknown_rows(series_with(np.zeros(1000), lost), parse_channel("c@lag=100 s").parts[0])
     # It has forgotten all but a fifth of the gap after 1.6 time constants.
     assert rows[305:500].all()
     assert not rows[:300].any()
@@ -168,13 +168,13 @@ def test_a_response_is_known_again_some_time_after_a_gap():
 def test_a_gap_much_shorter_than_a_response_costs_it_nothing():
     lost = np.zeros(1000, dtype=bool)
     lost[300:310] = True
-    assert not unknown_rows(series_with(np.zeros(1000), lost), parse("c@lag=1000 s").parts[0]).any()
+    assert not unknown_rows(series_with(np.zeros(1000), lost), parse_channel("c@lag=1000 s").parts[0]).any()
 
 
 def test_a_play_is_known_again_when_its_channel_has_moved_by_the_width():
     lost = np.zeros(100, dtype=bool)
     lost[20:40] = True
-    rows = unknown_rows(series_with(np.arange(100.0), lost), parse("c@width=15").parts[0])
+    rows = unknown_rows(series_with(np.arange(100.0), lost), parse_channel("c@width=15").parts[0])
     assert np.flatnonzero(rows).tolist() == list(range(20, 55))
 
 
@@ -190,7 +190,7 @@ def test_a_series_remembers_where_a_channel_was_not_recorded_and_holds_its_usual
             "c": ("time", c),
         }
     )
-    rows = Rows(samples, np.zeros((count, 1)), {}, {}, weight)
+    rows = DesignRows(samples, np.zeros((count, 1)), {}, {}, weight)
     features = features_of(rows, ["c"])
     stamps, values = thin_rows(rows, features, 5)
     packed = pack_blocks(stamps, values, [0, int(stamps[-1]) + 1], 20)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Body, Candidates, HeldOutDecision, Readings, decide
+from inflight.dual import Body, Candidates, HeldOutDecision, Readings, choose_correction
 from inflight.time import SECOND
 
 #: Samples of a case, and the sensors' distances from the middle of the body, m.
@@ -62,7 +62,7 @@ def outcome(case: Hard) -> Outcome:
     """Decide on a case and compare with the truth."""
     readings = case.readings
     candidates = Candidates(readings, case.body)
-    decision = decide(readings, candidates.fit, candidates.priors)
+    decision = choose_correction(readings, candidates.fit, candidates.priors)
     good, found = readings.good, decision.correction
     before = _size((readings.outboard - case.ambient)[good])
     after = _size((found.corrected(readings.outboard) - case.ambient)[good])

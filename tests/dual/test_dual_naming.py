@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.dual import name_units
+from inflight.dual import match_channels_to_units
 
 
 def scene(seed, switchings=60, units=3):
@@ -21,7 +21,7 @@ def test_a_unit_is_named_by_the_current_that_switches_with_it():
     random, signs = scene(1)
     noise = random.normal(0.0, 3.0, (2, len(signs)))
     changes = {"heater": -200.0 * signs[:, 1] + noise[0], "temperature": noise[1]}
-    named = name_units(signs, changes)
+    named = match_channels_to_units(signs, changes)
     assert [one.channels for one in named] == [(), ("heater",), ()]
     assert named[1].per_unit[0] == pytest.approx(-200.0, abs=5.0)
     assert "no channel" in named[0].reason
@@ -30,13 +30,13 @@ def test_a_unit_is_named_by_the_current_that_switches_with_it():
 def test_channels_that_switch_together_are_both_told():
     _, signs = scene(2)
     changes = {"one": 200.0 * signs[:, 0], "two": 10.0 * signs[:, 0]}
-    assert set(name_units(signs, changes)[0].channels) == {"one", "two"}
+    assert set(match_channels_to_units(signs, changes)[0].channels) == {"one", "two"}
 
 
 def test_too_few_switchings_name_nothing():
     _, signs = scene(3)
     few = signs[:, :1] * (np.cumsum(np.abs(signs[:, :1]), axis=0) <= 3)
-    named = name_units(few, {"one": few[:, 0]})[0]
+    named = match_channels_to_units(few, {"one": few[:, 0]})[0]
     assert named.channels == ()
     assert "3 times" in named.reason
 
@@ -47,5 +47,5 @@ def test_unrelated_channels_are_seldom_named():
         random, signs = scene(seed, switchings=12)
         # Channels that switch as well, each at its own times.
         changes = {str(one): 100.0 * random.choice([-1.0, 0.0, 1.0], len(signs)) for one in range(5)}
-        wrong += sum(bool(one.channels) for one in name_units(signs, changes, seed=seed))
+        wrong += sum(bool(one.channels) for one in match_channels_to_units(signs, changes, seed=seed))
     assert wrong <= 3

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from inflight.dual import quiet_steps, regress_steps, residual_steps_by_state, rms, steps_across, switchings
+from inflight.dual import (
+    quiet_steps,
+    regress_steps,
+    residual_steps_by_state,
+    rms_of_steps,
+    steps_across,
+    switchings,
+)
 from inflight.dual.correction import TRANSIENT
 from inflight.time import SECOND
 
@@ -45,7 +52,7 @@ def test_without_a_stray_field_steps_at_switchings_are_those_of_anywhere():
     for seed in range(20):
         state, stamps, field, _ = scene(seed)
         at = switchings(state, stamps, SECOND)
-        ratios.append(rms(steps_across(field, at)) / rms(quiet_steps(field, at)))
+        ratios.append(rms_of_steps(steps_across(field, at)) / rms_of_steps(quiet_steps(field, at)))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
 
 

@@ -7,7 +7,7 @@ import pytest
 from plain_correction import plain
 from scipy import signal
 
-from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, decide
+from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, choose_correction
 from inflight.dual.correction import slow_part
 from inflight.dual.geometry import dipole_matrix, matrices_of_any_boom, matrix_prior
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
@@ -42,7 +42,7 @@ def switching(seed, size=0.4):
 
 def decided(readings, body=None):
     candidates = Candidates(readings, body)
-    return decide(readings, candidates.fit, candidates.priors)
+    return choose_correction(readings, candidates.fit, candidates.priors)
 
 
 def error(field, ambient):

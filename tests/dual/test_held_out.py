@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from plain_correction import plain
 
-from inflight.dual import Candidates, Readings, decide
+from inflight.dual import Candidates, Readings, choose_correction
 from inflight.time import SECOND
 
 COUNT = 8000
@@ -28,11 +28,11 @@ def world(seed):
 
 def decide_all(readings, body=None):
     candidates = Candidates(readings, body)
-    return decide(readings, candidates.fit, candidates.priors)
+    return choose_correction(readings, candidates.fit, candidates.priors)
 
 
 def decided(readings, **fields):
-    return decide(
+    return choose_correction(
         readings,
         lambda _: {name: partial(field_correction, field=field) for name, field in fields.items()},
         Candidates(readings).priors,

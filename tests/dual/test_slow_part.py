@@ -8,10 +8,10 @@ from inflight.dual import (
     WHOLE,
     AppliedPart,
     Readings,
+    applied_part_to_dataset,
     omits_slow_part,
-    part_of_day,
-    part_variables,
     partial_correction,
+    slow_part_of_day,
 )
 from inflight.dual.correction import slow_in_window, slow_part, slow_part_of
 from inflight.time import SECOND
@@ -71,7 +71,7 @@ def test_days_find_the_slow_part_of_their_window_and_do_not_step_between_them():
     random = np.random.default_rng(2)
     field = np.cumsum(random.normal(0.0, 0.02, (count, 3)), axis=0)
     whole, readings = plain(field), readings_of(count)
-    table = part_variables(whole, readings, AppliedPart(1.0, 2000.0), np.zeros(3))
+    table = applied_part_to_dataset(whole, readings, AppliedPart(1.0, 2000.0), np.zeros(3))
     assert omits_slow_part(table)
     parts = []
     for rows in (slice(0, 4000), slice(4000, count)):
@@ -88,11 +88,11 @@ def test_a_day_has_the_error_that_it_has_in_its_window(part):
     # A unit that is on for the whole second day is no constant.
     field = np.repeat([0.0, 1.0, 0.0, 0.0], 1000)[:, None] * np.ones(3)
     whole, readings, nothing = plain(field), readings_of(4000), np.zeros(3)
-    table = part_variables(whole, readings, part, nothing)
+    table = applied_part_to_dataset(whole, readings, part, nothing)
     of_window = partial_correction(whole, part, 0.3, slow_part_of(whole, readings, part.seconds))
     rows = slice(1000, 2000)
     day, of_day = plain(field[rows]), readings.select(rows)
-    found = partial_correction(day, part, 0.3, *part_of_day(table, day, of_day, part, nothing))
+    found = partial_correction(day, part, 0.3, *slow_part_of_day(table, day, of_day, part, nothing))
     assert found.field == pytest.approx(of_window.field[rows], abs=0.01)
     assert found.sigma == pytest.approx(of_window.sigma[rows], abs=0.01)
     assert np.median(found.sigma) > 0.25
@@ -109,7 +109,7 @@ def test_a_constant_that_a_window_took_over_is_no_matter_of_the_share():
 
 def test_a_day_outside_of_the_window_goes_by_itself():
     whole, readings = plain(np.random.default_rng(3).normal(size=(500, 3))), readings_of(500)
-    table = part_variables(whole, readings, AppliedPart(1.0, 100.0), np.zeros(3))
+    table = applied_part_to_dataset(whole, readings, AppliedPart(1.0, 100.0), np.zeros(3))
     later = readings_of(500, first=100_000)
     assert slow_in_window(table, whole, later, 100.0, np.zeros(3)) == pytest.approx(
         slow_part_of(whole, later, 100.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Candidates, Correction, HeldOutDecision, decide
+from inflight.dual import Candidates, Correction, HeldOutDecision, choose_correction
 
 from .scenarios import Case, make_case
 
@@ -65,7 +65,7 @@ def corrected(case: Case, body_size: float = 1.0) -> HeldOutDecision:
     """
     body = replace(case.body, half_size=body_size * case.body.half_size) if body_size else None
     candidates = Candidates(case.readings, body)
-    return decide(case.readings, candidates.fit, candidates.priors)
+    return choose_correction(case.readings, candidates.fit, candidates.priors)
 
 
 def score(case: Case, decision: HeldOutDecision, seconds: float = 0.0) -> Score:

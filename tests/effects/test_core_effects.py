@@ -12,7 +12,7 @@ from inflight.calibration import to_sensor_angles
 from inflight.calibration.published import from_sensor_angles
 from inflight.effects import Effect, Parameter, known_effects, with_field
 from inflight.effects.base import best_field
-from inflight.effects.sensors import rate
+from inflight.effects.sensors import field_strength_rate
 from inflight.errors import ModelError, SamplesError
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.time import SECOND
@@ -157,7 +157,7 @@ def test_a_rate_is_not_invented_where_a_sample_stands_alone():
     lonely = truth["vector"].values.copy()
     lonely[[29, 31]] = np.nan
     samples = truth.assign(field=(("time", "axis"), lonely))
-    found = rate(samples)
+    found = field_strength_rate(samples)
     assert np.isnan(found[[29, 30, 31]]).all()
     assert np.isfinite(np.delete(found, [29, 30, 31])).all()
     shifted = one("time_shift", seconds=0.0).correct(truth.assign(vector=(("time", "axis"), lonely)))

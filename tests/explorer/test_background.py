@@ -6,7 +6,7 @@ import pytest
 
 from inflight.errors import CatalogError
 from inflight.explorer.background import Background
-from inflight.explorer.drawing import progress
+from inflight.explorer.panes import progress
 
 
 @pytest.fixture

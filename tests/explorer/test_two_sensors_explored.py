@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from inflight.catalog import Catalog, Workspace
-from inflight.explorer.sitting import Days, Sitting
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.archive import ingest, simulate_dual
 from inflight.tasks.pipelines import reprocess
@@ -21,13 +21,13 @@ def test_states_units_and_verdict_are_shown(tmp_path):
     simulate_dual(DualSettings(days=2, seed=31, overrides={"cadence": 4.0}), made.data, workers=1)
     ingest(Catalog(made.root), made.mission(), made.data)
     reprocess(Catalog(made.root), made.mission())
-    sitting = Sitting(made)
+    session = ExplorerSession(made)
     try:
         day = np.datetime64("2006-05-14")
-        shown = dict(sitting.compare("main", Days(day, day + 1), lambda stage, done, total: None))
+        shown = dict(session.compare("main", Days(day, day + 1), lambda stage, done, total: None))
         told = {heading: make() for heading, make in shown.items()}
     finally:
-        sitting.close()
+        session.close()
     assert list(told) == ["Steps at switchings", "Where it fails", "States", "Units", "Before and after"]
     assert "held out" in " ".join(told["Steps at switchings"][0])
     units = " ".join(told["Units"][0])
@@ -48,11 +48,11 @@ def test_a_spacecraft_without_units_is_shown_as_such(tmp_path):
     simulate_dual(settings, made.data, workers=1)
     ingest(Catalog(made.root), made.mission(), made.data)
     reprocess(Catalog(made.root), made.mission())
-    sitting = Sitting(made)
+    session = ExplorerSession(made)
     try:
         day = np.datetime64("2006-05-14")
-        shown = dict(sitting.compare("main", Days(day, day), lambda stage, done, total: None))
+        shown = dict(session.compare("main", Days(day, day), lambda stage, done, total: None))
         assert "nothing was seen to switch" in " ".join(shown["Units"]()[0])
         assert shown["States"]()[0]
     finally:
-        sitting.close()
+        session.close()

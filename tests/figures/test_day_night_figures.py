@@ -6,14 +6,14 @@ import xarray as xr
 from bokeh.embed import components
 from bokeh.models import ColumnDataSource
 
-from inflight.figures import day_night_figure, ignored_figure, wandering_figure
-from inflight.mission_fit import SERIES, CrossTalkTable, DayNightField, Ignored
+from inflight.figures import day_night_figure, ignored_effects_figure, with_and_without_figure
+from inflight.mission_fit import SERIES, CrossTalkTable, DayNightField, IgnoredCause
 
 PARAMETERS = ("vector_sensor.scale_factor[x]", "vector_sensor.misalignment[xz]")
 
 
 def talk(shift) -> CrossTalkTable:
-    causes = (Ignored("bias", 0.4, "nT"), Ignored("time_shift", 0.01, "s", "lag"))
+    causes = (IgnoredCause("bias", 0.4, "nT"), IgnoredCause("time_shift", 0.01, "s", "lag"))
     nan = np.full((2, 2), np.nan)
     return CrossTalkTable(causes, PARAMETERS, ("ppm", "arcsec"), shift, nan, 1, np.ones(2), np.ones(2))
 
@@ -25,7 +25,7 @@ def column(plot, name):
 
 
 def test_each_unit_has_its_own_scale_of_colours():
-    plot = ignored_figure(talk(np.array([[15.0, 0.1], [-0.4, -3.2]])))
+    plot = ignored_effects_figure(talk(np.array([[15.0, 0.1], [-0.4, -3.2]])))
     assert components(plot)
     np.testing.assert_allclose(column(plot, "part"), [1.0, 0.1 / 3.2, -0.4 / 15.0, -1.0])
     assert column(plot, "told") == ["+15.0", "+0.10", "-0.40", "-3.2"]
@@ -33,7 +33,7 @@ def test_each_unit_has_its_own_scale_of_colours():
 
 
 def test_nothing_ignored_is_drawn_without_colours():
-    plot = ignored_figure(talk(np.zeros((2, 2))))
+    plot = ignored_effects_figure(talk(np.zeros((2, 2))))
     assert components(plot)
     assert set(column(plot, "told")) == {"0"}
 
@@ -76,7 +76,7 @@ def test_the_wander_is_drawn_twice_with_its_errors():
             coords={"parameter": list(PARAMETERS)},
         )
 
-    plot = wandering_figure(table(3.0), table(0.0), PARAMETERS[1], "Angle xz")
+    plot = with_and_without_figure(table(3.0), table(0.0), PARAMETERS[1], "Angle xz")
     assert components(plot)
     assert plot.yaxis[0].axis_label == "arcsec"
     assert [one.label.value for one in plot.legend[0].items] == ["ignored", "in the model"]

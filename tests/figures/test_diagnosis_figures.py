@@ -23,21 +23,21 @@ from inflight.figures import (
     axis_spectrum_figures,
     candidate_table,
     cross_talk_figure,
-    distinct,
-    drop_figure,
     epoch_figure,
     facts_list,
     fold_figure,
+    gain_change_figure,
     heat_map_figures,
     lag_figure,
     ledger_table,
     order_figure,
     response_figures,
-    response_key,
+    response_legend,
     shift_table,
     short_name,
     short_parameter,
     strongest_pairs,
+    unique_labels,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
@@ -201,7 +201,7 @@ def test_a_response_has_a_figure_an_axis_on_one_scale_with_its_unit(branches):
     assert len({(plot.y_range.start, plot.y_range.end) for plot in plots}) == 1
     assert all("(mA)" in plot.xaxis[0].axis_label for plot in plots)
     assert all(written(plot) for plot in plots)
-    for colour in re.findall(r"color:(#\w+)", response_key()):
+    for colour in re.findall(r"color:(#\w+)", response_legend()):
         assert len(colour) == 7
 
 
@@ -311,7 +311,7 @@ def test_the_interval_of_a_gain_is_two_standard_errors():
 def test_no_candidates_and_no_reasons_are_said():
     assert "No candidate" in candidate_table([], {}, {})
     assert unscorable_list([]) == ""
-    assert written(drop_figure([]))
+    assert written(gain_change_figure([]))
 
 
 def test_what_cannot_be_scored_is_listed_with_its_reason():
@@ -320,7 +320,7 @@ def test_what_cannot_be_scored_is_listed_with_its_reason():
 
 
 def test_the_drop_plot_tells_falling_from_rising():
-    plot = drop_figure(ROWS)
+    plot = gain_change_figure(ROWS)
     assert written(plot)
     labels = {item.label.value for item in plot.legend[0].items}
     assert {"after (falls)", "after (rises)", "best placebo"} <= labels
@@ -427,4 +427,4 @@ def test_parameters_are_shortened_and_labels_stay_distinct():
     assert short_parameter("scale_drift.vector_sensor.scale_factor[z]") == "scale_drift scale z"
     assert short_parameter("channel_field(heater).coefficient[y]") == "heater y"
     assert bare_parameter("seconds") == "seconds"
-    assert len(set(distinct(["a", "a", "b", "a"]))) == 4
+    assert len(set(unique_labels(["a", "a", "b", "a"]))) == 4

@@ -13,13 +13,13 @@ from inflight.figures import (
     axis_figure,
     daily_figure,
     dependence_figure,
+    excess_scatter_figure,
     histogram_figure,
     html_page,
     html_table,
     parameter_figures,
     series_figure,
     spectrum_figure,
-    wander_figure,
 )
 from inflight.residual import AxisResponse, Dependence, Line, ParameterScatter, daily_scatter
 from inflight.residual.dependence import Branch, Loop
@@ -134,8 +134,8 @@ def test_axes_and_wander_are_drawn_from_little():
             name="fgm.offset[y]", unit="nT", std=NAN, sigma=NAN, ratio=NAN, sigma_ratio=NAN, days=0
         ),
     ]
-    assert "offset[y]" in written(wander_figure(found))
-    assert written(wander_figure([]))
+    assert "offset[y]" in written(excess_scatter_figure(found))
+    assert written(excess_scatter_figure([]))
 
 
 def test_the_wander_of_daily_parameters_is_their_scatter_over_their_sigma():

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from inflight.errors import SettingsError
-from inflight.flows import Span, available_cores, dask_client
+from inflight.flows import DaySpan, available_cores, dask_client
 from inflight.flows.settings import prefect_environment, prefect_settings
 
 
@@ -74,9 +74,9 @@ def test_a_running_scheduler_is_used_when_named(monkeypatch):
 
 
 def test_a_span_gives_its_days_as_text_and_refuses_to_run_backwards():
-    assert Span.model_validate({"start": "2005-01-01"}).as_text() == ("2005-01-01", None)
+    assert DaySpan.model_validate({"start": "2005-01-01"}).as_text() == ("2005-01-01", None)
     with pytest.raises(ValueError, match="holds no day"):
-        Span.model_validate({"start": "2005-01-01", "end": "2005-01-01"})
+        DaySpan.model_validate({"start": "2005-01-01", "end": "2005-01-01"})
 
 
 def test_the_flow_modules_are_not_needed_to_read_settings():

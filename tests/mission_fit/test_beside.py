@@ -13,14 +13,14 @@ from inflight.mission_fit import (
     CrossTalkTable,
     DayNightField,
     TemperatureChoice,
+    compare_temperatures_jointly,
     daily_parameters,
     fit_coil_lag,
-    fit_daylight,
-    joined_with,
-    of_everything,
-    of_the_nine,
-    rival_temperatures,
-    terms_of,
+    fit_day_night_jointly,
+    free_terms,
+    joint_cross_talk,
+    nine_parameter_cross_talk,
+    with_auxiliary_columns,
 )
 from inflight.tasks.pipelines.mission.parameter_sections import day_night
 from inflight.time import DAY
@@ -48,7 +48,7 @@ def wander(daily, name: str) -> float:
 
 
 def test_a_field_by_day_makes_the_angles_wander_until_it_is_in_the_model(hidden):
-    made = fit_daylight(hidden.equations, hidden.strips, hidden.found, hidden.model)
+    made = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model)
     ignored = daily_parameters(hidden.equations, hidden.found, ["time_shift.seconds"])
     assert wander(ignored, XZ) > 2.0
     assert wander(made.daily(), XZ) < 0.1
@@ -59,7 +59,7 @@ def test_a_field_by_day_makes_the_angles_wander_until_it_is_in_the_model(hidden)
 
 
 def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
-    made = fit_daylight(hidden.equations, hidden.strips, hidden.found, hidden.model)
+    made = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model)
     tables = {
         "day-night": made.field.table(),
         "daily-after": daily_parameters(hidden.equations, hidden.found, ["time_shift.seconds"]),
@@ -76,14 +76,14 @@ def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
 
 def test_without_a_field_by_day_none_is_told():
     none = nights(range(2300, 2820, 12), (0.0, 0.0, 0.0), seed=1)
-    found = fit_daylight(none.equations, none.strips, none.found, none.model).field
+    found = fit_day_night_jointly(none.equations, none.strips, none.found, none.model).field
     assert np.abs(found.value / found.sigma).max() < 4
 
 
 def test_a_model_with_its_own_field_by_day_has_none_beside_it(hidden):
     own = model_with("  - {effect: day_night, sensor: fgm, vector: {unit: nT, value: [0, 0, 0], sigma: 1}}")
     with pytest.raises(CalibrationError, match="itself"):
-        fit_daylight(hidden.equations, hidden.strips, hidden.found, own)
+        fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, own)
 
 
 def test_days_that_do_not_know_a_column_are_left_out(hidden):
@@ -91,9 +91,9 @@ def test_days_that_do_not_know_a_column_are_left_out(hidden):
         strip.assign(known=strip["known"] & (place % 2 == 0)) for place, strip in enumerate(hidden.strips)
     ]
     names = ["day_night.vector[z]"]
-    assert len(joined_with(hidden.equations, [None, *blind[1:]], names)) == (len(blind) - 1) // 2
+    assert len(with_auxiliary_columns(hidden.equations, [None, *blind[1:]], names)) == (len(blind) - 1) // 2
     with pytest.raises(CalibrationError, match="no day knows"):
-        joined_with(hidden.equations, [None] * len(blind), names)
+        with_auxiliary_columns(hidden.equations, [None] * len(blind), names)
 
 
 @pytest.mark.parametrize("lag", [25.0, -15.0])
@@ -123,7 +123,7 @@ def test_stated_errors_of_a_field_by_day_hold():
     quiet, pulls = nights(CYCLES, FIELD, noise=1e-3), []
     for seed in range(40):
         made = with_noise(quiet, seed, 0.2)
-        found = fit_daylight(made.equations, made.strips, made.found, made.model).field
+        found = fit_day_night_jointly(made.equations, made.strips, made.found, made.model).field
         pulls += list((found.value - FIELD) / found.sigma)
     assert 0.6 < np.mean(np.abs(pulls) < 1.0) < 0.76
     assert np.abs(pulls).max() < 4.0
@@ -147,7 +147,7 @@ def test_with_no_temperature_to_follow_none_is_beaten():
 
 def _judged(made: MadeUp) -> TemperatureChoice:
     names = ["coil_temperature", "electronics_temperature"]
-    return rival_temperatures(made.equations, made.strips, made.found, made.model, names)
+    return compare_temperatures_jointly(made.equations, made.strips, made.found, made.model, names)
 
 
 def test_without_an_effect_of_temperature_the_reason_is_told(hidden):
@@ -156,8 +156,8 @@ def test_without_an_effect_of_temperature_the_reason_is_told(hidden):
 
 
 def test_ignored_causes_shift_the_nine_as_the_thesis_says(hidden):
-    wide = joined_with(hidden.equations, hidden.strips, ["day_night.vector[z]"])
-    found = of_the_nine(wide, {"time_shift.seconds": "s"}, hidden.model)
+    wide = with_auxiliary_columns(hidden.equations, hidden.strips, ["day_night.vector[z]"])
+    found = nine_parameter_cross_talk(wide, {"time_shift.seconds": "s"}, hidden.model)
     # The column is that of a reading taken late: 10 ms of it answer with minus 3.2 arcsec.
     assert found.of("time_shift.seconds", "misalignment[xz]") == pytest.approx(-3.2, abs=0.15)
     assert np.isfinite(found.sigma).all()
@@ -166,8 +166,8 @@ def test_ignored_causes_shift_the_nine_as_the_thesis_says(hidden):
 def test_what_one_parameter_does_to_all_others_is_what_a_fit_without_it_gives(hidden):
     equations, model = hidden.equations, hidden.model
     units = {"time_shift.seconds": "s"} | dict.fromkeys(equations.columns[6:9], "nT")
-    table = of_everything(equations, units, model)
-    sigma = np.array([one for term in terms_of(model) for one in term.sigma])
+    table = joint_cross_talk(equations, units, model)
+    sigma = np.array([one for term in free_terms(model) for one in term.sigma])
     rest = [name for name in equations.columns if name != "time_shift.seconds"]
     kept = np.array([name in rest for name in equations.columns])
     away = equations.first_reference.copy()
@@ -185,11 +185,11 @@ def test_what_one_parameter_does_to_all_others_is_what_a_fit_without_it_gives(hi
 
 
 def test_tables_give_back_what_they_were_made_of(hidden):
-    wide = joined_with(hidden.equations, hidden.strips, ["day_night.vector[z]"])
-    shifts = of_the_nine(wide, {}, hidden.model)
+    wide = with_auxiliary_columns(hidden.equations, hidden.strips, ["day_night.vector[z]"])
+    shifts = nine_parameter_cross_talk(wide, {}, hidden.model)
     again = CrossTalkTable.of_table(shifts.table(), ["day_night.vector[z]"])
     np.testing.assert_array_equal(again.shift, shifts.shift[1:])
-    field = fit_daylight(hidden.equations, hidden.strips, hidden.found, hidden.model).field
+    field = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model).field
     np.testing.assert_array_equal(DayNightField.of_table(field.table()).value, field.value)
     made = warm_days(MONTH[:12], 0.0, seed=4)
     fit = fit_coil_lag(made.equations, made.strips, made.found, made.model, 100.0)
@@ -202,4 +202,4 @@ def test_no_day_tells_no_cross_talk(hidden):
     data = hidden.equations.dataset
     empty = NormalEquations(data.assign(count=data["count"] * 0.0))
     with pytest.raises(CalibrationError, match="no day"):
-        of_everything(empty, {}, hidden.model)
+        joint_cross_talk(empty, {}, hidden.model)

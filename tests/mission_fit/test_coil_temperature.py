@@ -6,7 +6,7 @@ from bokeh.embed import file_html
 from bokeh.resources import INLINE
 from estimator_cases import polar_field
 
-from inflight.calibration import joined
+from inflight.calibration import concat_equations
 from inflight.errors import CalibrationError
 from inflight.figures import rivals_figure, scale_curves_figure
 from inflight.mission_fit import CoilBlock, coil_equations, compare_temperatures, fit_coil, fit_coil_samples
@@ -79,10 +79,10 @@ def test_without_noise_the_lag_is_exact():
 def test_normal_equations_give_the_same_to_first_order_in_the_lag():
     parts = blocks()
     exact = fit_coil_samples(parts, "coil")
-    near = joined([coil_equations(one, {"coil": 60.0, "adc": 0.0}, 20.0) for one in parts])
+    near = concat_equations([coil_equations(one, {"coil": 60.0, "adc": 0.0}, 20.0) for one in parts])
     first = fit_coil(near, "coil", lag=60.0)
     assert first.lag[0] == pytest.approx(exact.lag[0], abs=0.5 * exact.lag[1])
-    far = joined([coil_equations(one, {"coil": -400.0, "adc": 0.0}, 20.0) for one in parts])
+    far = concat_equations([coil_equations(one, {"coil": -400.0, "adc": 0.0}, 20.0) for one in parts])
     # 500 s are a third of the time in which the temperature turns: first order is no longer enough.
     assert abs(fit_coil(far, "coil", lag=-400.0).lag[0] - exact.lag[0]) > 2.0 * exact.lag[1]
     assert fit_coil_samples(parts, "coil", lag=-400.0).lag[0] == pytest.approx(exact.lag[0], abs=2.0)
@@ -93,7 +93,7 @@ def test_one_sigma_covers_two_thirds():
     pulls = []
     for seed in range(24):
         parts = [coil_equations(one, {"coil": 90.0}, 20.0) for one in plain(blocks(10, seed))]
-        fit = fit_coil(joined(parts), "coil", lag=90.0)
+        fit = fit_coil(concat_equations(parts), "coil", lag=90.0)
         truth = np.r_[LINEAR, np.full(3, QUADRATIC), LAG]
         pulls.append((fit.fit.value - truth) / fit.fit.sigma)
     inside = np.abs(pulls) < 1.0
@@ -125,7 +125,7 @@ def test_the_temperature_that_acts_wins_on_held_out_blocks_and_none_is_a_rival()
     def choice(**options):
         parts = blocks(**options)
         return compare_temperatures(
-            joined([coil_equations(one, lags, 20.0) for one in parts]), ["coil", "adc"]
+            concat_equations([coil_equations(one, lags, 20.0) for one in parts]), ["coil", "adc"]
         )
 
     coil = choice()
@@ -146,7 +146,7 @@ def test_too_little_is_refused():
     with pytest.raises(CalibrationError, match="clusters"):
         fit_coil_samples(blocks(3), "coil")
     with pytest.raises(CalibrationError, match="no columns"):
-        fit_coil(joined([coil_equations(one, {}, 20.0) for one in blocks(6)]), "oven")
+        fit_coil(concat_equations([coil_equations(one, {}, 20.0) for one in blocks(6)]), "oven")
     with pytest.raises(CalibrationError, match="no normal equations"):
         fit_coil_samples([], "coil")
 
@@ -154,7 +154,7 @@ def test_too_little_is_refused():
 def test_figures_are_drawn_from_what_was_found():
     parts = blocks(8)
     drawn = scale_curves_figure(fit_coil_samples(parts, "coil"), np.linspace(0.0, 16.0, 33))
-    equations = joined([coil_equations(one, {"coil": LAG}, 20.0) for one in parts])
+    equations = concat_equations([coil_equations(one, {"coil": LAG}, 20.0) for one in parts])
     rivals = rivals_figure(compare_temperatures(equations, ["coil", "adc"]))
     assert "lag" in drawn.title.text
     for plot in (drawn, rivals):

@@ -7,10 +7,16 @@ from bokeh.models import Legend, Whisker
 from bokeh.resources import CDN
 from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
 
-from inflight.effects import schedule
-from inflight.figures import carried_mean_figures, coefficient_figures, local_time_figure, stack_figures
+from inflight.effects import panel_weights_at
+from inflight.figures import coefficient_figures, local_time_figure, stack_figures, torquer_mean_figures
 from inflight.figures.causes import band_figure, current_steps_figure
-from inflight.mission_fit import against_local_time, carried_mean, choose_panels, remanent_field, stack
+from inflight.mission_fit import (
+    filled_running_mean,
+    fit_by_local_time,
+    remanent_field,
+    select_panel_model,
+    stack_epochs,
+)
 from inflight.mission_fit.torquers import COLUMNS
 
 
@@ -30,7 +36,7 @@ def test_steps_are_marked_by_direction():
 
 
 def test_the_stack_has_its_band_and_the_current():
-    found = stack(epochs_of_days(3))
+    found = stack_epochs(epochs_of_days(3))
     upper, lower = stack_figures(found)
     assert "on 3 days" in upper.title.text
     assert upper.x_range is lower.x_range
@@ -40,10 +46,10 @@ def test_the_stack_has_its_band_and_the_current():
 def test_local_time_falls_and_models_are_lines():
     hours = np.repeat((9.0 - 24.0 * 10 * np.arange(60) / 260.5) % 24.0, 15)
     epochs = stored_epochs(
-        1, days=60, value=[[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02]], share=schedule(hours)
+        1, days=60, value=[[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02]], share=panel_weights_at(hours)
     )
-    choice = choose_panels(epochs, hours)
-    plot = local_time_figure(against_local_time(epochs, hours), choice.chosen)
+    choice = select_panel_model(epochs, hours)
+    plot = local_time_figure(fit_by_local_time(epochs, hours), choice.chosen)
     assert (plot.x_range.start, plot.x_range.end) == (24.0, 0.0)
     assert len(list(plot.select(Whisker))) == 3
 
@@ -86,8 +92,8 @@ def test_the_band_is_shown_before_and_after():
 
 def test_what_was_held_is_dashed():
     day = 11323 + np.arange(400)
-    mean = carried_mean(day, np.full((400, 3), 0.04), np.ones(400))
-    plots = carried_mean_figures(mean, remanent_field(mean))
+    mean = filled_running_mean(day, np.full((400, 3), 0.04), np.ones(400))
+    plots = torquer_mean_figures(mean, remanent_field(mean))
     dashed = [one for one in plots[1].renderers if getattr(one.glyph, "line_dash", []) not in ([], "solid")]
     assert len(dashed) == 3
     assert np.isfinite(dashed[0].data_source.data["y"]).sum() == (mean.state > 1).sum() > 0

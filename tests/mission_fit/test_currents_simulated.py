@@ -8,7 +8,14 @@ from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
 from inflight.effects.spacecraft import node_local_time
 from inflight.frames import add_geometry
-from inflight.mission_fit import band_equations, choose_panels, epochs_of, fit_band, fit_step, join_epochs
+from inflight.mission_fit import (
+    band_equations,
+    concat_epochs,
+    extract_epochs,
+    fit_band,
+    fit_step,
+    select_panel_model,
+)
 from inflight.mission_fit.epochs import Windows
 from inflight.residual import find_steps
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
@@ -75,9 +82,9 @@ def solar():
         steps = find_steps(house["Epoch"].values, house["I_SOL"].values / 1e3, smallest=1.0)
         others = ("battery_current", "heater_current", "sunlit")
         parts.append(
-            epochs_of(samples_of(day), residual_of(day), steps, channel="solar_current", others=others)
+            extract_epochs(samples_of(day), residual_of(day), steps, channel="solar_current", others=others)
         )
-    return join_epochs(parts)
+    return concat_epochs(parts)
 
 
 def test_the_panels_are_told_from_the_steps_with_the_battery_in_them(solar):
@@ -86,7 +93,7 @@ def test_the_panels_are_told_from_the_steps_with_the_battery_in_them(solar):
     assert battery.correlation > 0.99
     assert battery.slope == pytest.approx(1.0, abs=0.02)
     hours = node_local_time(solar["local_time"].values, solar["orbit_phase"].values, PARAMETERS.inclination)
-    choice = choose_panels(solar, hours, areas=PARAMETERS.panel_peaks)
+    choice = select_panel_model(solar, hours, areas=PARAMETERS.panel_peaks)
     constant = next(one for one in choice.models if one.name == "constant")
     assert not constant.ties
     sides = next(one for one in choice.models if one.name == "two_sides")
@@ -115,9 +122,9 @@ def test_the_camera_s_nanotesla_per_ampere_is_found_by_the_same_code():
         found = find_excursions(house["Epoch"].values, house["I_CAM"].values / 1e3, longest=2400)
         shape = Windows(shape="current", order=3, field=True)
         parts.append(
-            epochs_of(samples_of(day), residual_of(day), found, channel="camera_current", windows=shape)
+            extract_epochs(samples_of(day), residual_of(day), found, channel="camera_current", windows=shape)
         )
-    fit = fit_step(join_epochs(parts), prior_sigma=3.0)
+    fit = fit_step(concat_epochs(parts), prior_sigma=3.0)
     best = int(np.argmin(fit.sigma[0]))
     # All excursions are at one place of the orbit: one direction of the field is told.
     assert fit.sigma[0, best] < 0.3
@@ -132,11 +139,11 @@ def test_the_heater_s_steps_give_its_field_and_what_else_steps_is_said():
         house = day.instruments["hk"]
         found = find_steps(house["Epoch"].values, house["I_HTR"].values / 1e3)
         parts.append(
-            epochs_of(
+            extract_epochs(
                 samples_of(day), residual_of(day), found, channel="heater_current", others=["battery_current"]
             )
         )
-    fit = fit_step(join_epochs(parts))
+    fit = fit_step(concat_epochs(parts))
     assert np.abs((fit.value[0] - DIFFERENCE["heater"]) / fit.sigma[0]).max() < 3.5
     assert (fit.sigma[0, [0, 2]] < 0.01).all()
     # In the shadow the battery feeds the heater.

@@ -7,9 +7,9 @@ from epoch_cases import TRUTH, epochs_of_days, make_day, steps_of, stored_epochs
 from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.mission_fit import epochs_of, fit_step, join_epochs, stack
+from inflight.mission_fit import concat_epochs, extract_epochs, fit_step, stack_epochs
 from inflight.mission_fit.epochs import Windows
-from inflight.simulate.dipole import transfer
+from inflight.simulate.dipole import extrapolate_dipole
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def test_what_steps_together_is_reported_with_its_share(stored):
 
 def test_the_stack_shows_a_step_of_the_size_of_the_drop(stored):
     drops = stored.isel(epoch=stored["step"].values[:, 0] < 0)
-    curve = stack(drops)
+    curve = stack_epochs(drops)
     late, early = curve.lag > 30, curve.lag < -30
     wanted = float(np.mean(drops["column"].values[:, 0] @ TRUTH))
     step = curve.residual[late].mean() - curve.residual[early].mean()
@@ -84,24 +84,24 @@ def test_the_stack_shows_a_step_of_the_size_of_the_drop(stored):
     assert abs(step - wanted) < 3 * width
     assert curve.current[late].mean() - curve.current[early].mean() == pytest.approx(-5.1, abs=0.3)
     assert curve.days == 10
-    turned = stack(drops, TRUTH)
+    turned = stack_epochs(drops, TRUTH)
     size = turned.residual[late].mean() - turned.residual[early].mean()
     assert size > 1.2 * abs(step)
-    wrong = stack(drops, -TRUTH)
+    wrong = stack_epochs(drops, -TRUTH)
     assert wrong.residual == pytest.approx(-turned.residual)
     with pytest.raises(SamplesError, match="1 days"):
-        stack(drops.isel(epoch=drops["day"].values == drops["day"].values[0]))
+        stack_epochs(drops.isel(epoch=drops["day"].values == drops["day"].values[0]))
 
 
 def test_gaps_missing_values_and_outliers_leave_the_rest():
     samples, residual = make_day(0)
     steps = steps_of(samples)
-    whole = epochs_of(samples, residual, steps, channel="solar_current")
+    whole = extract_epochs(samples, residual, steps, channel="solar_current")
     broken = residual.copy()
     broken[::97] += 30.0
     broken[1000:1400] = np.nan
     kept = np.r_[0:40000, 41000:86400]
-    part = epochs_of(samples.isel(time=kept), broken[kept], steps, channel="solar_current")
+    part = extract_epochs(samples.isel(time=kept), broken[kept], steps, channel="solar_current")
     assert whole.sizes["epoch"] - 4 <= part.sizes["epoch"] <= whole.sizes["epoch"]
     same = np.isin(whole["time"].values, part["time"].values)
     change = part["contrast"].values - whole["contrast"].values[same]
@@ -115,11 +115,11 @@ def test_a_channel_that_is_missing_costs_no_epoch_of_another():
         if number == 2:
             samples["battery_current"] = samples["battery_current"] * np.nan
         parts.append(
-            epochs_of(
+            extract_epochs(
                 samples, residual, steps_of(samples), channel="solar_current", others=["battery_current"]
             )
         )
-    stored = join_epochs(parts)
+    stored = concat_epochs(parts)
     fit = fit_step(stored)
     assert fit.days == 6
     assert fit.confounding[0].slope == pytest.approx(0.5)
@@ -138,7 +138,7 @@ def test_an_excursion_is_fitted_by_its_own_course():
         samples["camera_current"] = "time", 1e3 * camera, {"units": "mA"}
         found = find_excursions(samples["tt2000"].values[::10], np.round(camera[::10], 3), longest=1500)
         parts.append(
-            epochs_of(
+            extract_epochs(
                 samples,
                 residual + direction @ truth * camera,
                 found,
@@ -146,7 +146,7 @@ def test_an_excursion_is_fitted_by_its_own_course():
                 windows=Windows(shape="current", order=3),
             )
         )
-    fit = fit_step(join_epochs(parts), prior_sigma=10.0)
+    fit = fit_step(concat_epochs(parts), prior_sigma=10.0)
     assert np.abs((fit.value[0] - truth) / fit.sigma[0]).max() < 3.5
     assert fit.sigma[0, 2] < 0.05
 
@@ -156,7 +156,7 @@ def test_a_table_names_dims_units_and_the_difference(stored):
     assert table["value"].dims == ("current", "axis")
     assert table["value"].attrs == {"units": "nT/A", "at": "difference"}
     assert table["covariance"].shape == (1, 3, 1, 3)
-    assert set(stack(stored).table()) == {"value", "low", "high", "sigma", "current"}
+    assert set(stack_epochs(stored).table()) == {"value", "low", "high", "sigma", "current"}
 
 
 def test_too_little_is_refused_with_a_reason():
@@ -166,12 +166,12 @@ def test_too_little_is_refused_with_a_reason():
     with pytest.raises(SamplesError, match="heater"):
         fit_step(few, ["heater"])
     samples, residual = make_day(0, hours=2, drops=0)
-    none = epochs_of(samples, residual, steps_of(samples), channel="solar_current")
+    none = extract_epochs(samples, residual, steps_of(samples), channel="solar_current")
     assert none.sizes["epoch"] == 0
     with pytest.raises(SamplesError, match="no epoch"):
-        join_epochs([none])
+        concat_epochs([none])
     with pytest.raises(SamplesError, match="heater"):
-        epochs_of(samples, residual, steps_of(samples), channel="heater")
+        extract_epochs(samples, residual, steps_of(samples), channel="heater")
 
 
 def test_a_dipole_on_the_boom_splits_as_published():
@@ -184,7 +184,7 @@ def test_a_dipole_on_the_boom_splits_as_published():
 def test_a_dipole_off_the_boom_needs_the_direction_of_its_moment():
     vector, scalar = np.array([4.75, 0.4, 0.0]), np.array([6.5, 0.4, 0.0])
     at_vector = np.array([0.02, 0.01, -0.01])
-    at_scalar = transfer(at_vector, (0.0, 0.0, 0.0), vector, scalar)
+    at_scalar = extrapolate_dipole(at_vector, (0.0, 0.0, 0.0), vector, scalar)
     with pytest.raises(SettingsError, match="direction"):
         dipole_split(at_vector - at_scalar, vector, scalar)
     near = np.linalg.norm(vector)

@@ -7,13 +7,13 @@ from estimator_cases import wandering
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance, sigma_of_mean
 from inflight.mission_fit import (
-    clock_faults,
-    event_steps,
+    find_clock_faults,
+    find_week_pattern,
+    fit_slope,
     hysteresis_loop,
+    measure_event_steps,
     parameter_spectrum,
     running_mean,
-    slope_of,
-    week_pattern,
 )
 from inflight.mission_fit.parameters import holm
 from inflight.simulate import SimulationSettings, effect_names, simulate_day
@@ -96,7 +96,7 @@ def test_a_slope_among_waves_is_recovered_with_honest_sigma():
     for seed in range(80):
         value = daily(DAYS, seed) - 0.00024 * DAYS + 0.15 * np.cos(2 * np.pi * DAYS / 260.5)
         value[700] = 20.0
-        found = slope_of(DAYS, value, sigmas(DAYS), periods=(260.5,))
+        found = fit_slope(DAYS, value, sigmas(DAYS), periods=(260.5,))
         pulls.append((found.slope + 0.00024) / found.sigma)
     assert found.sigma < 3e-5
     assert found.outlying >= 1
@@ -166,7 +166,7 @@ def test_steps_on_event_days_are_found_with_their_sizes_and_others_are_not():
         value = daily(DAYS, seed, memory=10.0, white=0.03)
         for index, size in steps.items():
             value = value + size * (WEDNESDAYS[index] < DAYS)
-        result = event_steps(DAYS, value, sigmas(DAYS, 0.03), WEDNESDAYS)
+        result = measure_event_steps(DAYS, value, sigmas(DAYS, 0.03), WEDNESDAYS)
         found += sum(bool(result.found[index]) for index in steps)
         false += int(result.found.sum()) - sum(bool(result.found[index]) for index in steps)
         others = np.setdiff1d(np.arange(WEDNESDAYS.size), list(steps))
@@ -183,12 +183,12 @@ def test_the_reset_day_is_found_among_the_days_of_the_week():
     # A reset at 10:00: the day's own mean holds 10 hours of the old level and 14 of the new one.
     wednesday = np.floor(DAYS).astype(int) % 7 == 4
     held = np.where(wednesday, (10 * level[week - 1] + 14 * level[week]) / 24, level[week])
-    found = week_pattern(DAYS, daily(DAYS, 3, red=0.02, white=0.03) + held, unit="nT")
+    found = find_week_pattern(DAYS, daily(DAYS, 3, red=0.02, white=0.03) + held, unit="nT")
     assert found.found
     assert found.day == 4
     assert abs(found.step - 0.1 * np.sqrt(2)) < 4 * found.sigma_step
     assert "Wednesdays (MJD mod 7 = 4)" in found.told()
-    quiet = [week_pattern(DAYS, daily(DAYS, seed)).found for seed in range(20)]
+    quiet = [find_week_pattern(DAYS, daily(DAYS, seed)).found for seed in range(20)]
     assert sum(quiet) <= 1
 
 
@@ -203,7 +203,7 @@ def test_the_clock_fault_of_four_days_is_found_without_being_told_the_days(sign)
     for seed in range(10):
         shift = 0.015 + daily(DAYS, seed, red=2e-4, white=5e-4)
         shift[2964:2968] = 0.015 + sign * 0.012 + 5e-4 * np.random.default_rng(seed).normal(size=4)
-        found = clock_faults(DAYS, shift, sigmas(DAYS, 4e-4))
+        found = find_clock_faults(DAYS, shift, sigmas(DAYS, 4e-4))
         assert [(one.first, one.last) for one in found.faults] == [(3164, 3167)]
         pulls.append((found.faults[0].shift - sign * 0.012) / found.faults[0].sigma)
     assert np.std(pulls) < 2.0
@@ -213,11 +213,11 @@ def test_the_clock_fault_of_four_days_is_found_without_being_told_the_days(sign)
 def test_a_weak_fault_of_many_days_is_found_and_wander_is_none():
     shift = 0.015 + daily(DAYS, 4, red=0.0, white=5e-4)
     shift[1500:1512] += 0.0016
-    fault = clock_faults(DAYS, shift, sigmas(DAYS, 5e-4)).faults[0]
+    fault = find_clock_faults(DAYS, shift, sigmas(DAYS, 5e-4)).faults[0]
     assert abs(fault.first - 1700) <= 2
     assert abs(fault.last - 1711) <= 2
     wander = [
-        bool(clock_faults(DAYS, daily(DAYS, seed, red=3e-4, white=5e-4), sigmas(DAYS, 4e-4)).faults)
+        bool(find_clock_faults(DAYS, daily(DAYS, seed, red=3e-4, white=5e-4), sigmas(DAYS, 4e-4)).faults)
         for seed in range(20)
     ]
     assert sum(wander) <= 2
@@ -242,7 +242,7 @@ def test_the_simulated_missions_clock_fault_is_found_from_its_own_days():
         days.append(3155.5 + index)
         shifts.append(value[-1])
         errors.append(np.sqrt(np.linalg.inv(rows.T @ rows)[-1, -1] * rest[0] / len(rows)))
-    found = clock_faults(np.array(days), np.array(shifts), np.array(errors))
+    found = find_clock_faults(np.array(days), np.array(shifts), np.array(errors))
     assert [(one.first, one.last) for one in found.faults] == [(3164, 3167)]
     assert abs(found.faults[0].shift) == pytest.approx(0.012, abs=0.0015)
 
@@ -263,12 +263,12 @@ def test_too_little_data_is_refused_in_words():
     with pytest.raises(CalibrationError, match="0 days with a value make no spectrum"):
         parameter_spectrum(few, nan, np.ones(8))
     with pytest.raises(CalibrationError, match="2 unknowns"):
-        slope_of(few, nan, np.ones(8))
+        fit_slope(few, nan, np.ones(8))
     with pytest.raises(CalibrationError, match="0 days have a time shift"):
-        clock_faults(few, nan, np.ones(8))
+        find_clock_faults(few, nan, np.ones(8))
     with pytest.raises(CalibrationError, match="contrasts away from events"):
-        event_steps(few, np.ones(8), np.ones(8), np.array([203.4]))
+        measure_event_steps(few, np.ones(8), np.ones(8), np.array([203.4]))
     with pytest.raises(CalibrationError, match="whole weeks"):
-        week_pattern(few, np.ones(8))
+        find_week_pattern(few, np.ones(8))
     with pytest.raises(CalibrationError, match="make no loop"):
         hysteresis_loop(few, np.ones(8), np.ones(8))

@@ -12,15 +12,15 @@ from inflight.calibration import (
     NormalEquations,
     Reference,
     block_equations,
+    concat_equations,
     fit_block,
-    joined,
     nine_columns,
 )
-from inflight.calibration.normal_equations import PERFECT
+from inflight.calibration.normal_equations import IDEAL_SENSOR
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import direction_of
-from inflight.lsq import marginalise, regression
-from inflight.mission_fit import SWITCHED, Ignored, correlation, cross_talk, switched_columns
+from inflight.lsq import marginalise, regression_coefficients
+from inflight.mission_fit import SWITCHED, IgnoredCause, correlation, cross_talk, switched_columns
 
 DAYS = (300, 1450, 2000, NOON, MIDNIGHT)
 
@@ -32,7 +32,7 @@ def equations(*days: int) -> NormalEquations:
         columns = nine_columns(day.field) | {"time_shift": day.rate, "bias": np.ones_like(day.strength)}
         columns |= switched_columns(day.direction, day.sunlit)
         blocks.append(block_equations(columns, np.zeros_like(day.strength), day.span, robust=False))
-    return joined(blocks)
+    return concat_equations(blocks)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def all_days() -> NormalEquations:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_scalar_bias_becomes_scale_factors(all_days, sign):
-    found = cross_talk(all_days, [Ignored("bias", sign * 0.4, "nT")])
+    found = cross_talk(all_days, [IgnoredCause("bias", sign * 0.4, "nT")])
     expected = [(15, 1), (29, 3), (8, 0.5)]
     for axis, (ppm, tolerance) in zip("xyz", expected, strict=True):
         assert sign * found.of("bias", f"scale_factor[{axis}]") == pytest.approx(ppm, abs=tolerance)
@@ -52,14 +52,14 @@ def test_a_scalar_bias_becomes_scale_factors(all_days, sign):
 
 @pytest.mark.parametrize("mjd", DAYS)
 def test_ten_milliseconds_become_three_arcseconds_of_xz(mjd):
-    found = cross_talk(equations(mjd), [Ignored("time_shift", 0.010, "s")])
+    found = cross_talk(equations(mjd), [IgnoredCause("time_shift", 0.010, "s")])
     assert -3.28 <= found.of("time_shift", "misalignment[xz]") <= -3.16
     assert found.before[0] == pytest.approx(0.20, abs=0.01)
     assert found.after[0] == pytest.approx(0.08, abs=0.01)
 
 
 def test_a_day_night_field_turns_angles_at_noon_and_midnight_the_other_way():
-    causes = [Ignored(f"{SWITCHED}[{axis}]", 0.65, "nT", axis) for axis in "xz"]
+    causes = [IgnoredCause(f"{SWITCHED}[{axis}]", 0.65, "nT", axis) for axis in "xz"]
     noon, midnight = cross_talk(equations(NOON), causes), cross_talk(equations(MIDNIGHT), causes)
     assert noon.of("z", "misalignment[xz]") == pytest.approx(3.4, abs=0.2)
     assert midnight.of("z", "misalignment[xz]") == pytest.approx(-3.4, abs=0.2)
@@ -69,7 +69,7 @@ def test_a_day_night_field_turns_angles_at_noon_and_midnight_the_other_way():
 
 def calibrated(reading: np.ndarray, scalar: np.ndarray) -> BlockFit:
     good = np.ones(scalar.size, dtype=bool)
-    return fit_block(reading, np.zeros((1, 3)), scalar, good, Reference(PERFECT, PRIOR_SIGMA))
+    return fit_block(reading, np.zeros((1, 3)), scalar, good, Reference(IDEAL_SENSOR, PRIOR_SIGMA))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -89,15 +89,15 @@ def test_the_table_says_what_a_calibration_does(cause, sign):
     shown = np.array([1e6] * 3 + [3600.0] * 3 + [1.0] * 3)
     without, having = calibrated(day.field, scalar), calibrated(reading, told)
     moved, sigma = (having.value - without.value) * shown, without.sigma * shown
-    found = cross_talk(equations(NOON), [Ignored(cause, size)]).shift[0]
+    found = cross_talk(equations(NOON), [IgnoredCause(cause, size)]).shift[0]
     # Robust weights take noise and cause together for a little less than each: far below the noise.
     assert np.all(np.abs(moved - found) < 0.5 * sigma)
     assert np.abs(found / sigma).max() > 5.0
 
 
 def test_effects_add_up_and_are_straight_in_size(all_days):
-    one = cross_talk(all_days, [Ignored("bias", 1.0)])
-    two = cross_talk(all_days, [Ignored("bias", -2.5)])
+    one = cross_talk(all_days, [IgnoredCause("bias", 1.0)])
+    two = cross_talk(all_days, [IgnoredCause("bias", -2.5)])
     np.testing.assert_allclose(two.shift, -2.5 * one.shift)
     np.testing.assert_allclose(two.after, 2.5 * one.after)
     np.testing.assert_allclose(two.retained, one.retained)
@@ -105,22 +105,22 @@ def test_effects_add_up_and_are_straight_in_size(all_days):
 
 def test_the_table_has_units_and_the_scatter_of_single_days(all_days):
     found = cross_talk(
-        all_days, [Ignored("bias", 0.4, "nT", "bias"), Ignored("time_shift", 0.01, "s", "lag")]
+        all_days, [IgnoredCause("bias", 0.4, "nT", "bias"), IgnoredCause("time_shift", 0.01, "s", "lag")]
     )
     table = found.table()
     assert table["value"].dims == ("ignored", "parameter")
     assert table["units"].values.tolist() == ["ppm"] * 3 + ["arcsec"] * 3 + ["nT"] * 3
     assert table["ignored"].values.tolist() == ["bias", "lag"]
-    each = [cross_talk(equations(mjd), [Ignored("bias", 0.4)]).shift[0] for mjd in DAYS]
+    each = [cross_talk(equations(mjd), [IgnoredCause("bias", 0.4)]).shift[0] for mjd in DAYS]
     np.testing.assert_allclose(table["scatter"].values[0], np.std(each, axis=0, ddof=1), rtol=1e-6)
-    assert np.isnan(cross_talk(equations(NOON), [Ignored("bias")]).scatter).all()
+    assert np.isnan(cross_talk(equations(NOON), [IgnoredCause("bias")]).scatter).all()
 
 
 def test_columns_that_do_not_fit_are_refused(all_days):
     with pytest.raises(CalibrationError, match="fitted and ignored"):
-        cross_talk(all_days, [Ignored(NINE[0])])
+        cross_talk(all_days, [IgnoredCause(NINE[0])])
     with pytest.raises(CalibrationError, match="no columns"):
-        cross_talk(all_days, [Ignored("heater")])
+        cross_talk(all_days, [IgnoredCause("heater")])
 
 
 def test_nine_columns_are_derivatives_of_the_residual():
@@ -165,7 +165,7 @@ def test_what_is_taken_over_is_least_squares(seed, fitted):
     rows = np.random.default_rng(seed).normal(size=(40, fitted + 2)) * np.logspace(-3, 3, fitted + 2)
     gram, x, z = rows.T @ rows, np.arange(fitted), np.arange(fitted, fitted + 2)
     expected = np.linalg.lstsq(rows[:, x], rows[:, z])[0]
-    np.testing.assert_allclose(regression(gram, x, z), expected, rtol=1e-6)
+    np.testing.assert_allclose(regression_coefficients(gram, x, z), expected, rtol=1e-6)
     rest = rows[:, z] - rows[:, x] @ expected
     np.testing.assert_allclose(marginalise(gram, x, z), rest.T @ rest, rtol=1e-6, atol=1e-9 * gram[-1, -1])
 

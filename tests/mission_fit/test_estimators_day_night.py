@@ -18,7 +18,7 @@ from day_night_cases import (
     switched_day,
 )
 
-from inflight.calibration import block_equations, joined
+from inflight.calibration import block_equations, concat_equations
 from inflight.errors import CalibrationError, SamplesError
 from inflight.mission import Mission
 from inflight.mission_fit import (
@@ -128,7 +128,7 @@ def test_gaps_missing_values_and_outliers_are_borne():
         y[400:900] = np.nan
         columns[f"{SWITCHED}[z]"] = np.where(np.arange(y.size) // 50 == 30, np.nan, columns[f"{SWITCHED}[z]"])
         blocks.append(block_equations(columns, y, day.span))
-    found = fit_day_night(joined(blocks))
+    found = fit_day_night(concat_equations(blocks))
     assert np.all(np.abs(found.value - field) < 3 * found.sigma)
     assert found.sigma[2] < 0.02
     assert blocks[0].dataset["count"].item() < 2400
@@ -154,7 +154,7 @@ def test_a_series_is_recovered_from_one_day_with_its_orbits_as_blocks():
     for part in np.array_split(np.arange(y.size), 15):
         span = (start + int(part[0]) * 30_000_000_000, start + int(part[-1] + 1) * 30_000_000_000)
         blocks.append(block_equations({name: c[part] for name, c in columns.items()}, y[part], span))
-    found = fit_day_night(joined(blocks), each_block=False)
+    found = fit_day_night(concat_equations(blocks), each_block=False)
     wanted = np.array([truth.get(name, 0.0) for name in found.columns])
     assert np.all(np.abs(found.value - wanted) < 3.5 * found.sigma)
     curve, sigma = found.series(sun_phase(NOON))

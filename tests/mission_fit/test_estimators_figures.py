@@ -12,15 +12,15 @@ from inflight.figures import causes as z_offset
 from inflight.figures import parameters as behaviour
 from inflight.figures import parameters as trends
 from inflight.mission_fit import (
-    clock_faults,
-    event_steps,
+    find_clock_faults,
+    fit_spread_law,
     fit_trends,
     hysteresis_loop,
     make_trend,
+    measure_event_steps,
     offsets_from_spread,
     parameter_spectrum,
     running_mean,
-    spread_law,
 )
 from inflight.mission_fit.trend_selection import compare_trends
 from inflight.mission_fit.trends import equations_of_table
@@ -53,14 +53,14 @@ def trend_figures():
     return [
         trends.trend_figure(fit, table, SCALES, 1e6, "ppm"),
         trends.comparison_figure(found),
-        trends.jumps_figure(steps, smooth),
+        trends.boundary_steps_figure(steps, smooth),
     ]
 
 
 def offset_figures():
     offsets = np.random.default_rng(2).normal(0, 0.5, 40)
     statistics = days(offsets)
-    law = spread_law(statistics, offsets, np.full(40, 0.01))
+    law = fit_spread_law(statistics, offsets, np.full(40, 0.01))
     found = offsets_from_spread(statistics, law.noise, float(np.sqrt(law.covariance[1, 1])))
     return [z_offset.spread_figure(statistics, offsets, law), z_offset.offsets_figure(found)]
 
@@ -85,13 +85,13 @@ def behaviour_figures():
     events = MJD[10::40] - 0.1
     spectrum = parameter_spectrum(MJD, value, sigma, trials=10, unit="nT")
     loop = hysteresis_loop(MJD, warm, value + 0.03 * np.cos(2 * np.pi * MJD / 130), "nT")
-    steps = event_steps(MJD, value + 0.5 * (events[20] < MJD), sigma, events, unit="nT")
+    steps = measure_event_steps(MJD, value + 0.5 * (events[20] < MJD), sigma, events, unit="nT")
     return [
         behaviour.parameter_spectrum_figure(spectrum, "offset z"),
         behaviour.running_means_figure(MJD, value, means, "offset z"),
-        behaviour.loop_figure(loop, "offset z"),
+        behaviour.hysteresis_figure(loop, "offset z"),
         behaviour.event_steps_figure(steps, "offset z"),
-        behaviour.clock_figure(clock_faults(MJD, shift, np.full(MJD.size, 4e-4)), shift),
+        behaviour.clock_figure(find_clock_faults(MJD, shift, np.full(MJD.size, 4e-4)), shift),
     ]
 
 

@@ -195,7 +195,7 @@ def test_a_fitted_trend_becomes_an_entry_of_a_model_that_gives_the_same_values(m
     trend = make_trend(kind, times, int(from_mjd2000(150.0)) if kind == "log" else None)
     fit = fit_trends(mission, dict.fromkeys(SCALES, trend), PRIOR_SIGMA)
     parameter = VectorSensor.parameters()["scale_factor"]
-    timed = fit.as_timed("vector_sensor.scale_factor", parameter)
+    timed = fit.to_timed_value("vector_sensor.scale_factor", parameter)
     again = parse_timed("vector_sensor.scale_factor", parameter, timed.as_yaml())
     assert again.time == kind
     assert not again.free

@@ -6,7 +6,7 @@ import xarray as xr
 from estimator_cases import polar_field, wandering
 
 from inflight.errors import CalibrationError
-from inflight.mission_fit import day_statistics, noise_of, offsets_from_spread, spread_law
+from inflight.mission_fit import day_statistics, fit_spread_law, offsets_from_spread, residual_noise
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import from_mjd2000
 
@@ -96,7 +96,7 @@ def test_the_law_of_the_spread_is_recovered_and_its_factor_is_that_of_the_orbit(
     offsets = generator.normal(0, 0.6, 60)
     statistics = days(offsets, noise=0.2)
     statistics["variance"][10] += 3.0
-    law = spread_law(statistics, offsets + 0.02 * generator.normal(size=60), np.full(60, 0.02))
+    law = fit_spread_law(statistics, offsets + 0.02 * generator.normal(size=60), np.full(60, 0.02))
     sigma = np.sqrt(np.diag(law.covariance))
     assert abs(law.factor - law.geometry) < 3 * sigma[0] < 0.05
     assert abs(law.noise - 0.04) < 3 * sigma[1] < 0.01
@@ -108,13 +108,15 @@ def test_the_law_of_the_spread_is_recovered_and_its_factor_is_that_of_the_orbit(
 def test_errors_of_the_known_offsets_do_not_raise_the_noise():
     generator = np.random.default_rng(6)
     offsets = generator.normal(0, 0.8, 200)
-    law = spread_law(days(offsets, noise=0.2), offsets + 0.2 * generator.normal(size=200), np.full(200, 0.2))
+    law = fit_spread_law(
+        days(offsets, noise=0.2), offsets + 0.2 * generator.normal(size=200), np.full(200, 0.2)
+    )
     assert law.factor == pytest.approx(law.geometry, rel=0.15)
     assert abs(law.noise - 0.04) < 4 * np.sqrt(law.covariance[1, 1])
 
 
 def test_the_noise_comes_from_the_days_themselves():
-    level, sigma = noise_of(days(np.linspace(-1, 1, 40), noise=0.2))
+    level, sigma = residual_noise(days(np.linspace(-1, 1, 40), noise=0.2))
     assert abs(level - 0.04) < 4 * sigma
     assert sigma < 0.001
 
@@ -135,4 +137,4 @@ def test_a_day_with_too_little_is_refused_and_so_is_a_law_of_few_days():
     with pytest.raises(CalibrationError, match="200 usable samples"):
         day_statistics(residual, DIRECTION, 0, 1)
     with pytest.raises(CalibrationError, match="3 days"):
-        spread_law(days([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 0.3]), np.full(3, 0.01))
+        fit_spread_law(days([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 0.3]), np.full(3, 0.01))

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from inflight.lsq import marginalise
 from inflight.mission import Mission
-from inflight.mission_fit import Continuous, fit_mission, of_everything, terms_of, with_nine
+from inflight.mission_fit import MissionFit, fit_mission, free_terms, joint_cross_talk, with_nine_parameters
 from inflight.mission_fit.daily_equations import wide_equations
 from inflight.model import Model, rows_of
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
@@ -112,7 +112,7 @@ def fitted(term: str = "", dropped: str = "", equations: bool = False):
         told = YAML(typ="safe").load(made.truth.attrs["nine_parameters"])
         nine = np.concatenate([np.ravel(one) for one in told.values()])
         attributes = {"comparison": "main", "model": "", "filter": "raw"}
-        own, samples = with_nine(model, nine), samples_of(made)
+        own, samples = with_nine_parameters(model, nine), samples_of(made)
         blocks.append(wide_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes))
     whole, _ = equations_of_days(blocks)
     return (whole, model) if equations else fit_mission(whole, model, "constant")
@@ -124,7 +124,7 @@ def grown(term: str, signs: dict[str, int]) -> float:
     )
 
 
-def value_of(found: Continuous, name: str) -> float:
+def value_of(found: MissionFit, name: str) -> float:
     return float(found.fit.value[found.fit.place(name)][0])
 
 
@@ -174,12 +174,12 @@ def test_what_cannot_be_told_apart_says_so_in_the_covariance(pair):
 
 def test_offset_and_remanent_field_go_together_in_the_covariance():
     equations, model = fitted("", "", True)
-    related = of_everything(equations, {}, model)["correlation"]
+    related = joint_cross_talk(equations, {}, model)["correlation"]
     assert float(related.sel(ignored="remanent.vector[z]", parameter="vector_sensor.offset[z]")) > 0.9
 
 
 def priors(model: Model) -> list[float]:
-    return [one for term in terms_of(model) for one in term.sigma]
+    return [one for term in free_terms(model) for one in term.sigma]
 
 
 def test_every_term_of_the_scalar_chain_is_in_the_fitted_model():

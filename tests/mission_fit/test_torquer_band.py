@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from scipy.signal import detrend
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.mission_fit import band_equations, daily_fits, fit_band, join_equations, robust_mean
+from inflight.mission_fit import band_equations, concat_band_equations, daily_fits, fit_band, robust_mean
 from inflight.mission_fit.torquers import band_spectra
 from inflight.simulate import Parameters, Sampling, torquer_currents
 from inflight.time import SECOND, day_bounds
@@ -125,12 +125,12 @@ def test_gaps_and_missing_samples_cut_the_stretches():
 def test_days_are_kept_joined_and_averaged_robustly():
     parts = [band_equations(*make_day(day, hours=8)) for day in range(12)]
     spoiled = make_day(12, hours=8, noise=0.09, lacks=20 * LACKS)
-    stored = join_equations([*parts, band_equations(*spoiled)])
+    stored = concat_band_equations([*parts, band_equations(*spoiled)])
     daily = daily_fits(stored)
     assert daily.sizes["day"] == 13
     mean = robust_mean(daily)
     assert np.abs((mean["value"].values + LACKS) / mean["sigma"].values).max() < 4.0
-    clean = fit_band(join_equations(parts), by="day")
+    clean = fit_band(concat_band_equations(parts), by="day")
     assert clean.fit.clusters == 12
     assert np.abs((clean.for_scalar - LACKS) / clean.sigma).max() < 4.0
     assert stored["gram"].dtype == np.float64
@@ -141,7 +141,7 @@ def test_the_robust_mean_s_error_covers_two_thirds():
     pulls = []
     for seed in range(12):
         parts = [band_equations(*make_day(day, seed, hours=3), longest=1500) for day in range(10)]
-        mean = robust_mean(daily_fits(join_equations(parts)))
+        mean = robust_mean(daily_fits(concat_band_equations(parts)))
         pulls.append(((mean["value"] + LACKS) / mean["sigma"]).values)
     assert 0.58 < np.mean(np.abs(pulls) < 1) < 0.78
 

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from inflight.calibration import Reference, fit_block
 from inflight.errors import CalibrationError
-from inflight.figures import corners_figure, relation_figure
+from inflight.figures import relation_figure, sensor_variance_figure
 from inflight.mission_fit import corner_moments, corners_of, relation_grams, relation_of
-from inflight.mission_fit.two_fluxgates import NAMES, corners, relate
+from inflight.mission_fit.two_fluxgates import NAMES, corners, fit_relation
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
 
@@ -54,7 +54,7 @@ def test_turn_stretch_and_shift_are_recovered_with_honest_uncertainties():
         second = second + g.normal(0, 0.1, field.shape)
         first[100:110] += 50.0
         first[500] = np.nan
-        table = relate(first, second, stamps).table()
+        table = fit_relation(first, second, stamps).table()
         inside.append((table["value"].values - truth) / table["sigma"].values)
         assert table.attrs["rms_nT"] == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
     assert 0.6 < np.mean(np.abs(inside) < 1) < 0.76
@@ -64,7 +64,7 @@ def test_turn_stretch_and_shift_are_recovered_with_honest_uncertainties():
 def test_too_short_a_record_is_refused_with_what_to_do():
     field, stamps = orbit(1000)
     with pytest.raises(CalibrationError, match="clusters with data"):
-        relate(field, field, stamps)
+        fit_relation(field, field, stamps)
     with pytest.raises(CalibrationError, match="clusters with data"):
         corners(field[:, 0], field[:, 1], stamps)
 
@@ -131,7 +131,7 @@ def test_each_fluxgate_gets_its_own_nine_parameters(plain):
 
 def test_only_the_two_together_tell_how_one_is_turned_against_the_other(plain):
     (first, second), _, stamps, fits, _ = plain
-    table = relate(first, second, stamps).table()
+    table = fit_relation(first, second, stamps).table()
     value, sigma = table["value"].values, table["sigma"].values
     # Angles of either sensor, which its own fit knows to some arcseconds, are in the turn as well.
     known = np.hypot(*(fit.sigma[3:6].max() for fit in fits))
@@ -152,7 +152,7 @@ def test_the_three_comparisons_together_name_the_sensor(plain, include, override
     def parts(made):
         (first, second), scalar, stamps, _, _ = made
         main, other = (np.linalg.norm(field, axis=1) - scalar for field in (first, second))
-        turned = relate(first, second, stamps)
+        turned = fit_relation(first, second, stamps)
         along = np.linalg.norm(first, axis=1) - np.linalg.norm(second, axis=1)
         return corners(main, other, stamps, along), turned
 
@@ -176,7 +176,7 @@ def test_statistics_of_days_tell_what_all_samples_do():
     halves = [slice(0, 21_600), slice(21_600, None)]
     grams = [relation_grams(first[one], second[one], stamps[one]) for one in halves]
     parts = relation_of(np.concatenate([one for one, _ in grams]), np.concatenate([one for _, one in grams]))
-    whole = relate(first, second, stamps)
+    whole = fit_relation(first, second, stamps)
     np.testing.assert_allclose(parts.fit.value, whole.fit.value, atol=0.05 * whole.fit.sigma.max())
     assert parts.rms == pytest.approx(whole.rms, rel=1e-3)
     scalar = g.normal(0, 0.05, len(field))
@@ -192,9 +192,9 @@ def test_statistics_of_days_tell_what_all_samples_do():
 def test_figures_of_relation_and_corners_show_every_number():
     field, stamps = orbit()
     g = np.random.default_rng(6)
-    table = relate(field + g.normal(0, 0.1, field.shape), field, stamps).table()
+    table = fit_relation(field + g.normal(0, 0.1, field.shape), field, stamps).table()
     for part, count in (("rotation", 3), ("stretch", 6), ("shift", 3)):
         drawn = relation_figure(table, part)
         assert len(drawn.xaxis[0].major_label_overrides) == count
     made = corners(g.normal(0, 0.1, len(field)), g.normal(0, 0.1, len(field)), stamps)
-    assert corners_figure(made.table()).xaxis[0].major_label_overrides[2] == "scalar sensor"
+    assert sensor_variance_figure(made.table()).xaxis[0].major_label_overrides[2] == "scalar sensor"

@@ -37,7 +37,7 @@ def test_a_drift_that_is_taken_out_is_as_if_the_rows_had_it():
             coords={"column": names, "other": names},
         )
     )
-    made = DayDrift(drifts).taken_out(equations, rate)
+    made = DayDrift(drifts).remove_drift(equations, rate)
     np.testing.assert_allclose(made.dataset["gram"].values, expected, rtol=1e-12, atol=1e-9)
     # The days' own equations stay as they were.
     np.testing.assert_array_equal(equations.dataset["gram"].values, grams)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Mission
-from inflight.model import Dependence, Model, changes, make_effect, tree_of
+from inflight.model import Dependence, Model, changes, make_effect, parse_tree
 from inflight.time import DAY, to_tt2000
 
 START = int(to_tt2000(np.datetime64("2004-01-01")))
@@ -191,7 +191,7 @@ def test_changes_tell_each_value_that_moved():
 
 
 def test_changes_of_order_are_told():
-    entries = tree_of(MODEL.text)["effects"]
+    entries = parse_tree(MODEL.text)["effects"]
     found = changes(entries, entries[::-1])
     assert {one["change"] for one in found} == {"moved"}
     assert {one["effect"] for one in found} == {"time_shift", "scalar_bias"}

@@ -9,7 +9,7 @@ from inflight.calibration import level2
 from inflight.calibration.product import Parameters
 from inflight.effects import Effect, Parameter
 from inflight.flags import Flag
-from inflight.model import Model, Substituted, Typical, substitute
+from inflight.model import Model, SubstitutedSamples, Typical, substitute
 from inflight.time import SECOND
 
 #: Nothing but the stand-ins makes these products uncertain.
@@ -38,7 +38,7 @@ def typical_of(samples: xr.Dataset, *channels: str) -> dict[str, Typical]:
     return {name: one for name, one in found.items() if one is not None}
 
 
-def product_of(model: Model, stand: Substituted | None, samples: xr.Dataset) -> xr.Dataset:
+def product_of(model: Model, stand: SubstitutedSamples | None, samples: xr.Dataset) -> xr.Dataset:
     if stand is None:
         return level2(model, samples, SURE, model)
     used = stand.model(model)
@@ -144,7 +144,7 @@ def test_an_effect_of_which_nothing_is_known_is_left_out_and_its_size_said_to_be
     assert (product["correction_channel_field"].values == 0).all()
     assert np.isfinite(product["field_sensor"].values).all()
     assert np.isnan(product["uncertainty"].values).all()
-    told = stand.treated(model)["channel_field"]
+    told = stand.by_effect(model)["channel_field"]
     assert (told.samples, told.channels, told.instead) == (400, ("solar_current",), "left out")
 
 

@@ -7,7 +7,6 @@ import statsmodels.api as sm
 from inflight.lsq import (
     GramArrays,
     GramBlocks,
-    at_least,
     bartlett_covariance,
     bartlett_variance,
     correlated_covariance,
@@ -20,12 +19,13 @@ from inflight.lsq import (
     marginalise,
     posterior,
     posterior_covariance,
-    regression,
+    regression_coefficients,
     residual_sum,
     sandwich,
     solve,
     solve_clusters,
     solve_scaled,
+    with_least_variance,
 )
 
 ROWS, LAGS = 400, 5
@@ -168,7 +168,7 @@ def test_marginalising_is_the_gram_matrix_of_what_a_fit_leaves():
         rest = np.stack([sm.OLS(one, x[block]).fit().resid for one in z[block].T], axis=1)
         params = np.stack([sm.OLS(one, x[block]).fit().params for one in z[block].T], axis=1)
         np.testing.assert_allclose(marginalise(gram, first, last)[block], rest.T @ rest, atol=1e-9)
-        np.testing.assert_allclose(regression(gram, first, last)[block], params, atol=1e-9)
+        np.testing.assert_allclose(regression_coefficients(gram, first, last)[block], params, atol=1e-9)
     day = np.arange(4)
     blocks: GramBlocks = GramArrays(
         ("a", "b", "c", "d", "residual"), gram, day, day + 1, np.full(4, 80.0), np.ones(5)
@@ -218,5 +218,5 @@ def test_a_covariance_of_correlated_blocks_with_a_prior_covers_both():
 
 
 def test_a_covariance_is_raised_to_another_one_and_keeps_its_correlations():
-    raised = at_least(np.array([[1.0, 0.5], [0.5, 4.0]]), np.diag([4.0, 1.0]))
+    raised = with_least_variance(np.array([[1.0, 0.5], [0.5, 4.0]]), np.diag([4.0, 1.0]))
     np.testing.assert_allclose(raised, [[4.0, 1.0], [1.0, 4.0]])

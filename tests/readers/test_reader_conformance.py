@@ -14,7 +14,7 @@ import scipy.io
 from reader_cases import DOUBLE, TT2000, write_cdf
 from scipy.io import netcdf_file
 
-from inflight.catalog.readers import Source, Variable, Written, check_reader, require_content
+from inflight.catalog.readers import ReadOptions, Source, Variable, check_reader, require_content
 from inflight.catalog.readers.raw import FORMATS
 from inflight.errors import ConformanceError
 
@@ -35,7 +35,7 @@ def cdf(path, example):
         "T": (temperature, DOUBLE, {"UNITS": "degC", "FILLVAL": -1e31}),
     }
     write_cdf(path, variables)
-    return Written(**BOTH, files={"time": "Epoch"})
+    return ReadOptions(**BOTH, files={"time": "Epoch"})
 
 
 def netcdf4(path, example):
@@ -46,7 +46,7 @@ def netcdf4(path, example):
         file["B"].attrs["units"] = "nT"
         file["T"] = np.where(np.isnan(example.temperature), -999, 1000 * example.temperature).astype(np.int32)
         file["T"].attrs.update({"units": "degC", "scale_factor": 0.001, "_FillValue": np.int32(-999)})
-    return Written(**BOTH, files={"time": "time"})
+    return ReadOptions(**BOTH, files={"time": "time"})
 
 
 def netcdf3(path, example):
@@ -60,7 +60,7 @@ def netcdf3(path, example):
             variable[:] = values
         file.variables["time"].units = "seconds since 2000-01-01 12:00:00"
         file.variables["T"].missing_value = 9999.0
-    return Written(**BOTH, files={"time": "time"})
+    return ReadOptions(**BOTH, files={"time": "time"})
 
 
 def iaga2002(path, example):
@@ -73,7 +73,7 @@ def iaga2002(path, example):
         day = f"{stamp:%Y-%m-%d %H:%M:%S}.{stamp.microsecond // 1000:03d} {stamp:%j}"
         lines.append(f"{day}    {' '.join(f'{number:.3f}' for number in row)}\n")
     path.write_text("".join(lines))
-    return Written(
+    return ReadOptions(
         field={"variables": ["EXAX", "EXAY", "EXAZ"]},
         temperature={"variable": "EXAT", "file_unit": "degC"},
         files={"time": "time"},
@@ -85,7 +85,7 @@ def table(path, example):
     frame.insert(0, "time", np.datetime_as_string(example.times))
     frame["t"] = example.temperature
     frame.to_csv(path, index=False)
-    return Written(
+    return ReadOptions(
         field={"variables": ["x", "y", "z"]}, temperature={"variable": "t"}, files={"time": "time"}
     )
 
@@ -93,18 +93,18 @@ def table(path, example):
 def parquet(path, example):
     columns = {"time": example.times, "B": list(example.field), "T": example.temperature}
     pq.write_table(pa.table(columns), path)
-    return Written(**BOTH, files={"time": "time"})
+    return ReadOptions(**BOTH, files={"time": "time"})
 
 
 def npz(path, example):
     with path.open("wb") as stream:
         np.savez(stream, time=example.tt2000, B=example.field, T=example.temperature)
-    return Written(**BOTH, files={"time": "time", "time_unit": "tt2000"})
+    return ReadOptions(**BOTH, files={"time": "time", "time_unit": "tt2000"})
 
 
 def mat(path, example):
     scipy.io.savemat(path, {"time": example.tt2000, "B": example.field, "T": example.temperature})
-    return Written(**BOTH, files={"time": "time", "time_unit": "tt2000"})
+    return ReadOptions(**BOTH, files={"time": "time", "time_unit": "tt2000"})
 
 
 WRITERS = {

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inflight.catalog.readers import NameSpan, describe, find_files
+from inflight.catalog.readers import NameSpan, find_files, parse_name
 from inflight.instruments import Files
 from inflight.time import day_bounds
 
@@ -31,15 +31,15 @@ def touch(folder, *names):
     ],
 )
 def test_names_tell_their_span(pattern, name, first, last):
-    span = describe(name, files(pattern)).span
+    span = parse_name(name, files(pattern)).span
     assert span.start == (None if first is None else day_bounds(first)[0])
     assert span.end == (None if last is None else day_bounds(last)[0])
 
 
 def test_a_time_of_day_in_a_name_ends_with_its_own_second():
-    span = describe("s20170414T192400Z.nc", files("s{start:%Y%m%dT%H%M%S}Z.nc")).span
+    span = parse_name("s20170414T192400Z.nc", files("s{start:%Y%m%dT%H%M%S}Z.nc")).span
     assert span.start == day_bounds("2017-04-14")[0] + (19 * 3600 + 24 * 60) * 10**9
-    span = describe("e20170414T192459Z.nc", files("e{end:%Y%m%dT%H%M%S}Z.nc")).span
+    span = parse_name("e20170414T192459Z.nc", files("e{end:%Y%m%dT%H%M%S}Z.nc")).span
     assert span.end == day_bounds("2017-04-14")[0] + (19 * 3600 + 25 * 60) * 10**9
 
 
@@ -47,11 +47,11 @@ def test_a_time_of_day_in_a_name_ends_with_its_own_second():
     "name", ["b_20230231.cdf", "b_2023013.cdf", "b_20230101.cdf.tmp", "c/b_20230101.cdf"]
 )
 def test_names_that_are_no_date_or_elsewhere_do_not_match(name):
-    assert describe(name, files("b_{day:%Y%m%d}.cdf")) is None
+    assert parse_name(name, files("b_{day:%Y%m%d}.cdf")) is None
 
 
 def test_contradicting_dates_in_one_name_do_not_match():
-    assert describe("2023/x_20240511.cdf", files("{day:%Y}/x_{day:%Y%m%d}.cdf")) is None
+    assert parse_name("2023/x_20240511.cdf", files("{day:%Y}/x_{day:%Y%m%d}.cdf")) is None
 
 
 def test_the_last_version_in_natural_order_wins_and_the_others_are_reported(tmp_path):
@@ -90,7 +90,7 @@ def test_an_absent_folder_holds_no_files(tmp_path):
 def test_a_day_written_into_a_name_is_read_back(layout, day):
     if layout == "%b%d%y" and not 1972 <= day.year <= 2068:
         return
-    span = describe(f"x{day.strftime(layout)}.cdf", files(f"x{{day:{layout}}}.cdf")).span
+    span = parse_name(f"x{day.strftime(layout)}.cdf", files(f"x{{day:{layout}}}.cdf")).span
     assert span == NameSpan(*day_bounds(day))
 
 

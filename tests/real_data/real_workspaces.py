@@ -16,7 +16,7 @@ from inflight.diagnosis.result import FoundEffect
 from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import joint_fit
 from inflight.tasks.analysis import DiagnoseSettings
-from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
+from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
 from inflight.tasks.archive import ingest
 
 
@@ -89,7 +89,7 @@ def diagnosed(
     settings = DiagnoseSettings(comparison=comparison, draws=500)
     made = make_pass(cat, mission, *days, settings)
     search = begin_search(made, settings)
-    found, search = conclude(search, context_of(made, mission))
+    found, search = conclude(search, diagnosis_data(made, mission))
     return Diagnosed(search, found)
 
 

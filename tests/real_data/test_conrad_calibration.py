@@ -11,8 +11,8 @@ from inflight.calibration import (
     describe_directions,
     kernel_parameters,
     reference_of,
-    split_chain,
-    usable,
+    remove_other_effects,
+    usable_samples,
 )
 from inflight.calibration.scalar import residuals
 from inflight.catalog import Catalog, Workspace
@@ -48,8 +48,8 @@ class Observatory:
         samples = load_samples(
             self.cat, self.mission, self.model, self.days[index].day, needs, ArchiveIndex.of(self.cat, needs)
         )
-        reading, additive, scalar = split_chain(self.model, samples)
-        good = usable(samples, reading, additive, scalar)
+        reading, additive, scalar = remove_other_effects(self.model, samples)
+        good = usable_samples(samples, reading, additive, scalar)
         return residuals(kernel_parameters(value), reading[good], additive, scalar[good])
 
 

@@ -29,7 +29,7 @@ def hour(tmp_path_factory):
 
 def delivered(cat, name):
     day = cat.days(f"l1/{name}", states=("published",))[0]
-    return cat.read(day, dated=False)
+    return cat.read(day, with_time=False)
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +62,9 @@ def against_product(cat):
     """Return rms of measured and of own field less the published one, constants removed, nT; by day."""
     out = {}
     for day in cat.days("l2/field", states=("published",)):
-        own = cat.read(day, dated=False)
+        own = cat.read(day, with_time=False)
         (there,) = [one for one in cat.days("l1/product", states=("published",)) if one.day == day.day]
-        told = cat.read(there, dated=False)
+        told = cat.read(there, with_time=False)
         stamps = told["tt2000"].values
         # The nearest stamp: some reports are a millisecond late.
         row = np.clip(np.searchsorted(stamps, own["tt2000"].values - 5_000_000), 0, stamps.size - 1)

@@ -11,9 +11,9 @@ from injections import OBSERVATORY, following, inject, observatory, observatory_
 from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
 from inflight.model import Layout, Model, rows_of
-from inflight.samples import respond
+from inflight.samples import slow_response
 from inflight.tasks import current_model
-from inflight.tasks.archive import ArchiveIndex, channel_homes, ingest, load_samples, needs_of
+from inflight.tasks.archive import ArchiveIndex, channels_by_name, ingest, load_samples, needs_of
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))
@@ -36,13 +36,13 @@ def all_samples(cat, mission, comparison, channels=()):
     model = current_model(cat, mission, comparison).model
     needs = needs_of(mission, model, extra=channels)
     index = ArchiveIndex.of(cat, needs)
-    return model, [load_samples(cat, mission, model, day, needs, index) for day in index.with_all(needs)]
+    return model, [load_samples(cat, mission, model, day, needs, index) for day in index.complete_days(needs)]
 
 
 @pytest.fixture(scope="module")
 def boom(tmp_path_factory):
     cat, mission = taken(tmp_path_factory.mktemp("goes") / "w", "goes16", "goes16-mag-ib-ob")
-    model, (samples,) = all_samples(cat, mission, "main", list(channel_homes(mission)))
+    model, (samples,) = all_samples(cat, mission, "main", list(channels_by_name(mission)))
     return mission, model, samples
 
 
@@ -59,7 +59,7 @@ def test_two_sensors_on_a_boom_differ_by_the_field_of_their_spacecraft(boom):
 def test_every_channel_of_the_boom_is_in_the_samples(boom):
     mission, _, samples = boom
     kinds = {"quaternion": "attitude"}
-    for name in channel_homes(mission):
+    for name in channels_by_name(mission):
         series = samples[kinds.get(name, name)]
         seen = np.isfinite(series.values.reshape(len(series), -1)).all(axis=1).mean()
         # The attitude's own clock is 300 s late in the file: the first five minutes have none.
@@ -114,7 +114,7 @@ def test_what_is_put_in_follows_its_channel_with_the_stated_size(pillar, sign, l
     model, record = pillar
     added = following(record, "electronics_temperature", 0.2 * sign, along=(0.5, 0.0, 1.0), lag_s=lag_s)
     assert np.linalg.norm(added.field.std(axis=0)) == pytest.approx(0.2)
-    cause = respond(record["electronics_temperature"].values, 1.0, lag_s) if lag_s else None
+    cause = slow_response(record["electronics_temperature"].values, 1.0, lag_s) if lag_s else None
     cause = record["electronics_temperature"].values if cause is None else cause
     later = slice(int(8 * lag_s), None)
     expected = (cause - cause.mean())[:, None] * added.truth["vector"]

@@ -35,7 +35,7 @@ def corrected(boulder):
     cat, mission, model = boulder
     needs = needs_of(mission, model)
     index = ArchiveIndex.of(cat, needs)
-    days = index.with_all(needs)
+    days = index.complete_days(needs)
     ours = [model.correct(load_samples(cat, mission, model, day, needs, index)) for day in days]
     field = np.concatenate([one["field"].values for one in ours])
     scalar = np.concatenate([one["scalar"].values for one in ours])

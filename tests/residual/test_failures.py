@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflight.residual import Coordinate, find_failures, measure, successive
+from inflight.residual import Coordinate, measure_dependences, rank_dependences, select_successively
 
 COUNT, BLOCKS = 14_400, 60
 BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)
@@ -23,8 +23,8 @@ COORDINATES = {
 
 
 def told(residual):
-    found = measure(COORDINATES.values(), residual, BLOCK)
-    return find_failures(COORDINATES, found, residual, DIRECTION, BLOCK)
+    found = measure_dependences(COORDINATES.values(), residual, BLOCK)
+    return rank_dependences(COORDINATES, found, residual, DIRECTION, BLOCK)
 
 
 def noise(seed=0):
@@ -70,7 +70,7 @@ def test_what_other_times_explain_as_well_is_no_structure():
     """A structure counts when it exceeds what its coordinate at other times explains of the rest."""
     sizes = {"drift": 3.0, "current": 2.0, "warmth": 1.0}
     chance = {"drift": 3.5, "current": 0.1, "warmth": 0.1}
-    found = successive(
+    found = select_successively(
         dict(sizes),
         list,
         size=lambda name: sizes[name],
@@ -88,6 +88,6 @@ def test_a_structure_of_one_period_is_told_though_other_times_have_it_too():
     phase = (TIME / 288.0) % 1.0
     coordinates = {"phase": Coordinate("phase", "", "orbit_phase", phase)}
     residual = noise() + 0.2 * np.sin(2 * np.pi * phase)
-    found = measure(coordinates.values(), residual, BLOCK)
-    (failure,) = find_failures(coordinates, found, residual, DIRECTION, BLOCK)
+    found = measure_dependences(coordinates.values(), residual, BLOCK)
+    (failure,) = rank_dependences(coordinates, found, residual, DIRECTION, BLOCK)
     assert abs(failure.amplitude - 0.2 / np.sqrt(2.0)) < 4 * failure.sigma + 2e-3

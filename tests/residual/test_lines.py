@@ -8,13 +8,13 @@ from inflight.residual import (
     add_power,
     drawn_periods,
     find_lines,
-    finest,
+    finest_power,
     format_period,
     known_periods,
     record_power,
     resolve_lines,
     stretch_power,
-    thinned,
+    thin_spectrum,
 )
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
@@ -99,7 +99,7 @@ def test_noise_has_no_lines():
         sums = {}
         for day in days:
             add_power(sums, day)
-        told += len(find_lines(finest(sums), KNOWN))
+        told += len(find_lines(finest_power(sums), KNOWN))
     assert told <= 2
 
 
@@ -117,7 +117,7 @@ def test_a_short_period_of_the_mission_is_known_with_its_multiples_and_sidebands
     sums = {}
     for at in range(0, t.size, 43_200):
         add_power(sums, stretch_power(residual[at : at + 43_200], direction[at : at + 43_200], 2.0))
-    lines = find_lines(finest(sums), KNOWN, longest=300.0)
+    lines = find_lines(finest_power(sums), KNOWN, longest=300.0)
     assert "torquer" in {line.label for line in lines}
     assert [line for line in lines if line.is_new] == []
 
@@ -163,12 +163,12 @@ def test_periods_are_named_and_harmonics_beyond_the_sixth_are_not_drawn():
 def test_a_thinned_spectrum_keeps_its_power_and_its_slow_end():
     frequency = np.arange(1, 43_201) / DAY
     density = np.random.default_rng(0).exponential(size=(4, 43_200))
-    shown, thin = thinned(frequency, density)
+    shown, thin = thin_spectrum(frequency, density)
     assert shown.size <= 1200
     assert thin.shape == (4, shown.size)
     assert np.array_equal(thin[:, :20], density[:, :20])
     assert thin[:, -100:].mean() == pytest.approx(1.0, rel=0.1)
-    assert thinned(frequency[:10], density[:, :10])[0].size == 10
+    assert thin_spectrum(frequency[:10], density[:, :10])[0].size == 10
 
 
 def test_sums_of_spectra_are_means():
@@ -177,5 +177,5 @@ def test_sums_of_spectra_are_means():
     for scale in (1.0, 3.0):
         add_power(sums, Power(power.frequency, scale * np.ones((4, 2)), 1, np.ones(4)))
     add_power(sums, None)
-    assert finest(sums).density == pytest.approx(np.full((4, 2), 2.0))
-    assert finest({}) is None
+    assert finest_power(sums).density == pytest.approx(np.full((4, 2), 2.0))
+    assert finest_power({}) is None

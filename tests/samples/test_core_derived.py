@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from inflight.errors import ModelError
-from inflight.samples import Part, base_channels, parse, product, respond
-from inflight.samples.derived import derive, history_s, play
+from inflight.samples import ChannelFactor, base_channels, channel_product, parse_channel, slow_response
+from inflight.samples.derived import derive_channel, history_s, play
 
 NAN = float("nan")
 values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, allow_nan=False))
@@ -17,22 +17,22 @@ values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, al
 @pytest.mark.parametrize(
     ("name", "parts"),
     [
-        ("current", [Part("current")]),
-        ("power.current", [Part("power.current")]),
-        ("current@lag=600s", [Part("current", lag_s=600.0)]),
-        ("current@lag=10min", [Part("current", lag_s=600.0)]),
-        ("warmth@width=2", [Part("warmth", width=2.0)]),
-        ("warmth@width=.5@lag=1 h", [Part("warmth", lag_s=3600.0, width=0.5)]),
-        ("current~3", [Part("current", placebo=3)]),
-        ("current@lag=90s~12", [Part("current", lag_s=90.0, placebo=12)]),
-        ("a*b", [Part("a"), Part("b")]),
-        ("a@lag=600s*b", [Part("a", lag_s=600.0), Part("b")]),
+        ("current", [ChannelFactor("current")]),
+        ("power.current", [ChannelFactor("power.current")]),
+        ("current@lag=600s", [ChannelFactor("current", lag_s=600.0)]),
+        ("current@lag=10min", [ChannelFactor("current", lag_s=600.0)]),
+        ("warmth@width=2", [ChannelFactor("warmth", width=2.0)]),
+        ("warmth@width=.5@lag=1 h", [ChannelFactor("warmth", lag_s=3600.0, width=0.5)]),
+        ("current~3", [ChannelFactor("current", placebo=3)]),
+        ("current@lag=90s~12", [ChannelFactor("current", lag_s=90.0, placebo=12)]),
+        ("a*b", [ChannelFactor("a"), ChannelFactor("b")]),
+        ("a@lag=600s*b", [ChannelFactor("a", lag_s=600.0), ChannelFactor("b")]),
     ],
 )
 def test_a_name_says_what_it_is_made_from(name, parts):
-    assert list(parse(name).parts) == parts
+    assert list(parse_channel(name).parts) == parts
     assert base_channels(name) == tuple(part.channel for part in parts)
-    assert parse(name).name == name.replace(" * ", "*")
+    assert parse_channel(name).name == name.replace(" * ", "*")
 
 
 @pytest.mark.parametrize(
@@ -61,14 +61,14 @@ def test_a_name_says_what_it_is_made_from(name, parts):
 )
 def test_what_is_no_name_is_refused_with_a_remedy(name):
     with pytest.raises(ModelError) as caught:
-        parse(name)
+        parse_channel(name)
     assert "600s" in caught.value.remedy
 
 
 @given(st.floats(1e-3, 1e6), st.floats(0, 1e3), st.integers(0, 20))
 def test_a_part_reads_its_own_name(lag, width, placebo):
-    part = Part("channel", round(lag, 6), round(width, 6), placebo)
-    again = parse(part.name).parts[0]
+    part = ChannelFactor("channel", round(lag, 6), round(width, 6), placebo)
+    again = parse_channel(part.name).parts[0]
     assert again.lag_s == pytest.approx(part.lag_s, rel=1e-9)
     assert again.width == pytest.approx(part.width, rel=1e-9)
     assert again.placebo == placebo
@@ -87,8 +87,10 @@ def test_the_response_to_a_ramp_and_a_step_is_the_textbook_one(lag):
     step = np.where(t > 0, 1.0, 0.0)
     # Between samples a step is a ramp of one sample: it comes half a sample late.
     late = lag / 100
-    assert respond(step, lag / 50, lag)[2:] == pytest.approx(1 - np.exp(-(t[2:] - late) / lag), abs=2e-4)
-    slope = respond(0.3 * t, lag / 50, lag)
+    assert slow_response(step, lag / 50, lag)[2:] == pytest.approx(
+        1 - np.exp(-(t[2:] - late) / lag), abs=2e-4
+    )
+    slope = slow_response(0.3 * t, lag / 50, lag)
     assert slope == pytest.approx(0.3 * (t - lag * (1 - np.exp(-t / lag))), abs=1e-9 * lag)
 
 
@@ -96,7 +98,7 @@ def test_the_response_to_a_ramp_and_a_step_is_the_textbook_one(lag):
 def test_a_sine_is_damped_and_delayed_alike_at_every_cadence(step):
     lag, omega = 600.0, 2 * np.pi / 5580
     t = np.arange(0.0, 80_000, step)
-    found = respond(np.sin(omega * t), step, lag)
+    found = slow_response(np.sin(omega * t), step, lag)
     expected = np.sin(omega * t - np.arctan(omega * lag)) / np.hypot(1, omega * lag)
     assert found[t > 8 * lag] == pytest.approx(expected[t > 8 * lag], abs=1e-3)
 
@@ -104,49 +106,51 @@ def test_a_sine_is_damped_and_delayed_alike_at_every_cadence(step):
 @given(values, st.floats(0.1, 1e4), st.floats(0.1, 100))
 @settings(deadline=None)
 def test_a_response_stays_between_the_extremes_and_keeps_a_constant(series, lag, step):
-    found = respond(series, step, lag)
+    found = slow_response(series, step, lag)
     assert found.min() >= series.min() - 1e-9
     assert found.max() <= series.max() + 1e-9
-    assert respond(np.full(20, series[0]), step, lag) == pytest.approx(np.full(20, series[0]))
+    assert slow_response(np.full(20, series[0]), step, lag) == pytest.approx(np.full(20, series[0]))
 
 
 @given(values, st.floats(1, 1e3), st.integers(1, 79))
 @settings(deadline=None)
 def test_a_response_is_causal_and_linear(series, lag, cut):
-    found = respond(series, 10.0, lag)
-    assert respond(series[:cut], 10.0, lag) == pytest.approx(found[:cut])
-    assert respond(3 * series + 2, 10.0, lag) == pytest.approx(3 * found + 2, abs=1e-7)
+    found = slow_response(series, 10.0, lag)
+    assert slow_response(series[:cut], 10.0, lag) == pytest.approx(found[:cut])
+    assert slow_response(3 * series + 2, 10.0, lag) == pytest.approx(3 * found + 2, abs=1e-7)
 
 
 def test_a_short_gap_is_bridged_and_a_long_one_starts_anew():
     t = np.arange(0.0, 4000, 10)
     series = np.where(t < 2000, 0.0, 0.01 * (t - 2000))
-    whole = respond(series, 10.0, 200.0)
+    whole = slow_response(series, 10.0, 200.0)
     holed = series.copy()
     holed[250:260] = NAN
-    found = respond(holed, 10.0, 200.0)
+    found = slow_response(holed, 10.0, 200.0)
     assert np.isnan(found[250:260]).all()
     # The series is straight in the gap, so nothing is lost.
     assert found[260:] == pytest.approx(whole[260:], abs=1e-9)
     holed[100:300] = NAN
-    assert respond(holed, 10.0, 200.0)[300] == series[300]
+    assert slow_response(holed, 10.0, 200.0)[300] == series[300]
     kept = np.isfinite(holed)
-    assert respond(series[kept], np.diff(t[kept]), 200.0) == pytest.approx(respond(holed, 10.0, 200.0)[kept])
+    assert slow_response(series[kept], np.diff(t[kept]), 200.0) == pytest.approx(
+        slow_response(holed, 10.0, 200.0)[kept]
+    )
 
 
 def test_stamps_may_be_uneven():
     t = np.unique(np.random.default_rng(0).integers(0, 40_000, 3000)).astype(float)
     even = np.arange(0.0, 40_000)
     series = np.sin(even / 900)
-    found = respond(np.interp(t, even, series), np.diff(t), 300.0)
-    expected = np.interp(t, even, respond(series, 1.0, 300.0))
+    found = slow_response(np.interp(t, even, series), np.diff(t), 300.0)
+    expected = np.interp(t, even, slow_response(series, 1.0, 300.0))
     assert found[t > 3000] == pytest.approx(expected[t > 3000], abs=2e-3)
 
 
 def test_a_response_that_is_faster_than_the_cadence_is_the_channel():
     series = np.random.default_rng(1).normal(size=50)
-    assert respond(series, 60.0, 0.5) == pytest.approx(series, abs=0.05)
-    assert np.array_equal(respond(series, 60.0, 0.0), series)
+    assert slow_response(series, 60.0, 0.5) == pytest.approx(series, abs=0.05)
+    assert np.array_equal(slow_response(series, 60.0, 0.0), series)
 
 
 @given(values, st.floats(0, 50))
@@ -176,29 +180,29 @@ def test_missing_values_are_passed_over():
 
 def test_vectors_keep_their_shape_and_columns_do_not_mix():
     series = np.random.default_rng(2).normal(size=(100, 3)).cumsum(axis=0)
-    assert respond(series, 1.0, 9.0)[:, 1] == pytest.approx(respond(series[:, 1], 1.0, 9.0))
+    assert slow_response(series, 1.0, 9.0)[:, 1] == pytest.approx(slow_response(series[:, 1], 1.0, 9.0))
     assert play(series, 1.0)[:, 2] == pytest.approx(play(series[:, 2], 1.0))
 
 
 def test_a_product_is_that_of_its_parts():
     a, b = np.array([1.0, 2.0, NAN]), np.arange(9.0).reshape(3, 3)
-    assert product([a, b])[1] == pytest.approx([6.0, 8.0, 10.0])
+    assert channel_product([a, b])[1] == pytest.approx([6.0, 8.0, 10.0])
     channels = {"a": np.arange(50.0), "b": np.sin(np.arange(50.0))}
-    found = derive("a@lag=20s*b", channels, 10.0)
-    assert found == pytest.approx(respond(channels["a"], 10.0, 20.0) * channels["b"])
-    assert np.array_equal(derive("a", channels, 1.0), channels["a"])
+    found = derive_channel("a@lag=20s*b", channels, 10.0)
+    assert found == pytest.approx(slow_response(channels["a"], 10.0, 20.0) * channels["b"])
+    assert np.array_equal(derive_channel("a", channels, 1.0), channels["a"])
     with pytest.raises(ModelError, match="3 and 4 components"):
-        product([np.ones((2, 3)), np.ones((2, 4))])
+        channel_product([np.ones((2, 3)), np.ones((2, 4))])
 
 
 @pytest.mark.parametrize("name", ["c", "a~1"])
 def test_what_is_not_there_and_what_is_a_placebo_is_not_made(name):
     with pytest.raises(ModelError):
-        derive(name, {"a": np.ones(3)}, 1.0)
+        derive_channel(name, {"a": np.ones(3)}, 1.0)
 
 
 def test_impossible_sizes_are_refused():
     with pytest.raises(ValueError, match="negative"):
-        respond(np.ones(3), 1.0, -1.0)
+        slow_response(np.ones(3), 1.0, -1.0)
     with pytest.raises(ValueError, match="negative"):
         play(np.ones(3), -1.0)

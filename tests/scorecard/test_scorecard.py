@@ -12,7 +12,7 @@ import pytest
 
 from inflight.errors import SettingsError
 from inflight.mission_fit import crosstalk
-from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, scorecard, selected
+from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, run_scorecard, select_figures
 from inflight.scorecard import recovered_fields as fields_module
 from inflight.scorecard import scalar_calibration as scalar_module
 from inflight.scorecard import spacecraft_fields as spacecraft_module
@@ -34,7 +34,7 @@ CONTRADICTED = {
 def reports() -> dict[str, Report]:
     # Of the processor, not of the clock: what else the machine does is no matter of the scorecard.
     begun = time.process_time()
-    found = {report.figure.id: report for report in scorecard()}
+    found = {report.figure.id: report for report in run_scorecard()}
     assert time.process_time() - begun < 60.0
     return found
 
@@ -90,9 +90,9 @@ SCENE = Scene()
 
 
 def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
-    right = crosstalk.regression
-    monkeypatch.setattr(crosstalk, "regression", lambda *arguments: -right(*arguments))
-    verdicts = {report.figure.id: report.verdict for report in scorecard(["lag", "bias"])}
+    right = crosstalk.regression_coefficients
+    monkeypatch.setattr(crosstalk, "regression_coefficients", lambda *arguments: -right(*arguments))
+    verdicts = {report.figure.id: report.verdict for report in run_scorecard(["lag", "bias"])}
     assert verdicts["lag.xz-exact"] == verdicts["bias.scale-factors"] == "contradicted"
     assert verdicts["lag.correlation"] == "reproduced"
 
@@ -101,7 +101,7 @@ def test_a_wrong_power_in_the_dipole_changes_the_verdict(monkeypatch):
     right = spacecraft_module.dipole_split
     wrong = lambda one, near, far: right(one, near[0] ** (2 / 3), far[0] ** (2 / 3))  # noqa: E731
     monkeypatch.setattr(spacecraft_module, "dipole_split", wrong)
-    assert scorecard(["dipole.split"])[0].verdict == "contradicted"
+    assert run_scorecard(["dipole.split"])[0].verdict == "contradicted"
 
 
 def test_a_lost_sign_in_the_linear_form_changes_the_verdict(monkeypatch):
@@ -148,7 +148,7 @@ def test_an_estimator_that_loses_the_sign_is_contradicted(monkeypatch):
     right = fields_module.fit_step
     wrong = lambda epochs: SimpleNamespace(value=-right(epochs).value)  # noqa: E731
     monkeypatch.setattr(fields_module, "fit_step", wrong)
-    assert scorecard(["camera.recovered"])[0].verdict == "contradicted"
+    assert run_scorecard(["camera.recovered"])[0].verdict == "contradicted"
 
 
 def test_a_figure_whose_source_says_too_little_is_not_reproducible():
@@ -184,13 +184,13 @@ def test_a_recovered_figure_without_a_recovery_is_refused():
 
 
 def test_figures_are_selected_by_id_beginning_and_section():
-    assert [one.id for one in selected(["lag.xz"])] == ["lag.xz"]
-    assert {one.id.split(".")[0] for one in selected(["lag", "bias"])} == {"lag", "bias"}
-    assert {one.section for one in selected(section="residual")} == {"residual"}
+    assert [one.id for one in select_figures(["lag.xz"])] == ["lag.xz"]
+    assert {one.id.split(".")[0] for one in select_figures(["lag", "bias"])} == {"lag", "bias"}
+    assert {one.section for one in select_figures(section="residual")} == {"residual"}
     with pytest.raises(SettingsError, match="no figure 'la'"):
-        selected(["la"])
+        select_figures(["la"])
     with pytest.raises(SettingsError, match="no section"):
-        selected(section="9")
+        select_figures(section="9")
 
 
 def test_no_figure_is_a_constant():

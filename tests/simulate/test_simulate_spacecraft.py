@@ -13,7 +13,7 @@ from inflight.simulate import (
     simulate_day,
     torquer_currents,
 )
-from inflight.simulate.dipole import dipole_matrix, transfer
+from inflight.simulate.dipole import dipole_matrix, extrapolate_dipole
 from inflight.simulate.fluxgate import play
 from inflight.simulate.power import currents, relax
 from inflight.simulate.stray import coefficients, remanent_fields
@@ -27,7 +27,7 @@ components = st.tuples(*[st.floats(-10.0, 10.0)] * 3).filter(lambda v: np.linalg
 def test_dipole_on_the_boom_axis_splits_as_the_thesis_says(field):
     """Difference of the sensors times 1.64001 is the vector sensor's field, times 0.64001 the scalar's."""
     at_vector = np.array(field)
-    at_scalar = transfer(field, (0.0, 0.0, 0.0), VECTOR, SCALAR)
+    at_scalar = extrapolate_dipole(field, (0.0, 0.0, 0.0), VECTOR, SCALAR)
     difference = at_vector - at_scalar
     assert at_vector == pytest.approx(1.64001 * difference, rel=1e-5, abs=1e-9)
     assert at_scalar == pytest.approx(0.64001 * difference, rel=2e-5, abs=1e-9)

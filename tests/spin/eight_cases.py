@@ -16,7 +16,7 @@ def signed(seed):
     """The truth with signs of its own."""
     sign = np.random.default_rng(1000 + seed).choice([-1, 1], 12)
     values = PRESENT.values() + sign * (TRUTH.values() - PRESENT.values())
-    return CalibrationParameters.of_values(values)
+    return CalibrationParameters.from_values(values)
 
 
 def joined(first, second):

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from eight_cases import TRUTH, by_joint, two_fields
 
-from inflight.figures import correlation_figure, moved_figure
+from inflight.figures import correlation_figure, parameter_change_figure
 from inflight.spin import NAMES, SPIN_RELATED
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
@@ -46,7 +46,7 @@ def test_the_figures_show_what_moved_and_what_goes_together():
         {"own": (dims, own), "own_sigma": (dims, sigma)},
         coords={"parameter": [f"spinning_sensor.{name}" for name in NAMES]},
     )
-    bars = moved_figure(table).renderers[0].data_source.data
+    bars = parameter_change_figure(table).renderers[0].data_source.data
     height = dict(zip(SPIN_RELATED, next(value for key, value in bars.items() if key == "top"), strict=True))
     assert abs(height["spin_axis[x]"]) > 5.0
     assert max(abs(size) for name, size in height.items() if name != "spin_axis[x]") < 1.0

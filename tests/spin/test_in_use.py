@@ -21,7 +21,7 @@ def covariance(correlation=0.97):
 
 def begun():
     ground = CalibrationParameters()
-    return ValuesInUse.of_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
+    return ValuesInUse.from_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
 
 
 def flown(truths, generator, quality=None):

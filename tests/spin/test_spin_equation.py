@@ -23,7 +23,7 @@ twelve = st.builds(
 def test_correcting_undoes_disturbing(parameters):
     fields = np.random.default_rng(1).normal(size=(20, 3)) * 1e4
     assert np.allclose(parameters.correct(parameters.disturb(fields)), fields, atol=1e-8)
-    assert CalibrationParameters.of_values(parameters.values()) == parameters
+    assert CalibrationParameters.from_values(parameters.values()) == parameters
 
 
 @given(twelve)
@@ -82,7 +82,7 @@ def test_a_name_nobody_knows_is_refused():
     with pytest.raises(CalibrationError, match="offset_1"):
         CalibrationParameters().changed({"offset_1": 3.0})
     with pytest.raises(CalibrationError, match="12 needed"):
-        CalibrationParameters.of_values([1.0, 2.0])
+        CalibrationParameters.from_values([1.0, 2.0])
 
 
 def test_a_moved_spin_axis_changes_every_angle_of_the_sensor_axes_but_two_parameters_here():

@@ -10,7 +10,7 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES
-from inflight.tasks.archive import cut_at_flips, ingest, simulate_spinning
+from inflight.tasks.archive import ingest, simulate_spinning, split_at_flips
 from inflight.tasks.archive.samples import flip_flags, longest_position, position_edges
 from inflight.tasks.pipelines import reprocess
 from inflight.time import day_bounds, to_tt2000
@@ -110,5 +110,5 @@ def test_a_day_is_calibrated_for_the_position_that_holds_longest(mission):
 
 def test_no_window_holds_two_positions(mission):
     assert position_edges(mission) == days(3, 4)
-    assert cut_at_flips(days(1, 16), mission) == days(1, 3, 4, 16)
-    assert cut_at_flips(days(5, 20), mission) == days(5, 20)
+    assert split_at_flips(days(1, 16), mission) == days(1, 3, 4, 16)
+    assert split_at_flips(days(5, 20), mission) == days(5, 20)

@@ -7,7 +7,7 @@ from eight_cases import PRESENT, TRUTH, by_joint, by_selection, two_fields
 from orbit_fields import steady
 
 from inflight.errors import CalibrationError
-from inflight.figures import Cloud, estimates_figure, uncertainty_figure
+from inflight.figures import SubintervalEstimates, estimates_figure, uncertainty_figure
 from inflight.spin import (
     NAMES,
     SPIN_RELATED,
@@ -116,7 +116,7 @@ def test_twelve_parameters_say_where_they_came_from():
         "spin_plane_gain", "axial_gain", "rotation",
     }  # fmt: skip
     assert np.array_equal(table.determined, [source[name] != "ground" for name in NAMES])
-    assert table.parameters == CalibrationParameters.of_values(table.value)
+    assert table.parameters == CalibrationParameters.from_values(table.value)
     assert np.allclose(table.parameters.offset, [1.0, -2.0, 3.0], atol=0.01)
     assert set(table.table().data_vars) == {"value", "sigma", "source", "determined"}
 
@@ -169,7 +169,7 @@ def test_figures_show_every_estimate():
     record = two_fields(8, hours=0.7)
     readings = TRUTH.disturb(record.field)
     selection, joint = by_selection(record, readings), by_joint(record, readings)
-    cloud = Cloud.of(selection)
+    cloud = SubintervalEstimates.of(selection)
     for drawn, panels in (
         (estimates_figure(cloud, (joint.value, joint.sigma)), 8),
         (uncertainty_figure(cloud), 4),

@@ -66,7 +66,7 @@ def product(made: Workspace, day: np.datetime64 = BAD) -> xr.Dataset:
     """Return a day's product."""
     cat = Catalog(made.root)
     (found,) = [one for one in cat.days("l2/field", states=("published",)) if one.day == day]
-    return cat.read(found, dated=False)
+    return cat.read(found, with_time=False)
 
 
 def errors(data: xr.Dataset, day: np.datetime64 = BAD, between: bool = False) -> dict[str, np.ndarray]:

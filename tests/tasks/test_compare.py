@@ -116,7 +116,7 @@ def test_a_failed_reading_counts_for_neither_report_and_the_clock_begins_at_midn
     ingest(catalog, mission, place.data)
     told = reprocess(catalog, mission).extra["residual"]
     report = compare(catalog, mission)
-    assert report.left_out == 1
+    assert report.skipped == 1
     assert told["after_nT"] == pytest.approx(report.after.rms, rel=1e-12)
     assert told["before_nT"] == pytest.approx(report.before.rms, rel=1e-12)
     days = catalog.days("l2/field", states=("published",))

@@ -7,7 +7,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import SamplesError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.samples import respond
+from inflight.samples import slow_response
 from inflight.samples.derived import play
 from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
 from inflight.tasks.models import ideal_model
@@ -119,7 +119,7 @@ def test_a_slow_response_runs_on_across_midnight(workspace, lag):
     stamps = stamps_of("power")
     series = made("power", stamps)["current"]
     seconds = {"90s": 90.0, "600s": 600.0, "4h": 14_400.0}[lag]
-    whole = respond(series, 20.0, seconds)
+    whole = slow_response(series, 20.0, seconds)
     for day in DAYS[2:]:
         samples = loaded(workspace, [name], day)
         expected = np.interp(samples["tt2000"].values, stamps, whole)
@@ -154,7 +154,7 @@ def test_sunlight_may_warm_slowly(workspace):
     place = (("time", "axis"), made("orbit", stamps)["place"], {"units": "km", "frame": "itrf"})
     lit = add_geometry(xr.Dataset({"position": place, "tt2000": ("time", stamps)}))["sunlit"].values
     samples = loaded(workspace, ["sunlit@lag=1200s"], DAYS[3])
-    expected = np.interp(samples["tt2000"].values, stamps, respond(lit, 30.0, 1200.0))
+    expected = np.interp(samples["tt2000"].values, stamps, slow_response(lit, 30.0, 1200.0))
     assert samples["sunlit@lag=1200s"].values[:-1] == pytest.approx(expected[:-1], abs=1e-3)
     assert np.std(samples["sunlit@lag=1200s"].values[:-1]) > 0.05
     with pytest.raises(SamplesError, match="orbit_phase"):

@@ -32,7 +32,7 @@ from inflight.diagnosis.views import VIEWS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis import diagnosis_page as module
-from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
+from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
 from inflight.tasks.analysis.diagnosis_page import diagnosis_page
 from inflight.tasks.archive import ingest
 from inflight.time import DAY, SECOND, day_bounds
@@ -91,7 +91,7 @@ def made(place, tmp_path_factory):
 def searched(place):
     """A search that has taken what it found, with what a verdict needs."""
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
-    search, material = begin_search(prepared, SETTINGS), context_of(prepared, place.mission())
+    search, material = begin_search(prepared, SETTINGS), diagnosis_data(prepared, place.mission())
     found, search = module.conclude(search, material)
     return search, material, found
 
@@ -211,7 +211,7 @@ def test_a_real_browser_draws_the_page_without_an_error_and_without_a_network(ma
 def test_a_search_without_rounds_has_a_page(place):
     settings = SETTINGS.model_copy(update={"rounds": 0})
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, settings)
-    search, material = begin_search(prepared, settings), context_of(prepared, place.mission())
+    search, material = begin_search(prepared, settings), diagnosis_data(prepared, place.mission())
     found, search = module.conclude(search, material)
     text, _ = told(diagnosis_page(search, material, found, settings))
     assert "No effect was added" in text

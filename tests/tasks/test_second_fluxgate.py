@@ -12,16 +12,16 @@ from inflight.catalog import Catalog, Workspace
 from inflight.errors import MissionError
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
-from inflight.mission_fit.two_fluxgates import corners, relate
+from inflight.mission_fit.two_fluxgates import corners, fit_relation
 from inflight.simulate import Parameters, SimulationSettings
-from inflight.simulate.second import as_second
+from inflight.simulate.second_fluxgate import as_second
 from inflight.tasks import current_model, preflight_model
 from inflight.tasks.analysis import DiagnoseSettings, compare
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.archive.deliveries import truth_path
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.relation import dual_report
+from inflight.tasks.pipelines.relation import relation_report
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 NAME = "champ-two-fluxgates"
@@ -100,7 +100,7 @@ def test_compare_measures_the_second_comparison_too(champ):
 def test_the_turn_of_one_against_the_other_follows_from_their_products(champ):
     main, second = common(champ)
     fields = [np.asarray(one["field_spacecraft"].values) for one in (main, second)]
-    table = relate(*fields, main["tt2000"].values).table()
+    table = fit_relation(*fields, main["tt2000"].values).table()
     # The angles of a sensor are known to some arcseconds from three days.
     assert np.abs(table["value"].values[:3] - Parameters().second_rotation).max() < 0.004
     assert np.abs(table["value"].values[9:]).max() < 0.6
@@ -164,7 +164,7 @@ def test_reprocess_of_the_two_against_each_other_makes_tables_and_says_there_is_
     table = catalog.table_by_id(catalog.tables("between-relation")[-1].id)
     main, second = common(champ)
     fields = [np.asarray(one["field_spacecraft"].values) for one in (main, second)]
-    whole = relate(*fields, main["tt2000"].values).table()
+    whole = fit_relation(*fields, main["tt2000"].values).table()
     # Days by themselves leave out other samples than all at once.
     assert np.abs(table["value"].values - whole["value"].values).max() < 0.2 * whole["sigma"].values.max()
     assert np.abs(table["value"].values[:3] - Parameters().second_rotation).max() < 0.004
@@ -172,7 +172,7 @@ def test_reprocess_of_the_two_against_each_other_makes_tables_and_says_there_is_
     assert daily.sizes["interval"] == SETTINGS.days
     parts = catalog.table_by_id(catalog.tables("between-corners")[-1].id)
     assert parts.attrs["closure_nT"] < 0.01
-    told = dual_report(catalog, mission, "between", champ.root / "between.html")
+    told = relation_report(catalog, mission, "between", champ.root / "between.html")
     assert len(told["sections"]["relation"]["items"]) == 12
     assert (champ.root / "between.html").read_text(encoding="utf-8").count("data-root-id") == 6
     again = reprocess(catalog, mission, settings=settings)

@@ -12,8 +12,8 @@ from inflight.dual import (
     WHOLE,
     AppliedPart,
     Candidates,
+    choose_correction,
     correction_by_stored_gradiometer,
-    decide,
     training_from_dataset,
     training_to_dataset,
 )
@@ -51,7 +51,7 @@ def forced(cat, mission, planned, day):
     around = planned.index.around([day])
     readings, _ = window_readings(cat, mission, planned.model, [day], planned.needs, around)
     candidates = Candidates(readings, body_of(mission, "main"))
-    found = decide(readings, candidates.fit, candidates.priors)
+    found = choose_correction(readings, candidates.fit, candidates.priors)
     applied = replace(found.correction, applied=True, reason="forced")
     tables = {}
     for method in ("states", "matrix"):

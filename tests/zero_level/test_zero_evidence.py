@@ -8,8 +8,8 @@ from nature import magnetosheath, solar_wind, stamps
 from weather import sheath, wind
 
 from inflight.simulate.spinning import CRAFT
-from inflight.simulate.spinning import wind as turbulent
-from inflight.zero_level import Intervals, Question, combine_methods, minimum_correlation
+from inflight.simulate.spinning import solar_wind as turbulent
+from inflight.zero_level import Intervals, OffsetSearch, combine_methods, minimum_correlation
 from inflight.zero_level.combination import (
     LIKELIHOOD,
     compare_estimates,
@@ -21,7 +21,7 @@ from inflight.zero_level.combination import (
 from inflight.zero_level.methods import mirror_mode
 
 #: Despun axes, and a ground value that says little.
-AXIAL = Question(free=(False, False, True), bound=30.0)
+AXIAL = OffsetSearch(free=(False, False, True), bound=30.0)
 
 
 def along_axis(times, field, offset, length=900.0):

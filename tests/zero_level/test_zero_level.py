@@ -12,7 +12,7 @@ from inflight.zero_level import (
     COMBINED_METHODS,
     METHODS,
     Intervals,
-    Question,
+    OffsetSearch,
     combine_methods,
     davis_smith,
     minimum_correlation,
@@ -121,7 +121,7 @@ def test_mirror_modes_along_one_direction_tell_nothing_along_it():
 
 
 def test_the_spin_axis_alone_is_told_in_despun_axes():
-    question = Question(free=(False, False, True))
+    question = OffsetSearch(free=(False, False, True))
     for method in (davis_smith, wang_pan, minimum_correlation):
         for sign in (1.0, -1.0):
             times, field = solar_wind(np.random.default_rng(5))
@@ -286,7 +286,7 @@ def test_every_method_of_the_table_is_called_alike_and_returns_an_estimate_of_it
     intervals = Intervals.of(times, field + np.array([0.0, 0.0, 0.8]), 1800.0)
     assert list(METHODS) == [*COMBINED_METHODS, "hedgecock"]
     for name, method in METHODS.items():
-        found = method.estimate(intervals, None, Question(free=(False, False, True)))
+        found = method.estimate(intervals, None, OffsetSearch(free=(False, False, True)))
         assert found.method == name
         assert found.influence.shape == (len(intervals), 3)
         assert not found.determined[:2].any()

@@ -5,7 +5,7 @@ import pytest
 from nature import solar_wind
 from weather import sheath, wind
 
-from inflight.zero_level import Intervals, Question, combine_methods, davis_smith
+from inflight.zero_level import Intervals, OffsetSearch, combine_methods, davis_smith
 from inflight.zero_level.combination import weighted_mean
 from inflight.zero_level.estimate import Estimate, covariance_of
 
@@ -57,7 +57,7 @@ def test_weights_that_are_estimated_cost_what_the_mean_states():
     chi2 = []
     for _ in range(1500):
         pair = [estimate_of(str(k), generator.normal(size=(20, 3)) / 20.0) for k in range(2)]
-        mean = weighted_mean(pair, Question())
+        mean = weighted_mean(pair, OffsetSearch())
         chi2.append(mean.solution**2 / np.diag(mean.covariance))
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.25)
 

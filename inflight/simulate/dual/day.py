@@ -18,7 +18,7 @@ from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, pa
 from inflight.simulate.grid import Float, Int64, Sampling
 from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.randomness import drift, generator
-from inflight.simulate.spinning import SpinningParameters, wind
+from inflight.simulate.spinning import SpinningParameters, solar_wind
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
 #: Seconds between currents and between temperatures.
@@ -81,7 +81,7 @@ class _Scene:
         """Ambient field, spacecraft axes."""
         p = self.parameters
         nature = SpinningParameters(field=p.field, turning=p.turning, compression=p.compression)
-        return wind(self.times.seconds, self.settings.seed, self.number, nature)
+        return solar_wind(self.times.seconds, self.settings.seed, self.number, nature)
 
     @cached_property
     def units(self) -> tuple[Unit, ...]:

@@ -1,4 +1,4 @@
-from .ambient import wind
+from .ambient import solar_wind
 from .day import simulate_spinning_day
 from .settings import CRAFT, SpinningParameters, SpinningSettings
 
@@ -7,5 +7,5 @@ __all__ = [
     "SpinningParameters",
     "SpinningSettings",
     "simulate_spinning_day",
-    "wind",
+    "solar_wind",
 ]

@@ -25,7 +25,7 @@ _DIPOLE_TILT, _ORBIT_TILT = 0.35, 0.15
 _SHEATH_TURNING, _SHEATH_COMPRESSION, _SHEATH_FIELD, _QUIET = 0.9, 0.25, 22.0, 2e-4
 
 
-def wind(seconds: Float, seed: int, day: int, parameters: SpinningParameters) -> Float:
+def solar_wind(seconds: Float, seed: int, day: int, parameters: SpinningParameters) -> Float:
     """Return the solar wind's field, nT, payload axes; (time, 3).
 
     Its direction turns (Alfvenic), its strength changes by a small part (compression), both with a
@@ -86,7 +86,7 @@ def in_shadow(place: Float) -> np.ndarray:
 
 def field(seconds: Float, place: Float, seed: int, day: int, parameters: SpinningParameters) -> Float:
     """Return the ambient field, nT, payload axes; (time, 3)."""
-    outside = wind(seconds, seed, day, parameters)
+    outside = solar_wind(seconds, seed, day, parameters)
     if parameters.apogee <= 0.0:
         return outside
     radius = np.linalg.norm(place, axis=1) / EARTH_RADIUS_KM

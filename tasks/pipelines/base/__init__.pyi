@@ -8,9 +8,9 @@ from .compare_rows import (
     rows_of_day,
     scalar_channels,
 )
-from .compared import Compared, CompareReport, Report, Structure, fails_text, wandering_text
+from .compared import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
-from .parts import Part, TablesReport, TextLine, shown, with_error
+from .parts import Part, TablesReport, TextLine, page_sections, with_error
 from .pipeline import Pipeline, Versions
 from .planning import (
     ONE_DAY,
@@ -25,13 +25,13 @@ from .publication import (
     Certificate,
     Reprocessing,
     Solved,
-    TableKeeper,
+    TableStager,
     UsedTable,
-    adopted_days,
+    adopt_days,
+    register_outcome,
     rounded,
     table_row_hash,
     take_failure,
-    take_outcome,
 )
 from .reprocessing import carry_out, product_key, residual_of_days
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
@@ -41,7 +41,7 @@ __all__ = [
     "Batch",
     "Certificate",
     "CompareReport",
-    "Compared",
+    "CompareResult",
     "Failure",
     "Job",
     "Outcome",
@@ -56,18 +56,17 @@ __all__ = [
     "Sources",
     "Spans",
     "Structure",
-    "TableKeeper",
+    "TableStager",
     "TablesReport",
     "TextLine",
     "UsedTable",
     "Versions",
-    "adopted_days",
+    "adopt_days",
     "blocks_of",
     "carry_out",
     "channel_means",
     "content_keys",
     "equations_of",
-    "fails_text",
     "failure_of",
     "geometry_means",
     "make_days",
@@ -75,20 +74,21 @@ __all__ = [
     "newest_record",
     "newest_table",
     "newest_tables",
+    "page_sections",
     "plan_archive_days",
     "plan_days",
     "product_key",
     "product_of",
     "published_products",
+    "register_outcome",
     "residual_of_days",
     "rounded",
     "rows_of_day",
     "scalar_channels",
-    "shown",
+    "scatter_html",
+    "structures_html",
     "table_row_hash",
     "take_failure",
-    "take_outcome",
-    "wandering_text",
     "window_edges",
     "with_error",
 ]

@@ -17,7 +17,7 @@ from inflight.errors import CatalogError
 from inflight.frames import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
-from inflight.tasks.archive import channel_homes, geometry_channels, position_channel
+from inflight.tasks.archive import channels_by_name, geometry_channels, position_channel
 from inflight.tasks.pipelines.base.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 
@@ -65,7 +65,7 @@ class Sources:
     @classmethod
     def of(cls, cat: Catalog, mission: Mission, span: slice) -> Sources:
         """Read which days are there of every instrument whose channels are compared."""
-        instruments = {instrument for instrument, _ in channel_homes(mission).values()}
+        instruments = {instrument for instrument, _ in channels_by_name(mission).values()}
         return cls(
             {
                 (instrument, day.day): day
@@ -82,7 +82,7 @@ def scalar_channels(mission: Mission, flags: bool = False) -> dict[str, tuple[st
     when asked for.
     """
     found: dict[str, tuple[str, str, Channel]] = {}
-    for name, (instrument, channel) in channel_homes(mission).items():
+    for name, (instrument, channel) in channels_by_name(mission).items():
         told = mission.instruments[instrument].channels[channel]
         if told.kind in _NO_COORDINATE and not (flags and told.kind == "flag"):
             continue
@@ -234,7 +234,7 @@ def geometry_means(
     name = position_channel(mission)
     if not name:
         return {}
-    homes = channel_homes(mission)
+    homes = channels_by_name(mission)
     wanted = {"position": name}
     for each in geometry_channels(mission):
         instrument, channel = homes[each]

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from inflight.figures import Later, Section, bullet_list, html_table
+from inflight.figures import LazySection, Section, bullet_list, html_table
 from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
 from inflight.tasks.pipelines.base.parts import TextLine
 
@@ -67,9 +67,9 @@ class CompareReport:
     determined: list[str]
     block: str
     lines: list[Line]
-    wander: list[ParameterScatter]
+    daily_scatter: list[ParameterScatter]
     path: Path | None = None
-    left_out: int = 0
+    skipped: int = 0
     outliers: int = 0
     acknowledgement: str = ""
 
@@ -89,7 +89,7 @@ class CompareReport:
                 "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
                 "before": self.before.as_json(),
                 "after": self.after.as_json(),
-                "samples_left_out": self.left_out,
+                "samples_left_out": self.skipped,
                 "outliers": self.outliers,
             },
             "by_day": self.by_day,
@@ -106,7 +106,7 @@ class CompareReport:
             "parameters": {
                 "determined": self.determined,
                 "combinations": self.directions,
-                "wander": [one.as_json() for one in self.wander],
+                "wander": [one.as_json() for one in self.daily_scatter],
             },
             "spectrum_lines": [line.as_json() for line in self.lines],
             "path": str(self.path) if self.path else "",
@@ -132,7 +132,7 @@ class CompareReport:
 
 
 @dataclass(frozen=True)
-class Compared(Generic[Report_co]):
+class CompareResult(Generic[Report_co]):
     """A comparison measured: its numbers, and its figures, drawn when asked for.
 
     Attributes
@@ -146,14 +146,14 @@ class Compared(Generic[Report_co]):
 
     report: Report_co
     title: str
-    parts: Sequence[Later]
+    parts: Sequence[LazySection]
 
     def sections(self) -> list[Section]:
         """Make everything that is shown."""
         return [(heading, *make()) for heading, make in self.parts]
 
 
-def fails_text(report: CompareReport) -> list[str]:
+def structures_html(report: CompareReport) -> list[str]:
     """Return the structures of a residual as HTML."""
     if not report.fails_where:
         return [f"No structure stands out by five sigma between blocks of one {report.block}."]
@@ -161,7 +161,7 @@ def fails_text(report: CompareReport) -> list[str]:
     return [listed, "Each structure is measured after the stronger ones were taken off."]
 
 
-def wandering_text(report: CompareReport) -> str:
+def scatter_html(report: CompareReport) -> str:
     """Return the daily scatter of parameters as HTML."""
     rows = [
         (
@@ -172,7 +172,7 @@ def wandering_text(report: CompareReport) -> str:
             f"{one.ratio:.2f}",
             f"{one.days}",
         )
-        for one in report.wander
+        for one in report.daily_scatter
         if np.isfinite(one.ratio)
     ]
     if not rows:

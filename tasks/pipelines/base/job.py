@@ -2,7 +2,7 @@
 
 `Batch` and `ProductBatch` are what a pipeline's `make_day` and `make_product` are given. `make_days` makes
 each day of a batch and writes those that succeed as one segment of the archive; a day that fails does not
-stop the others, and its `Failure` is recorded.
+stop the others, and its `RankedDependence` is recorded.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def make_days(
     cat: Catalog,
     job: Job,
     make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
-    alike: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
+    unify: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -123,7 +123,7 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
-    alike : callable, optional
+    unify : callable, optional
         Gives the datasets of the days variables of one size, as one store needs them.
 
     Returns
@@ -141,7 +141,7 @@ def make_days(
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:
-            fit = alike([one.dataset for one in made])
+            fit = unify([one.dataset for one in made])
             made = [replace(one, dataset=dataset) for one, dataset in zip(made, fit, strict=True)]
             outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
     return outcome

@@ -43,27 +43,27 @@ class Part:
     plots: list[Any] = field(default_factory=list)
     absent: dict[str, str] = field(default_factory=dict)
 
-    def say(self, text: str, quiet: bool = False) -> None:
+    def add_text(self, text: str, quiet: bool = False) -> None:
         """Add a paragraph of plain text."""
         self.text.append(paragraph(text, kind="quiet" if quiet else ""))
 
-    def lack(self, what: str, why: str) -> None:
+    def add_absent(self, what: str, why: str) -> None:
         """Say what is not there, with its reason."""
         self.absent[what] = why
         whole = why[:1].upper() + why[1:]
         whole = whole if whole.endswith(".") else f"{whole}."
         self.text.append(paragraph(f": not told. {whole}", kind="absent", bold=what))
 
-    def attempt(self, what: str, make: Callable[[], None]) -> None:
+    def add_if_possible(self, what: str, make: Callable[[], None]) -> None:
         """Do a piece of the section; when the span does not suffice for it, say so."""
         try:
             make()
         except InflightError as error:
             remedy = f"; {error.remedy}" if error.remedy else ""
-            self.lack(what, f"{error.message}{remedy}")
+            self.add_absent(what, f"{error.message}{remedy}")
 
 
-def shown(parts: Sequence[Part]) -> list[Section]:
+def page_sections(parts: Sequence[Part]) -> list[Section]:
     """Return sections of a page, those that hold anything."""
     return [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
 

@@ -28,10 +28,10 @@ import xarray as xr
 from inflight.catalog import Catalog, Day
 from inflight.figures import Section
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base.compared import Compared, Report
+from inflight.tasks.pipelines.base.compared import CompareResult, Report
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
-from inflight.tasks.pipelines.base.publication import Reprocessing, Solved, TableKeeper
+from inflight.tasks.pipelines.base.publication import Reprocessing, Solved, TableStager
 from inflight.tasks.pipelines.base.tables import content_keys
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
@@ -147,7 +147,7 @@ class Pipeline(ABC):
         """
         raise NotImplementedError(f"pipeline '{self.tag}' keeps no statistics of days")
 
-    def alike(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return the statistics of a batch with variables of one size, as one store needs them."""
         return list(days)
 
@@ -188,9 +188,9 @@ class Pipeline(ABC):
         told = [name, str(plan.settings.window_days), str(self.versions.tables), plan.context]
         return hashlib.sha256("".join([*content_keys(days), *told]).encode()).hexdigest()
 
-    def keeper(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TableKeeper:
+    def table_stager(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TableStager:
         """Return what stages the tables of a run."""
-        return TableKeeper(work=work, days=days, key_of=lambda name: self.table_key(work.plan, name, days))
+        return TableStager(work=work, days=days, key_of=lambda name: self.table_key(work.plan, name, days))
 
     # --- products ---------------------------------------------------------------------------------------
 
@@ -246,7 +246,7 @@ class Pipeline(ABC):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[Any]:
+    ) -> CompareResult[Any]:
         """Measure what products leave, before and after calibration, and what the residual follows.
 
         Parameters
@@ -260,13 +260,13 @@ class Pipeline(ABC):
 
     @abstractmethod
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return what the published tables say, and write the page of it when a path is given.
 
         Parameters
         ----------
-        asked : str
+        cause : str
             A parameter or cause whose cross-talk with all others is asked for; those that know none ignore
             it.
 

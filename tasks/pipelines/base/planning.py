@@ -28,7 +28,7 @@ from inflight.tasks.archive import (
     needs_of,
     replaceable_needs,
 )
-from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.models import VersionedModel, current_model
 from inflight.time import DayLike, as_day, day_range, is_within
 
 ONE_DAY = np.timedelta64(1, "D")
@@ -105,7 +105,7 @@ class Plan:
     """
 
     settings: ReprocessSettings
-    used: UsedModel
+    used: VersionedModel
     context: str
     equations: str
     needs: tuple[Need, ...]
@@ -162,7 +162,7 @@ def plan_days(
     mission: Mission,
     settings: ReprocessSettings,
     *,
-    used: UsedModel,
+    used: VersionedModel,
     equations: str,
     version: int,
     index: ArchiveIndex,
@@ -235,7 +235,7 @@ def plan_archive_days(
     wanted = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
     needs = tuple(replaceable_needs(mission, used.model, wanted))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
-    there = [day for day in index.with_all(needs) if is_within(day, start, end)]
+    there = [day for day in index.complete_days(needs) if is_within(day, start, end)]
     if not there:
         raise CatalogError(
             "the archive has no day of the span on which every instrument measured",
@@ -272,7 +272,7 @@ def product_of(comparison: str) -> str:
 
 def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
     """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
-    beside = INPUTS.stand_in_days if any(need.replaceable for need in needs) else 1
+    beside = INPUTS.typical_value_days if any(need.replaceable for need in needs) else 1
     before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
     return slice(
         str(as_day(start) - before) if start is not None else None,

@@ -107,7 +107,7 @@ class Solved:
 
 
 @dataclass(kw_only=True)
-class TableKeeper:
+class TableStager:
     """Stages tables that are not there yet with the same content, and says which to certify.
 
     Attributes
@@ -146,7 +146,7 @@ class TableKeeper:
         self.tables[name] = table
         return table
 
-    def possible(self, makers: Mapping[str, Callable[[], xr.Dataset]]) -> dict[str, str]:
+    def stage_possible(self, makers: Mapping[str, Callable[[], xr.Dataset]]) -> dict[str, str]:
         """Keep the tables that can be made; return why the others cannot."""
         notes = {}
         for name, make in makers.items():
@@ -202,7 +202,7 @@ def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
     return digest.hexdigest()
 
 
-def adopted_days(
+def adopt_days(
     run: Run, dataset: str, keys: Mapping[np.datetime64, str], days: Iterable[np.datetime64]
 ) -> dict[np.datetime64, Day]:
     """Take over the days that a killed run had made from the same inputs."""
@@ -215,7 +215,7 @@ def adopted_days(
     return adopted
 
 
-def take_outcome(
+def register_outcome(
     run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
 ) -> list[Day]:
     """Register an outcome with the run; put failures among those known, and return the days made."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
-from inflight.tasks.archive import partial_problems, spin_problems
+from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.pipeline import Pipeline
@@ -24,8 +24,8 @@ from inflight.tasks.pipelines.base.publication import (
     Reprocessing,
     Solved,
     UsedTable,
-    adopted_days,
-    take_outcome,
+    adopt_days,
+    register_outcome,
 )
 from inflight.tasks.report import RunReport, no_work_problems
 
@@ -103,7 +103,7 @@ def _make_pass(
         # A run killed amid a later pass leaves equations linearised here and there, and one killed after
         # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
         asked = [day for batch in batches for day in batch]
-        adopted = adopted_days(work.run, plan.equations, plan.keys, asked)
+        adopted = adopt_days(work.run, plan.equations, plan.keys, asked)
         fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
     todo = [[day for day in batch if day not in fresh] for batch in batches]
     arguments = [
@@ -121,13 +121,13 @@ def _make_pass(
         for job in work.jobs([batch for batch in todo if batch], plan.equations, plan.keys)
     ]
     for outcome in work.mapper("calibrate", statistics_batch, arguments):
-        fresh |= {day.day: day for day in take_outcome(work.run, plan.equations, outcome, work.failed)}
+        fresh |= {day.day: day for day in register_outcome(work.run, plan.equations, outcome, work.failed)}
     return fresh
 
 
 def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
     """Make the statistics of a batch of days in a worker, and write them as one segment."""
-    return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.alike)
+    return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
 
 
 def product_batch(pipeline: Pipeline, batch: ProductBatch) -> Outcome:
@@ -152,14 +152,14 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
     }
     same = [day for day, key in keys.items() if day in current and current[day].key == key]
     todo = [day for day in keys if day not in set(same)]
-    adopted = adopted_days(work.run, plan.product, keys, todo)
+    adopted = adopt_days(work.run, plan.product, keys, todo)
     done = set(adopted)
     reports: dict[np.datetime64, Mapping[str, Any]] = {}
     left = [day for day in todo if day not in adopted]
     for outcome in work.mapper(
         "produce", product_batch, _product_arguments(pipeline, work, solved, left, keys)
     ):
-        fresh = take_outcome(work.run, plan.product, outcome, work.failed)
+        fresh = register_outcome(work.run, plan.product, outcome, work.failed)
         done |= {day.day for day in fresh}
         reports |= {day.day: day.report for day in fresh}
     reports |= {day: current[day].report for day in same}
@@ -207,7 +207,7 @@ def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made:
         [day for day in work.cat.days(name, states=("published",)) if day.day in plan.keys]
         for name in (plan.product, plan.equations)
     )
-    problems += partial_problems(products) + spin_problems([*products, *statistics])
+    problems += substitution_problems(products) + spin_problems([*products, *statistics])
     return RunReport(
         "reprocess",
         work.run.id,

@@ -26,20 +26,20 @@ from inflight.arrays import Floats
 from inflight.calibration import BlockFit, NormalEquations
 from inflight.errors import SamplesError
 from inflight.frames import direction_of, geometry_at
-from inflight.lsq import RESIDUAL, in_amperes
+from inflight.lsq import RESIDUAL, to_amperes
 from inflight.mission import Mission
 from inflight.mission_fit import (
-    Beside,
+    AuxiliaryColumns,
     DayDrift,
     band_equations,
     empty_equations,
-    epochs_of,
-    wide_and_beside,
-    with_nine,
+    extract_epochs,
+    wide_and_auxiliary_equations,
+    with_nine_parameters,
 )
 from inflight.model import ResidualRows, rows_of
 from inflight.residual import find_steps
-from inflight.tasks.archive import channel_homes, own_readings, position_channel
+from inflight.tasks.archive import channels_by_name, own_readings, position_channel
 from inflight.tasks.pipelines.base import Batch
 from inflight.tasks.pipelines.scalar import fit_day
 from inflight.time import Int64, day_bounds, usual_step
@@ -219,7 +219,7 @@ class Witnesses:
     @classmethod
     def of(cls, mission: Mission, comparison: str) -> Witnesses:
         """Return those of a mission's comparison, by the kinds of its channels."""
-        homes = channel_homes(mission)
+        homes = channels_by_name(mission)
         kinds = {
             name: mission.instruments[instrument].channels[channel]
             for name, (instrument, channel) in homes.items()
@@ -251,9 +251,9 @@ class Witnesses:
         return (*self.currents, *((self.torquer,) if self.torquer else ()))
 
     @property
-    def beside(self) -> Beside:
+    def beside(self) -> AuxiliaryColumns:
         """What is looked at beside the model."""
-        return Beside(self.temperatures, self.orbit)
+        return AuxiliaryColumns(self.temperatures, self.orbit)
 
 
 def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -280,9 +280,11 @@ def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, A
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
         empty = empty_equations(model, span, attributes).assign(_own_fit(fitted.fit))
         return pack_parts(empty, {"channel": means}), fitted.report
-    own = with_nine(model, fitted.fit.value)
+    own = with_nine_parameters(model, fitted.fit.value)
     rows = rows_of(own, fitted.samples)
-    wide, strip = wide_and_beside(own, fitted.samples, rows, span, attributes, beside=witnesses.beside)
+    wide, strip = wide_and_auxiliary_equations(
+        own, fitted.samples, rows, span, attributes, auxiliary=witnesses.beside
+    )
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
         "band": _band(fitted.samples, residual, rows, witnesses),
@@ -310,7 +312,7 @@ def _band(
     """Return the equations of the torquers' band; None without torquers or a stretch long enough."""
     if not witnesses.torquer or witnesses.torquer not in samples:
         return None
-    current, _ = in_amperes(samples[witnesses.torquer])
+    current, _ = to_amperes(samples[witnesses.torquer])
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     try:
         return band_equations(stamps, residual, direction_of(rows.field), current)
@@ -334,7 +336,7 @@ def _epochs(
         known = {name: samples[name].variable for name in ("tt2000", "weight", *there) if name in samples}
         known["field"] = xr.Variable(("time", "axis"), rows.field, {"units": "nT"})
         known |= _where(samples, np.searchsorted(stamps, steps.time))
-        found = epochs_of(xr.Dataset(known), residual, steps, channel=there[0], others=there[1:])
+        found = extract_epochs(xr.Dataset(known), residual, steps, channel=there[0], others=there[1:])
     except SamplesError:
         return None
     return found if found.sizes["epoch"] else None
@@ -369,7 +371,7 @@ def _currents(samples: xr.Dataset, names: Sequence[str]) -> dict[str, Floats]:
     """Return currents at the samples, component by component; A."""
     out = {}
     for name in (one for one in names if one in samples):
-        values, _ = in_amperes(samples[name])
+        values, _ = to_amperes(samples[name])
         for index, column in enumerate(values.reshape(len(values), -1).T):
             out[name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]"] = column
     return out

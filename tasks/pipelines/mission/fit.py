@@ -22,20 +22,20 @@ from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import CalibrationError, CatalogError, InflightError, SamplesError, SettingsError
 from inflight.mission import Mission
 from inflight.mission_fit import (
-    Continuous,
-    carried_mean,
-    choose_panels,
+    MissionFit,
+    concat_band_equations,
+    concat_epochs,
     continuous_table,
     daily_fits,
+    filled_running_mean,
     fit_band,
     fit_mission,
     fit_step,
-    join_epochs,
-    join_equations,
-    noise_of,
     offsets_from_spread,
-    rates,
+    residual_noise,
     robust_mean,
+    scale_factor_rates,
+    select_panel_model,
 )
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
@@ -73,13 +73,13 @@ class Chained:
         The fit of everything to all days.
     tables : dict of str to Dataset
         By name without the comparison: ``continuous``, ``trend`` and what was witnessed.
-    left_out : dict of str to str
+    skipped : dict of str to str
         Tables that could not be made, and why.
     """
 
-    found: Continuous
+    found: MissionFit
     tables: dict[str, xr.Dataset] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
 
 
 def chained(
@@ -108,7 +108,7 @@ def chained(
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
     out = Chained(found)
-    every = drift.taken_out(every, rates(found.fit, every))
+    every = drift.remove_drift(every, scale_factor_rates(found.fit, every))
     out.tables["continuous"] = continuous_table(every, found, model, noise)
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
@@ -118,7 +118,7 @@ def chained(
         "torquer-band": lambda: fit_band(_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(_band(read)),
         "torquer-band-mean": lambda: robust_mean(_made(out, "torquer-band-daily")),
-        "current-steps": lambda: fit_step(join_epochs(part_of(read, "epoch"))).table(),
+        "current-steps": lambda: fit_step(concat_epochs(part_of(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(found.equations, found),
@@ -132,21 +132,21 @@ def chained(
         try:
             out.tables[name] = make()
         except InflightError as error:
-            out.left_out[name] = error.message
+            out.skipped[name] = error.message
     # Tables of older runs stay certified where this one has none.
     for table in out.tables.values():
         table.attrs[MADE_FROM] = made_from
-    out.tables["trend"].attrs[LEFT_OUT] = json.dumps(out.left_out)
+    out.tables["trend"].attrs[LEFT_OUT] = json.dumps(out.skipped)
     return out
 
 
 def _made(out: Chained, name: str) -> xr.Dataset:
     if name not in out.tables:
-        raise CalibrationError(out.left_out[name], remedy="see the table it is made from")
+        raise CalibrationError(out.skipped[name], remedy="see the table it is made from")
     return out.tables[name]
 
 
-def _own_fits(read: Sequence[xr.Dataset], found: Continuous) -> xr.Dataset:
+def _own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
     """Return each day's own nine parameters: what is left to wander beside the continuous ones."""
     each = ("interval", "parameter")
     names = list(found.fit.trends)[:9]
@@ -172,12 +172,12 @@ def _band(read: Sequence[xr.Dataset]) -> xr.Dataset:
             "no day has a stretch of torquer currents at a cadence that holds their band",
             remedy="see the missing days of the torquers' channel",
         )
-    return join_equations(parts)
+    return concat_band_equations(parts)
 
 
 def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
-    epochs = join_epochs(part_of(read, "epoch"))
-    return choose_panels(epochs, node_times(epochs)).table()
+    epochs = concat_epochs(part_of(read, "epoch"))
+    return select_panel_model(epochs, node_times(epochs)).table()
 
 
 def _torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
@@ -193,7 +193,7 @@ def _torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
     start = np.concatenate([day["start"].values for day in read])
     days = day_of(start).astype("datetime64[D]").astype(np.int64)
     return (
-        carried_mean(days[known], value[known], count[known], window=window)
+        filled_running_mean(days[known], value[known], count[known], window=window)
         .table()
         .assign_attrs(window_days=window)
     )
@@ -213,12 +213,12 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
         {name: (each.get(name, ("interval",)), np.array([one[name] for one in told])) for name in told[0]}
     )
     try:
-        return offsets_from_spread(statistics, *noise_of(statistics)).table()
+        return offsets_from_spread(statistics, *residual_noise(statistics)).table()
     except InflightError as error:
         return error.message
 
 
-def save_fitted(cat: Catalog, base: Model, run: Run, found: Continuous) -> Model:
+def save_fitted(cat: Catalog, base: Model, run: Run, found: MissionFit) -> Model:
     """Save the fitted model as a version of ``<model>-continuous`` and return it."""
     model = replace(found.model, name=f"{base.name}-continuous")
     version = cat.save_model(model.name, model.text, message=f"all days together, run {run.id}")
@@ -271,7 +271,7 @@ class ChainResults:
     tables : dict of str to Dataset
     ids : dict of str to int
         Of the tables.
-    left_out : dict of str to str
+    skipped : dict of str to str
         Why a table is not there.
     reports : mapping of datetime64[D] to mapping
         Of the products that were made with the continuous fit.
@@ -286,24 +286,24 @@ class ChainResults:
     read: list[xr.Dataset]
     tables: dict[str, xr.Dataset]
     ids: dict[str, int]
-    left_out: dict[str, str] = field(default_factory=dict)
+    skipped: dict[str, str] = field(default_factory=dict)
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
     def why(self, name: str) -> str:
         """Return why a table is not there."""
-        return self.left_out.get(name) or f"table {self.comparison}-{name} is not there; {_REMEDY}"
+        return self.skipped.get(name) or f"table {self.comparison}-{name} is not there; {_REMEDY}"
 
     @cached_property
     def epochs(self) -> xr.Dataset | None:
         """Epochs of all days at which the first current steps; None without any."""
         parts = part_of(self.read, "epoch")
-        return join_epochs(parts) if parts else None
+        return concat_epochs(parts) if parts else None
 
     @cached_property
     def band(self) -> xr.Dataset | None:
         """Equations of the torquers' band of all days; None without torquers."""
         parts = part_of(self.read, "band")
-        return join_equations(parts) if parts else None
+        return concat_band_equations(parts) if parts else None
 
     @property
     def span(self) -> list[str]:

@@ -1,7 +1,7 @@
 """Sections of the whole-mission report on parameters, and on what the model does not hold.
 
 Daily parameters: periods, means, steps, clock, temperature. What the model does not hold: the coil's lag, day
-and night, cross-talk. Each function takes `ChainResults` and returns a `Part`.
+and night, cross-talk. Each function takes `ChainResults` and returns a `ChannelFactor`.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from inflight.figures import (
     clock_figure,
     cross_talk_figure,
     day_night_figure,
-    distinct,
     event_steps_figure,
     html_table,
-    ignored_figure,
-    loop_figure,
+    hysteresis_figure,
+    ignored_effects_figure,
     parameter_spectrum_figure,
     rivals_figure,
     running_means_figure,
     scale_curves_figure,
     short_parameter,
     temperature_figure,
-    wandering_figure,
+    unique_labels,
+    with_and_without_figure,
 )
 from inflight.mission_fit import (
-    LEAST_TURNS,
+    MIN_CYCLES,
     CoilFit,
     CrossTalkTable,
     DayNightField,
     RunningMean,
     TemperatureChoice,
-    event_steps,
+    find_week_pattern,
     hysteresis_loop,
+    measure_event_steps,
     running_mean,
-    week_pattern,
 )
 from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.mission.fit import ChainResults
@@ -76,9 +76,9 @@ def behaviour(found: ChainResults) -> Part:
     part = Part("behaviour", "Behaviour of daily parameters")
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.lack("Parameters of each day", found.why("daily-after"))
+        part.add_absent("Parameters of each day", found.why("daily-after"))
         return part
-    part.say(
+    part.add_text(
         "Each day's own parameters less the continuous ones, everything else at the fit of all days. What "
         "is left here repeats, steps or wanders beyond what a trend can say."
     )
@@ -109,11 +109,13 @@ def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
     known, shown = stated_periods(found.mission), shown_as(daily)
     short = [name for name, length in found.mission.periods.items() if length < SHORTEST * DAY]
     if short:
-        part.say(f"Shorter than {SHORTEST:g} days and not in daily values: {', '.join(short)}.", quiet=True)
+        part.add_text(
+            f"Shorter than {SHORTEST:g} days and not in daily values: {', '.join(short)}.", quiet=True
+        )
     spectra, why = spectra_of(daily, known, shown)
     for reason in dict.fromkeys(why.values()):
         names = [short_parameter(name) for name, one in why.items() if one == reason]
-        part.lack("Periods", f"{', '.join(names)}: {reason}" if spectra else reason)
+        part.add_absent("Periods", f"{', '.join(names)}: {reason}" if spectra else reason)
     part.fields["periods"] = {name: one.told() for name, one in spectra.items()}
     unresolved: dict[str, str] = {}
     cells = []
@@ -128,7 +130,7 @@ def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
                 unresolved.setdefault(period.name, period.why)
         part.plots.append(parameter_spectrum_figure(one, f"Periods in {short_parameter(name)}"))
     for name, reason in unresolved.items():
-        part.lack(f"Period {name}", f"not resolved, {reason}")
+        part.add_absent(f"Period {name}", f"not resolved, {reason}")
     if cells:
         part.text.append(html_table(("parameter", "period", "amplitude", "unit", "chance"), cells))
 
@@ -150,7 +152,7 @@ def _means(part: Part, daily: xr.Dataset) -> None:
             part.plots.append(running_means_figure(mjd, left, means, title))
             part.fields.setdefault("running_means", {})[name] = [_reach(one) for one in means]
     for what, reason in why.items():
-        part.lack(what, reason)
+        part.add_absent(what, reason)
 
 
 def _reach(mean: RunningMean) -> dict[str, Any]:
@@ -171,7 +173,7 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
     events = [one for one in found.mission.events if first <= int(to_tt2000(_instant(one.at))) < last]
     if not events:
         stated = len(found.mission.events)
-        part.lack(
+        part.add_absent(
             "Steps on event days",
             f"the mission's file names {stated or 'no'} events{', none in the span' * bool(stated)}",
         )
@@ -183,7 +185,7 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
     for name, (factor, unit) in shown_as(daily).items():
         left, sigma = left_of(daily, name, factor)
         try:
-            steps = event_steps(mjd, left, sigma, at, unit=unit)
+            steps = measure_event_steps(mjd, left, sigma, at, unit=unit)
         except InflightError as error:
             why.setdefault(error.message, name)
             continue
@@ -194,7 +196,7 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
         part.plots.append(event_steps_figure(steps, f"Steps of {short_parameter(name)} on event days"))
     part.fields["steps"] = told
     for reason in why:
-        part.lack("Steps on event days", reason)
+        part.add_absent("Steps on event days", reason)
 
 
 def _instant(text: Any) -> np.datetime64:
@@ -208,7 +210,7 @@ def _weekdays(part: Part, daily: xr.Dataset) -> None:
     told: dict[str, str] = {}
     for name, (factor, unit) in shown_as(daily).items():
         try:
-            told[name] = week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).told()
+            told[name] = find_week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).told()
         except InflightError as error:
             why.setdefault(error.message, name)
     part.fields["weekdays"] = told
@@ -217,7 +219,7 @@ def _weekdays(part: Part, daily: xr.Dataset) -> None:
             html_table(("parameter", "days of the week"), [(short_parameter(k), v) for k, v in told.items()])
         )
     for reason in why:
-        part.lack("Steps on a day of the week", reason)
+        part.add_absent("Steps on a day of the week", reason)
 
 
 def clock(found: ChainResults) -> Part:
@@ -225,7 +227,7 @@ def clock(found: ChainResults) -> Part:
     part = Part("clock_faults", "Clock")
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.lack("Time shift of each day", found.why("daily-after"))
+        part.add_absent("Time shift of each day", found.why("daily-after"))
         return part
 
     def make() -> None:
@@ -234,13 +236,13 @@ def clock(found: ChainResults) -> Part:
         known = np.isfinite(shift)
         usual = 1e3 * float(np.median(shift[known]))
         part.fields = {"faults": [vars(one) for one in faults.faults], "told": told, "usual_ms": usual}
-        part.say(
+        part.add_text(
             f"The time shift is usually {usual:.3f} ms. "
             + ("; ".join(told) if told else "No span of days stands out.")
         )
         part.plots.append(clock_figure(faults, shift, _sigma_of_shift(daily)))
 
-    part.attempt("Clock faults", make)
+    part.add_if_possible("Clock faults", make)
     return part
 
 
@@ -254,7 +256,7 @@ def temperature(found: ChainResults) -> Part:
     part = Part("temperature", "Against temperature")
     daily, warm = found.tables.get("daily-after"), found.tables.get("daily-temperature")
     if daily is None or warm is None:
-        part.lack(
+        part.add_absent(
             "Parameters against temperature",
             found.why("daily-after" if daily is None else "daily-temperature"),
         )
@@ -262,7 +264,7 @@ def temperature(found: ChainResults) -> Part:
     channel = str(warm["channel"].values[0])
     degrees = _on_days(warm, daily["start"].values)
     part.fields = {"channel": channel, "correlation": {}, "loops": {}}
-    part.say(
+    part.add_text(
         f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous ones."
     )
     why: dict[str, str] = {}
@@ -290,9 +292,9 @@ def temperature(found: ChainResults) -> Part:
             "open": loop.is_open,
             "unit": f"{unit} K",
         }
-        part.plots.append(loop_figure(loop, short))
+        part.plots.append(hysteresis_figure(loop, short))
     for reason in why:
-        part.lack("Loop against temperature", reason)
+        part.add_absent("Loop against temperature", reason)
     return part
 
 
@@ -314,23 +316,23 @@ def coil_temperature(found: ChainResults) -> Part:
     part = Part("coil_temperature", "Temperature of the coil")
     table = found.tables.get("coil-temperature")
     if table is None:
-        part.lack("Lag of the coil's temperature", found.why("coil-temperature"))
+        part.add_absent("Lag of the coil's temperature", found.why("coil-temperature"))
     else:
         fit = CoilFit.of_table(table)
         part.fields = _values(table) | {"told": fit.told(), "channel": fit.channel}
-        part.say(
+        part.add_text(
             f"Fitted with everything else: {fit.told()}, to first order about the lag it was aligned with."
         )
         part.text.append(_value_table(table))
         part.plots.append(scale_curves_figure(fit, _range(found, fit)))
     rivals = found.tables.get("temperature-rivals")
     if rivals is None:
-        part.lack("Rival temperatures", found.why("temperature-rivals"))
+        part.add_absent("Rival temperatures", found.why("temperature-rivals"))
         return part
     choice = TemperatureChoice.of_table(rivals)
     part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
     part.fields["choice"] = choice.told()
-    part.say(f"Each with linear and quadratic coefficients and a lag of its own: {choice.told()}.")
+    part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.told()}.")
     part.plots.append(rivals_figure(choice))
     return part
 
@@ -372,10 +374,10 @@ def day_night(found: ChainResults) -> Part:
     for name, what in (("day-night", "Switched field"), ("day-night-series", "Series along the orbit")):
         table = found.tables.get(name)
         if table is None:
-            part.lack(what, found.why(name))
+            part.add_absent(what, found.why(name))
             continue
         part.fields[name] = _values(table) | {key: table.attrs[key] for key in ("before_nT", "after_nT")}
-        part.say(
+        part.add_text(
             f"{what}, vector less scalar sensor, beside everything the model has: residual of all days "
             f"{table.attrs['before_nT']:.5g} nT without and {table.attrs['after_nT']:.5g} nT with it."
         )
@@ -384,7 +386,9 @@ def day_night(found: ChainResults) -> Part:
             part.plots.append(day_night_figure(DayNightField.of_table(table)))
     ignored, added = found.tables.get("daily-after"), found.tables.get("day-night-daily")
     if ignored is None or added is None:
-        part.lack("Wander of the angles", found.why("daily-after" if ignored is None else "day-night-daily"))
+        part.add_absent(
+            "Wander of the angles", found.why("daily-after" if ignored is None else "day-night-daily")
+        )
         return part
     _wander(part, found, ignored, added)
     return part
@@ -396,7 +400,7 @@ def _wander(part: Part, found: ChainResults, ignored: xr.Dataset, added: xr.Data
     known = stated_periods(found.mission)
     days = np.ptp(middles(added))
     # Spectra take a second each: none where no period can be told.
-    resolves = days >= LEAST_TURNS * min(known.values())
+    resolves = days >= MIN_CYCLES * min(known.values())
     shown = dict.fromkeys(angles, _ANGLE)
     spectra = [
         spectra_of(one.sel(parameter=angles), known, shown)[0] if resolves else {} for one in (ignored, added)
@@ -416,12 +420,12 @@ def _wander(part: Part, found: ChainResults, ignored: xr.Dataset, added: xr.Data
                     (short_parameter(name), without.name, *(with_error(o.amplitude, o.sigma) for o in both))
                 )
         title = f"{short_parameter(name)} of each day less the continuous one"
-        part.plots.append(wandering_figure(pair[0], pair[1], name, title))
+        part.plots.append(with_and_without_figure(pair[0], pair[1], name, title))
     part.fields["wander"] = told
     if cells:
         part.text.append(html_table(("angle", "period", "ignored, arcsec", "in the model, arcsec"), cells))
     else:
-        part.lack("Periods of the angles", "the span resolves none of the named periods")
+        part.add_absent("Periods of the angles", "the span resolves none of the named periods")
 
 
 def _less_continuous(daily: xr.Dataset, name: str) -> xr.Dataset:
@@ -438,11 +442,11 @@ def cross_talk(found: ChainResults, asked: str = "") -> Part:
     part = Part("cross_talk", "Cross-talk")
     nine, every = found.tables.get("cross-talk"), found.tables.get("cross-talk-all")
     if nine is None:
-        part.lack("Shift of the nine", found.why("cross-talk"))
+        part.add_absent("Shift of the nine", found.why("cross-talk"))
     else:
         _of_nine(part, nine)
     if every is None:
-        part.lack("Shift of all parameters", found.why("cross-talk-all"))
+        part.add_absent("Shift of all parameters", found.why("cross-talk-all"))
         return part
     _of_all(part, every)
     if asked:
@@ -454,14 +458,14 @@ def _of_nine(part: Part, table: xr.Dataset) -> None:
     part.fields["nine"] = _matrix(table) | {
         name: table[name].values.tolist() for name in ("before", "after", "retained")
     }
-    part.say(
+    part.add_text(
         "What a cause of the stated size, that is in the readings and not in the model, does to the nine "
         "parameters when they alone are fitted. Drawn are causes of three components at most."
     )
     every = [str(name) for name in table["ignored"].values]
     kinds = Counter(name.partition("[")[0] for name in every)
     names = [name for name in every if kinds[name.partition("[")[0]] <= len(AXES)]
-    part.plots.append(ignored_figure(CrossTalkTable.of_table(table, names)))
+    part.plots.append(ignored_effects_figure(CrossTalkTable.of_table(table, names)))
     whole = CrossTalkTable.of_table(table)
     head = (
         "ignored",
@@ -491,7 +495,7 @@ def _of_all(part: Part, table: xr.Dataset) -> None:
         for j in range(i)
         if names[i].partition(".")[0] != names[j].partition(".")[0]
     ]
-    part.say(
+    part.add_text(
         "With everything fitted together, parameters of different effects whose errors go together most: "
         "what the first does to the second when it is left out, everything else answering."
     )
@@ -506,7 +510,7 @@ def _of_all(part: Part, table: xr.Dataset) -> None:
     ]
     part.text.append(html_table(("ignored", "size", "does to", "by", "unit", "correlation"), rows))
     groups = ["calibration"] * 9 + ["model"] * (len(names) - 9)
-    part.plots.append(cross_talk_figure(CrossTalk(tuple(distinct(names)), tuple(groups), related)))
+    part.plots.append(cross_talk_figure(CrossTalk(tuple(unique_labels(names)), tuple(groups), related)))
 
 
 def asked_for(every: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     Batch,
-    Compared,
+    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
@@ -30,8 +30,8 @@ from inflight.tasks.pipelines.base import (
     Versions,
     content_keys,
     newest_record,
+    page_sections,
     residual_of_days,
-    shown,
 )
 from inflight.tasks.pipelines.mission.day import Witnesses, alike, chain_day
 from inflight.tasks.pipelines.mission.fit import STATISTICS, chained, save_fitted, spread_offsets
@@ -66,19 +66,19 @@ class MissionPipeline(Pipeline):
         """Return the day's wide equations with the parts beside them; see `chain_day`."""
         return chain_day(batch, day)
 
-    def alike(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return days with the same variables; what a day lacks it has no rows of."""
         return alike(days)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Fit all days, stage the tables that their parts allow, and save the fitted model."""
-        plan, keep = work.plan, self.keeper(work, days)
+        plan, keep = work.plan, self.table_stager(work, days)
         result = chained(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
         for name, table in result.tables.items():
             keep.table(name, partial(_itself, table))
         model = save_fitted(work.cat, plan.model, work.run, result.found)
         chosen = [model.sha, str(plan.settings.distribute)]
-        return keep.solved("continuous", model, result.left_out, chosen)
+        return keep.solved("continuous", model, result.skipped, chosen)
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
         """Return the key of a table: a hash of the days' statistics and of the trend asked for."""
@@ -109,7 +109,7 @@ class MissionPipeline(Pipeline):
         if isinstance(table, str):
             solved.notes["z-offset"] = table
             return
-        keep = self.keeper(work, days)
+        keep = self.table_stager(work, days)
         keep.table("z-offset", partial(_itself, table))
         solved.certify.extend(keep.certify)
 
@@ -131,17 +131,17 @@ class MissionPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[Any]:
+    ) -> CompareResult[Any]:
         """Measure the residual of each sample, as for tables of days and windows."""
         return ScalarPipeline().compare(cat, mission, comparison, days, span, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return what all days together told, section by section; see `chain_report`."""
         from inflight.tasks.pipelines.mission.report import chain_report
 
-        fields = chain_report(cat, mission, comparison, output, asked).as_json()
+        fields = chain_report(cat, mission, comparison, output, cause).as_json()
         return TablesReport(fields, summary_lines(fields), output)
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
@@ -150,7 +150,7 @@ class MissionPipeline(Pipeline):
             return []
         from inflight.tasks.pipelines.mission.report import chain_report
 
-        return shown(chain_report(cat, mission, comparison).parts)
+        return page_sections(chain_report(cat, mission, comparison).parts)
 
 
 def _itself(table: xr.Dataset) -> xr.Dataset:

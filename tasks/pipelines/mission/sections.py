@@ -1,11 +1,12 @@
 """Sections of the whole-mission report: what was fitted, currents that step, torquers, offsets.
 
-Each function takes `ChainResults` and returns a `Part`: fields, paragraphs and figures.
+Each function takes `ChainResults` and returns a `ChannelFactor`: fields, paragraphs and figures.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,36 +14,36 @@ import xarray as xr
 from bokeh.layouts import column
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, Jumps, table_jumps, trend_jumps, vector_sensor_of
+from inflight.calibration import PARAMETER_GROUPS, Jumps, table_jumps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
 from inflight.errors import SamplesError, SettingsError
 from inflight.figures import (
     band_level_figure,
-    carried_mean_figures,
+    boundary_steps_figure,
     coefficient_figures,
     comparison_figure,
     continuous_figure,
     daily_figure,
-    distinct,
     html_table,
-    jumps_figure,
     local_time_figure,
     offsets_figure,
     prior_figure,
     short_parameter,
     stack_figures,
+    torquer_mean_figures,
+    unique_labels,
 )
 from inflight.mission_fit import (
-    WINDOW,
-    CarriedMean,
+    CURRENT_WINDOW_DAYS,
+    FilledRunningMean,
     OffsetsFromSpread,
-    Rival,
+    RivalTrend,
     TrendComparison,
-    against_local_time,
-    choose_panels,
+    fit_by_local_time,
+    free_terms,
     remanent_field,
-    stack,
-    terms_of,
+    select_panel_model,
+    stack_epochs,
 )
 from inflight.model import component_names
 from inflight.tasks.pipelines.base import Part, with_error
@@ -78,7 +79,7 @@ def residual(found: ChainResults) -> Part:
     weight = np.maximum(table["count"].values, 0.0)
     rms = [_rms(one, weight) for one in (before, own, after)]
     part.fields = dict(zip(("before_nT", "own_fit_nT", "products_nT"), rms, strict=True))
-    part.say(
+    part.add_text(
         f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters and all else as "
         f"known before; {rms[2]:.4g} nT in the products, with the values of all days together."
         if np.isfinite(rms[2])
@@ -86,7 +87,7 @@ def residual(found: ChainResults) -> Part:
     )
     if not np.isfinite(after).all():
         count = int(np.isfinite(after).sum())
-        part.lack(
+        part.add_absent(
             "Residual of all products",
             f"{count} of {after.size} days have products of this fit; 'inflight reprocess' makes them",
         )
@@ -107,19 +108,19 @@ def coefficients(found: ChainResults) -> Part:
     part.fields = {"items": rows}
     known = sum(row["determined"] for row in rows)
     far = [row for row in rows if abs(row["shift_sigma"] or 0.0) > 3.0]
-    part.say(
+    part.add_text(
         f"{len(rows)} coefficients, {known} of them determined by the data. The error is that of days "
         "that differ, correlated in time. Shift: value less what was known before, in sigmas of that; what "
         "the vector sensor and the scalar sensor share shows only as their difference."
     )
     if far:
         told = "; ".join(f"{row['name']} ({row['shift_sigma']:+.1f})" for row in far)
-        part.say(f"Beyond three sigmas of what was known: {told}.")
+        part.add_text(f"Beyond three sigmas of what was known: {told}.")
     part.text.append(_coefficient_table(rows))
     drawn = [row for row in rows if row["shift_sigma"] is not None]
     shift = np.array([row["shift_sigma"] for row in drawn])
     sigma = np.array([row["sigma"] / row["prior_sigma"] for row in drawn])
-    names = distinct([short_parameter(row["name"]) for row in drawn])
+    names = unique_labels([short_parameter(row["name"]) for row in drawn])
     part.plots.append(prior_figure(names, shift, sigma, [row["determined"] for row in drawn]))
     return part
 
@@ -151,7 +152,7 @@ def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
 def _priors(found: ChainResults) -> dict[str, tuple[float, float]]:
     """Return what was known of each coefficient: value and sigma."""
     out = {}
-    for term in terms_of(found.model):
+    for term in free_terms(found.model):
         values = np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])
         for name, value, sigma in zip(term.columns, values, term.sigma, strict=True):
             out[name] = (float(value), float(sigma))
@@ -162,7 +163,7 @@ def _units(found: ChainResults) -> dict[str, str]:
     """Return the units the model states, by column."""
     return {
         name: timed.parameter.unit
-        for term in terms_of(found.model)
+        for term in free_terms(found.model)
         for timed in term.entry.parameters.values()
         for name in timed.columns
     }
@@ -187,14 +188,14 @@ def trend(found: ChainResults) -> Part:
     table = found.tables["continuous"]
     kind, origin = str(table.attrs.get("trend", "")), found.tables["trend"].attrs.get("origin", "")
     part.fields = {"kind": kind, "origin": origin}
-    part.say(
+    part.add_text(
         f"Scale factors follow a {kind} trend in time{f'; {origin}' if origin else ''}; angles and offsets "
         "have one value. Points are each day's own, with everything else at the fit of all days; the line is "
         "the fit's. Its sigma is mostly common to all days: a field that both sensors may share, say."
     )
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.lack("Parameters of each day", found.why("daily-after"))
+        part.add_absent("Parameters of each day", found.why("daily-after"))
     names = [str(name) for name in table["parameter"].values]
     for kind_of, title, factor, unit in SHOWN:
         own = [name for name in names if f".{kind_of}[" in name]
@@ -202,10 +203,12 @@ def trend(found: ChainResults) -> Part:
         part.plots.append(continuous_figure(points, table.sel(parameter=own), title, factor, unit))
     choice = found.tables.get("trend-choice")
     if choice is None:
-        part.lack("Rival trends", found.left_out.get("trend-choice", "the trend was stated, or too few days"))
+        part.add_absent(
+            "Rival trends", found.skipped.get("trend-choice", "the trend was stated, or too few days")
+        )
         return part
     comparison = rivals_of(choice)
-    part.say(comparison.told() + ".")
+    part.add_text(comparison.told() + ".")
     part.fields["told"] = comparison.told()
     part.fields["rivals"] = [vars(one) for one in comparison.rivals]
     part.plots.append(comparison_figure(comparison))
@@ -215,7 +218,7 @@ def trend(found: ChainResults) -> Part:
 def rivals_of(table: xr.Dataset) -> TrendComparison:
     """Return a comparison of trends from its table."""
     rivals = [
-        Rival(
+        RivalTrend(
             kind=str(one["kind"].item()),
             coefficients=int(one["coefficients"]),
             rms=float(one["value"]),
@@ -234,7 +237,7 @@ def jumps(found: ChainResults) -> Part:
     part = Part("jumps", "Jumps between intervals")
     window = found.tables.get("window")
     if window is None:
-        part.lack("Jumps of a table of windows", found.why("window"))
+        part.add_absent("Jumps of a table of windows", found.why("window"))
         return part
 
     def make() -> None:
@@ -246,7 +249,7 @@ def jumps(found: ChainResults) -> Part:
             steps.at[inside], steps.mean[inside], steps.rms[inside], steps.sigma[inside], steps.strength
         )
         if not own.at.size:
-            part.lack("Jumps of a table of windows", "the span holds no boundary between two windows")
+            part.add_absent("Jumps of a table of windows", "the span holds no boundary between two windows")
             return
         common = trend_jumps(lambda times: nine_at(found, times), own.at)
         sizes = [float(np.sqrt(np.mean(one.rms**2))) for one in (own, common)]
@@ -256,13 +259,13 @@ def jumps(found: ChainResults) -> Part:
             "window_rms_nT": sizes[0],
             "continuous_rms_nT": sizes[1],
         }
-        part.say(
+        part.add_text(
             f"At {own.at.size} boundaries the windows' field of {own.strength:.0f} nT steps by "
             f"{sizes[0]:.3g} nT rms over directions, the continuous one by {sizes[1]:.2g} nT."
         )
-        part.plots.append(jumps_figure(own, common))
+        part.plots.append(boundary_steps_figure(own, common))
 
-    part.attempt("Jumps of a table of windows", make)
+    part.add_if_possible("Jumps of a table of windows", make)
     return part
 
 
@@ -270,7 +273,7 @@ def nine_at(found: ChainResults, times: Int64) -> Floats:
     """Return the nine fitted parameters at TT2000 times; (time, 9)."""
     own = vector_sensor_of(found.fitted)
     columns = []
-    for name in PARTS:
+    for name in PARAMETER_GROUPS:
         value = own.parameters[name]
         size = len(component_names(value.key, value.parameter))
         columns.append(np.broadcast_to(value.at(times), (times.size, size)))
@@ -288,7 +291,7 @@ def current_steps(found: ChainResults) -> Part:
     part = Part("current_steps", "Currents that step")
     table, epochs = found.tables.get("current-steps"), found.epochs
     if table is None or epochs is None:
-        part.lack("Field of a current from its steps", found.why("current-steps"))
+        part.add_absent("Field of a current from its steps", found.why("current-steps"))
         return part
     names = [str(name) for name in table["current"].values]
     told = " and ".join(name.replace("_", " ") for name in names)
@@ -305,20 +308,21 @@ def current_steps(found: ChainResults) -> Part:
         "placebo": float(table.attrs["placebo"]),
     }
     count, days = table.attrs["epochs"], table.attrs["days"]
-    part.say(
+    part.add_text(
         f"{count} steps of the {told} on {days} days. The residual's own steps tell the field per ampere at "
         "the vector sensor less that at the scalar sensor; what follows the orbit does not enter. Where "
         f"nothing steps the same contrasts scatter by {table.attrs['placebo']:.2f} of their white noise."
     )
     part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
     _confounding(part, table)
-    part.attempt("Split into both sensors' fields", lambda: _split(part, found, table))
+    part.add_if_possible("Split into both sensors' fields", lambda: _split(part, found, table))
     for direction, name in _DIRECTIONS:
         chosen = epochs.isel(epoch=np.flatnonzero(np.sign(epochs["step"].values[:, 0]) == direction))
         if not chosen.sizes["epoch"]:
-            part.lack(f"Mean curve of {name}", f"no epoch is one of {name}")
+            part.add_absent(f"Mean curve of {name}", f"no epoch is one of {name}")
             continue
-        part.attempt(f"Mean curve of {name}", lambda chosen=chosen: _stacked(part, chosen, value[0], told))  # type: ignore[misc]
+        stacked = partial(_stacked, part, chosen, value[0], told)
+        part.add_if_possible(f"Mean curve of {name}", stacked)
     return part
 
 
@@ -332,7 +336,7 @@ def _confounding(part: Part, table: xr.Dataset) -> None:
     if not rows:
         return
     cells = [(name, f"{one:+.3f}", f"{slope:+.3g}") for name, one, slope in rows]
-    part.say("Channels that step with it: the coefficient holds their field times the last column.")
+    part.add_text("Channels that step with it: the coefficient holds their field times the last column.")
     part.text.append(html_table(("channel", "correlation of steps", "its step for 1 A"), cells))
 
 
@@ -358,7 +362,7 @@ def _split(part: Part, found: ChainResults, table: xr.Dataset) -> None:
         "sigma_scalar": made.sigma_scalar,
         "factors": list(made.factor),
     }
-    part.say(
+    part.add_text(
         f"If it is one dipole at the origin of the positions, the vector sensor has {made.factor[0]:.4f} of "
         f"the difference, the scalar sensor {made.factor[1]:.4f}."
     )
@@ -368,7 +372,7 @@ def _split(part: Part, found: ChainResults, table: xr.Dataset) -> None:
 
 def _stacked(part: Part, epochs: xr.Dataset, value: np.ndarray, name: str) -> None:
     # Both share their axis of time, so they are one figure of the page.
-    part.plots.append(column(*stack_figures(stack(epochs, value), name)))
+    part.plots.append(column(*stack_figures(stack_epochs(epochs, value), name)))
 
 
 def panels(found: ChainResults) -> Part:
@@ -376,10 +380,10 @@ def panels(found: ChainResults) -> Part:
     part = Part("panels", "Solar panels")
     epochs = found.epochs
     if epochs is None:
-        part.lack("Field by local time", found.why("panels"))
+        part.add_absent("Field by local time", found.why("panels"))
         return part
-    part.attempt("Choice of the panels' model", lambda: _choice(part, found, epochs))
-    part.attempt("Field by local time", lambda: _by_local_time(part, epochs))
+    part.add_if_possible("Choice of the panels' model", lambda: _choice(part, found, epochs))
+    part.add_if_possible("Field by local time", lambda: _by_local_time(part, epochs))
     return part
 
 
@@ -403,7 +407,7 @@ def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
             for index, name in enumerate(names)
         ],
     }
-    part.say(f"{sentence}. Taken: {chosen.replace('_', ' ')}, the simplest that is as good.")
+    part.add_text(f"{sentence}. Taken: {chosen.replace('_', ' ')}, the simplest that is as good.")
     cells = [
         (
             name.replace("_", " "),
@@ -425,7 +429,7 @@ def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
         raise SamplesError(
             "epochs do not know the orbit's local time", remedy="give the mission the orbit's positions"
         )
-    course = against_local_time(epochs, local_time)
+    course = fit_by_local_time(epochs, local_time)
     known = np.isfinite(course.value).all(axis=1)
     if known.sum() < 2:
         hours = np.nanmin(local_time), np.nanmax(local_time)
@@ -444,7 +448,7 @@ def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
             strict=True,
         )
     ]
-    part.plots.append(local_time_figure(course, choose_panels(epochs, local_time).chosen))
+    part.plots.append(local_time_figure(course, select_panel_model(epochs, local_time).chosen))
 
 
 def torquers(found: ChainResults) -> Part:
@@ -452,19 +456,19 @@ def torquers(found: ChainResults) -> Part:
     part = Part("torquers", "Magneto-torquers")
     matrix, equations = found.tables.get("torquer-band"), found.band
     if matrix is None or equations is None:
-        part.lack("Matrix from the band at 20 s", found.why("torquer-band"))
+        part.add_absent("Matrix from the band at 20 s", found.why("torquer-band"))
     else:
         _matrix(part, matrix, equations)
     daily, mean = found.tables.get("torquer-band-daily"), found.tables.get("torquer-band-mean")
     if daily is None or mean is None:
-        part.lack(
+        part.add_absent(
             "Matrix of each day", found.why("torquer-band-daily" if daily is None else "torquer-band-mean")
         )
     else:
         part.plots += coefficient_figures(daily, mean)
     running = found.tables.get("torquer-mean")
     if running is None:
-        part.lack("Running mean of the currents", found.why("torquer-mean"))
+        part.add_absent("Running mean of the currents", found.why("torquer-mean"))
     else:
         _running(part, running)
     return part
@@ -484,7 +488,7 @@ def _matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
         "band_before_nT": size[0],
         "band_after_nT": size[1],
     }
-    part.say(
+    part.add_text(
         "What the torquers' matrices lack, vector less scalar sensor, nT/A, by the band around the "
         "modulation's 20 s alone. When the vector sensor's matrix is right, its negative is added to the "
         f"scalar sensor's. The band holds {size[0]:.3g} nT before and {size[1]:.3g} nT with it."
@@ -518,7 +522,9 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
 def _running(part: Part, table: xr.Dataset) -> None:
     days = to_utc(table["start"].values).astype("datetime64[D]").astype(np.int64)
     arrays = {name: table[name].values for name in ("value", "sigma", "coverage", "state", "daily")}
-    mean = CarriedMean(day=days, window=float(table.attrs.get("window_days", WINDOW)), **arrays)
+    mean = FilledRunningMean(
+        day=days, window=float(table.attrs.get("window_days", CURRENT_WINDOW_DAYS)), **arrays
+    )
     last = int(np.argmax(mean.coverage))
     part.fields["running_mean"] = {
         "sentence": mean.sentence,
@@ -526,10 +532,10 @@ def _running(part: Part, table: xr.Dataset) -> None:
         "best_day_A": mean.value[last],
         "best_day_sigma_A": mean.sigma[last],
     }
-    part.say(
+    part.add_text(
         f"{mean.sentence}; the window is covered by {mean.coverage.min():.0%} to {mean.coverage.max():.0%}."
     )
-    part.plots += carried_mean_figures(mean, remanent_field(mean))
+    part.plots += torquer_mean_figures(mean, remanent_field(mean))
 
 
 def offsets(found: ChainResults) -> Part:
@@ -537,7 +543,7 @@ def offsets(found: ChainResults) -> Part:
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
     table = found.tables.get("z-offset")
     if table is None:
-        part.lack("Offsets of each day", found.why("z-offset"))
+        part.add_absent("Offsets of each day", found.why("z-offset"))
         return part
     name = str(table["parameter"].values[0])
     columns = {
@@ -559,7 +565,7 @@ def offsets(found: ChainResults) -> Part:
         "rms_nT": float(np.sqrt(np.mean(told.value**2))),
         "slope_rms_nT": float(np.sqrt(np.mean(told.slope**2))),
     }
-    part.say(
+    part.add_text(
         f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
         f"(hollow marks: the others); the offsets it tells are {part.fields['rms_nT']:.3g} nT rms, those of "
         f"the slope {part.fields['slope_rms_nT']:.3g} nT. A spread has no sign: it takes the slope's."

@@ -22,24 +22,24 @@ from inflight.mission_fit import (
     SERIES,
     SWITCHED,
     ClockFaults,
-    Continuous,
-    Daylight,
+    JointDayNight,
+    MissionFit,
     ParameterSpectrum,
-    clock_faults,
+    compare_temperatures_jointly,
     daily_parameters,
+    find_clock_faults,
     fit_coil_lag,
-    fit_daylight,
-    joined_with,
+    fit_day_night_jointly,
+    joint_cross_talk,
+    nine_parameter_cross_talk,
     node_local_time,
-    of_everything,
-    of_the_nine,
     parameter_spectrum,
-    rival_temperatures,
     shift_columns,
     temperature_entry,
+    with_auxiliary_columns,
 )
 from inflight.model import Model
-from inflight.tasks.archive import channel_homes
+from inflight.tasks.archive import channels_by_name
 from inflight.tasks.pipelines.mission.day import Witnesses, means_of_channels, strips_of
 from inflight.time import DAY, SECOND, mjd2000
 
@@ -56,7 +56,7 @@ BESIDE = (
 
 
 def beside_makers(
-    mission: Mission, model: Model, equations: NormalEquations, read: Sequence[xr.Dataset], found: Continuous
+    mission: Mission, model: Model, equations: NormalEquations, read: Sequence[xr.Dataset], found: MissionFit
 ) -> dict[str, Callable[[], xr.Dataset]]:
     """Return what makes each table of this module.
 
@@ -73,8 +73,8 @@ def beside_makers(
     strips, units = strips_of(read), found.fit.units
 
     @cache
-    def switched() -> Daylight:
-        return fit_daylight(equations, strips, found, model, SWITCHED)
+    def switched() -> JointDayNight:
+        return fit_day_night_jointly(equations, strips, found, model, SWITCHED)
 
     return {
         "coil-temperature": lambda: fit_coil_lag(
@@ -82,15 +82,17 @@ def beside_makers(
         ).table(),
         "temperature-rivals": lambda: _rivals(mission, model, equations, strips, found),
         # Before the switched field, whose equations are kept for the daily parameters.
-        "day-night-series": lambda: _field(fit_daylight(equations, strips, found, model, SERIES)),
+        "day-night-series": lambda: _field(fit_day_night_jointly(equations, strips, found, model, SERIES)),
         "day-night": lambda: _field(switched()),
         "day-night-daily": lambda: switched().daily(),
-        "cross-talk": lambda: of_the_nine(_with_daylight(equations, strips), units, model).table(),
-        "cross-talk-all": lambda: of_everything(equations, units, model),
+        "cross-talk": lambda: nine_parameter_cross_talk(
+            _with_daylight(equations, strips), units, model
+        ).table(),
+        "cross-talk-all": lambda: joint_cross_talk(equations, units, model),
     }
 
 
-def _field(one: Daylight) -> xr.Dataset:
+def _field(one: JointDayNight) -> xr.Dataset:
     return one.field.table()
 
 
@@ -99,7 +101,7 @@ def _lag(mission: Mission, model: Model) -> float:
     entry = temperature_entry(model)
     if entry is None:
         return 0.0
-    instrument, channel = channel_homes(mission)[entry.effect.channels[0]]
+    instrument, channel = channels_by_name(mission)[entry.effect.channels[0]]
     return mission.instruments[instrument].channels[channel].lag / SECOND
 
 
@@ -108,14 +110,14 @@ def _rivals(
     model: Model,
     equations: NormalEquations,
     strips: Sequence[xr.Dataset | None],
-    found: Continuous,
+    found: MissionFit,
 ) -> xr.Dataset:
     channels = Witnesses.of(mission, model.comparison).temperatures
     if not channels:
         raise CalibrationError(
             "the vector sensor has no temperature", remedy="state a channel of kind 'temperature'"
         )
-    return rival_temperatures(equations, strips, found, model, channels).table()
+    return compare_temperatures_jointly(equations, strips, found, model, channels).table()
 
 
 def _with_daylight(equations: NormalEquations, strips: Sequence[xr.Dataset | None]) -> NormalEquations:
@@ -123,7 +125,7 @@ def _with_daylight(equations: NormalEquations, strips: Sequence[xr.Dataset | Non
     names = {str(one) for strip in strips if strip is not None for one in strip["beside"].values}
     beside = sorted(name for name in names if name.startswith(SWITCHED))
     try:
-        return joined_with(equations, strips, beside) if beside else equations
+        return with_auxiliary_columns(equations, strips, beside) if beside else equations
     except CalibrationError:
         return equations
 
@@ -138,7 +140,7 @@ _SAME = 1e-3
 _TURNS = 15
 
 
-def daily_after(equations: NormalEquations, found: Continuous) -> xr.Dataset:
+def daily_after(equations: NormalEquations, found: MissionFit) -> xr.Dataset:
     """Return each day's nine parameters and time shift, everything else at the continuous fit.
 
     Parameters
@@ -171,7 +173,7 @@ def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
             remedy="give the model an effect 'time_shift' with a sigma",
         )
     value, sigma = (daily[part].sel(parameter=names[0]).values for part in ("value", "sigma"))
-    return clock_faults(middles(daily), value, sigma), value
+    return find_clock_faults(middles(daily), value, sigma), value
 
 
 def faults_table(daily: xr.Dataset) -> xr.Dataset:

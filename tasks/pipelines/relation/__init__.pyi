@@ -1,7 +1,7 @@
 from .pipeline import RelationPipeline
-from .report import dual_report
+from .report import relation_report
 
 __all__ = [
     "RelationPipeline",
-    "dual_report",
+    "relation_report",
 ]

@@ -112,9 +112,9 @@ class RelationPipeline(Pipeline):
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         planned = {day: days[day] for day in work.plan.days if day in days}
         read = [work.cat.read(day) for day in planned.values()]
-        keep = self.keeper(work, planned)
+        keep = self.table_stager(work, planned)
         makers = {name: partial(make, read) for name, make in pair.relation.tables.items()}
-        notes = keep.possible(makers) if planned else {}
+        notes = keep.stage_possible(makers) if planned else {}
         return Solved(model=work.plan.model, used={}, certify=keep.certify, kept=tuple(keep.ids), notes=notes)
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
@@ -136,19 +136,19 @@ class RelationPipeline(Pipeline):
         }
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return how both sensors stand to each other, and which of the three disagrees."""
-        from inflight.tasks.pipelines.relation.report import dual_report
+        from inflight.tasks.pipelines.relation.report import relation_report
 
-        fields = dual_report(cat, mission, comparison, output)
+        fields = relation_report(cat, mission, comparison, output)
         return TablesReport(fields, summary_lines(fields), output)
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report`; raises `CatalogError` when no table is published."""
-        from inflight.tasks.pipelines.relation.report import dual_parts
+        from inflight.tasks.pipelines.relation.report import relation_parts
 
-        return [(part.heading, part.text, part.plots) for part in dual_parts(cat, comparison)[1]]
+        return [(part.heading, part.text, part.plots) for part in relation_parts(cat, comparison)[1]]
 
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:

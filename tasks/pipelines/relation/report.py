@@ -14,11 +14,11 @@ from inflight.catalog import Catalog
 from inflight.errors import CatalogError
 from inflight.figures import (
     PARTS,
-    corners_figure,
     html_page,
     html_table,
     relation_days_figure,
     relation_figure,
+    sensor_variance_figure,
 )
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part, newest_tables, with_error
@@ -27,7 +27,7 @@ from inflight.tasks.report import write_page
 from inflight.time import day_of
 
 
-def dual_report(
+def relation_report(
     cat: Catalog, mission: Mission, comparison: str, output: Path | None = None
 ) -> dict[str, Any]:
     """Return the fields of a dual comparison's tables, and write the page when a path is given.
@@ -37,7 +37,7 @@ def dual_report(
     CatalogError
         When none is certified.
     """
-    tables, parts = dual_parts(cat, comparison)
+    tables, parts = relation_parts(cat, comparison)
     note, daily = _daily(tables)
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
     if output is not None:
@@ -57,7 +57,7 @@ def dual_report(
     }
 
 
-def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tuple[Part, ...]]:
+def relation_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tuple[Part, ...]]:
     """Return the newest tables of a dual comparison, and what is told of them.
 
     Raises
@@ -86,7 +86,7 @@ def _daily(tables: Mapping[str, xr.Dataset]) -> tuple[str, xr.Dataset]:
 
 def _bending(table: xr.Dataset) -> Part:
     part = Part("bending", "How the boom bends")
-    part.say(NO_PRODUCT_OF_BOOM[:1].upper() + NO_PRODUCT_OF_BOOM[1:] + ".")
+    part.add_text(NO_PRODUCT_OF_BOOM[:1].upper() + NO_PRODUCT_OF_BOOM[1:] + ".")
     days = [str(one)[:10] for one in day_of(table["start"].values)]
     part.fields["items"] = [
         {"day": day, "value": float(np.rad2deg(value)), "sigma": float(np.rad2deg(sigma)), "unit": "deg"}
@@ -101,12 +101,12 @@ def _bending(table: xr.Dataset) -> Part:
 
 def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
     part = Part("relation", "How the two sensors stand to each other")
-    part.say(NO_PRODUCT[:1].upper() + NO_PRODUCT[1:] + ".")
+    part.add_text(NO_PRODUCT[:1].upper() + NO_PRODUCT[1:] + ".")
     whole, daily = tables.get("relation"), tables["relation-daily"]
     if whole is None:
-        part.lack("Relation of all days", "too few days with both products")
+        part.add_absent("Relation of all days", "too few days with both products")
     else:
-        part.say(f"All days together leave {whole.attrs['rms_nT']:.4g} nT a component.")
+        part.add_text(f"All days together leave {whole.attrs['rms_nT']:.4g} nT a component.")
         part.fields = {"items": _items(whole), "rms_nT": float(whole.attrs["rms_nT"])}
         rows = [
             (one["name"], with_error(one["value"], one["sigma"]), one["unit"]) for one in part.fields["items"]
@@ -136,7 +136,7 @@ def _corners(tables: Mapping[str, xr.Dataset]) -> Part:
     part = Part("corners", "Which of the three disagrees")
     table = tables.get("corners")
     if table is None:
-        part.lack("Corners", "too few days with both products")
+        part.add_absent("Corners", "too few days with both products")
         return part
     names = [str(name) for name in table["sensor"].values]
     part.fields = {
@@ -146,12 +146,12 @@ def _corners(tables: Mapping[str, xr.Dataset]) -> Part:
         ],
         "closure_nT": float(table.attrs["closure_nT"]),
     }
-    part.say(
+    part.add_text(
         "Variance of each sensor's own error, when errors of different sensors are unrelated; what is the "
         f"same at both vector sensors counts as the scalar one's. The three residuals close to "
         f"{table.attrs['closure_nT']:.2g} nT."
     )
     rows = [(one["sensor"], with_error(one["variance"], one["sigma"])) for one in part.fields["items"]]
     part.text.append(html_table(("sensor", "variance ± sigma, nT^2"), rows))
-    part.plots.append(corners_figure(table))
+    part.plots.append(sensor_variance_figure(table))
     return part

@@ -20,12 +20,12 @@ from inflight.calibration import (
     empty_block,
     fit_block,
     reference_of,
-    split_chain,
-    sub_blocks_for,
-    usable,
+    remove_other_effects,
+    sub_block_count,
+    usable_samples,
 )
 from inflight.errors import CalibrationError
-from inflight.flags import UNUSABLE, Flag, tally
+from inflight.flags import UNUSABLE, Flag, count_flags
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
 from inflight.tasks.pipelines.base import Batch, Job
@@ -94,7 +94,7 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
 
 @dataclass(frozen=True)
 class _Begun:
-    """A day's samples before the fit: split as `split_chain` does, and which are usable; `step` in ns."""
+    """A day's samples before the fit: split as `remove_other_effects` does, and which are usable; `step` in ns."""
 
     job: Job
     day: np.datetime64
@@ -117,10 +117,10 @@ class _Begun:
             if reference is None
             else Reference(np.asarray(reference, dtype=np.float64), prior.sigma, prior.name)
         )
-        parts = split_chain(model, samples)
+        parts = remove_other_effects(model, samples)
         cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
         step = usual_step(np.asarray(samples["tt2000"].values), cadence)
-        good = usable(samples, *parts)
+        good = usable_samples(samples, *parts)
         return cls(job, day, samples, prior, at, parts, good, step, reference is not None)
 
     def lacks_channels(self, min_coverage: float) -> bool:
@@ -136,7 +136,7 @@ class _Begun:
         """Fit the day; raises as `fit_day`."""
         coverage, prior = self._coverage(self.good), self.prior
         _require(self.good, coverage, min_coverage, len(prior.value), self.job, self.samples, self.day)
-        sub_blocks = sub_blocks_for(self.good.sum() * self.step / SECOND)
+        sub_blocks = sub_block_count(self.good.sum() * self.step / SECOND)
         fit = fit_block(*self.parts, self.good, self.at, prior, sub_blocks)
         return self._told(fit, coverage, {"before_nT": fit.before, "after_nT": fit.after})
 
@@ -174,7 +174,7 @@ def _require(
 ) -> None:
     """Raise `CalibrationError` when a day has too few usable samples."""
     if good.sum() <= parameters:
-        told = tally(samples["flag"].values) or "a channel the model needs is missing"
+        told = count_flags(samples["flag"].values) or "a channel the model needs is missing"
         raise CalibrationError(
             f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
             remedy="look at the day's deliveries, or exclude the day",

@@ -27,25 +27,25 @@ from inflight.residual import (
     Power,
     Size,
     add_power,
-    branch_of,
     daily_scatter,
-    find_failures,
     find_lines,
-    finest,
+    finest_power,
     join_floors,
     join_sizes,
     known_periods,
-    measure,
+    measure_dependences,
     noise_floor,
     orbit_period,
+    rank_dependences,
     record_lines,
+    rising_or_falling,
     size_of,
     stretch_power,
 )
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
-    Compared,
     CompareReport,
+    CompareResult,
     Sources,
     Spans,
     blocks_of,
@@ -82,13 +82,13 @@ class _Digest:
     power_before: dict[tuple[int, float], Power] = field(default_factory=dict)
     power: dict[tuple[int, float], Power] = field(default_factory=dict)
     counts: dict[str, Floats] = field(default_factory=dict)
-    left_out: int = 0
+    skipped: int = 0
     outliers: int = 0
 
 
 def compare_samples(
     cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], span: slice, tell: Progress
-) -> Compared[CompareReport]:
+) -> CompareResult[CompareReport]:
     """Measure the residual of each sample of published products, before and after calibration.
 
     Parameters
@@ -104,7 +104,7 @@ def compare_samples(
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
     block, block_name = blocks_of(rows["tt2000"], len(days))
-    found = measure(coordinates.values(), rows["after"], block)
+    found = measure_dependences(coordinates.values(), rows["after"], block)
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
@@ -116,18 +116,18 @@ def compare_samples(
         join_sizes(digest.after),
         join_floors(digest.floors),
         [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
-        find_failures(coordinates, found, rows["after"], direction, block),
+        rank_dependences(coordinates, found, rows["after"], direction, block),
         directions,
         determined,
         block_name,
         spectra.lines,
         daily_scatter(tables[0], day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
-        left_out=digest.left_out,
+        skipped=digest.skipped,
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
     drawn = Drawn(digest.counts, rows, spectra, found, tables)
-    return Compared(report, page_title(report, mission), compare_parts(report, drawn))
+    return CompareResult(report, page_title(report, mission), compare_parts(report, drawn))
 
 
 def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
@@ -185,7 +185,7 @@ def _take(
     _count(digest, before, after)
     # Outliers belong to the size of the residual, but would hide its structure.
     clear = (flag & np.uint32(Flag.OUTLIER)) == 0
-    digest.left_out += int((~good).sum())
+    digest.skipped += int((~good).sum())
     digest.outliers += int((good & ~clear).sum())
     after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
     _add_spectra(digest, product, before, after)
@@ -228,7 +228,7 @@ def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, missio
     seconds = rows["tt2000"] / SECOND
     orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
     known, seam = known_periods(stated, orbit), _SEAM * digest.length
-    fast, before = finest(digest.power), finest(digest.power_before)
+    fast, before = finest_power(digest.power), finest_power(digest.power_before)
     slow, slow_lines = record_lines((seconds, rows["after"], direction), digest.length, known, shortest=seam)
     lines: list[Line] = find_lines(fast, known, longest=seam if slow else np.inf) if fast else []
     lines += slow_lines
@@ -262,7 +262,7 @@ def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordina
             continue
         if name in channels:
             told = channels[name][2]
-            yield Coordinate(name, told.unit, told.kind, values, branch_of(values, _REACH))
+            yield Coordinate(name, told.unit, told.kind, values, rising_or_falling(values, _REACH))
         else:
             yield Coordinate(name, _UNITS.get(name, ""), _kind(name), values)
 

@@ -10,30 +10,30 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.figures import (
-    Inside,
-    Later,
+    LazySection,
+    SectionBody,
     axis_figure,
     bullet_list,
     daily_figure,
     dependence_figure,
+    excess_scatter_figure,
     histogram_figure,
     html_table,
     parameter_figures,
     series_figure,
     spectrum_figure,
-    wander_figure,
 )
 from inflight.mission import Mission
 from inflight.residual import (
     SERIES,
     Dependence,
-    Failure,
     Line,
     Power,
+    RankedDependence,
     drawn_periods,
     format_period,
 )
-from inflight.tasks.pipelines.base import CompareReport, fails_text, wandering_text
+from inflight.tasks.pipelines.base import CompareReport, scatter_html, structures_html
 from inflight.time import to_utc
 
 #: Points of the figure of the residual in time.
@@ -65,7 +65,7 @@ class Drawn:
     tables: tuple[xr.Dataset, xr.Dataset]
 
 
-def compare_parts(report: CompareReport, drawn: Drawn) -> list[Later]:
+def compare_parts(report: CompareReport, drawn: Drawn) -> list[LazySection]:
     """Return everything that is shown of a comparison, as the page and the explorer have it."""
     return [
         ("Residual", lambda: _residual(report, drawn)),
@@ -76,7 +76,7 @@ def compare_parts(report: CompareReport, drawn: Drawn) -> list[Later]:
     ]
 
 
-def _residual(report: CompareReport, drawn: Drawn) -> Inside:
+def _residual(report: CompareReport, drawn: Drawn) -> SectionBody:
     rows, counts = drawn.rows, drawn.counts
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
@@ -89,23 +89,23 @@ def _residual(report: CompareReport, drawn: Drawn) -> Inside:
     return _told(report), plots
 
 
-def _failing(report: CompareReport) -> Inside:
+def _failing(report: CompareReport) -> SectionBody:
     axes = [
         axis_figure(one.response)
         for one in report.fails_where
-        if isinstance(one, Failure) and one.response is not None
+        if isinstance(one, RankedDependence) and one.response is not None
     ]
-    return fails_text(report), axes
+    return structures_html(report), axes
 
 
-def _following(report: CompareReport, drawn: Drawn) -> Inside:
+def _following(report: CompareReport, drawn: Drawn) -> SectionBody:
     order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
     return [_legend(report)], [dependence_figure(one) for one in order]
 
 
-def _parameters(report: CompareReport, drawn: Drawn) -> Inside:
-    plots = [*parameter_figures(*drawn.tables), wander_figure(report.wander)]
-    return [*_known(report), wandering_text(report)], plots
+def _parameters(report: CompareReport, drawn: Drawn) -> SectionBody:
+    plots = [*parameter_figures(*drawn.tables), excess_scatter_figure(report.daily_scatter)]
+    return [*_known(report), scatter_html(report)], plots
 
 
 def page_title(report: CompareReport, mission: Mission) -> str:
@@ -143,7 +143,7 @@ def _told(report: CompareReport) -> list[str]:
         f"Noise floor {report.floor.level_nT:.4f} nT, 95 % interval {report.floor.low_nT:.4f} to "
         f"{report.floor.high_nT:.4f} (white level of the calibrated residual between a tenth of the Nyquist "
         f"frequency and the Nyquist frequency, what falls with the frequency taken off). "
-        f"{report.left_out} samples without a measurement are "
+        f"{report.skipped} samples without a measurement are "
         f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
     )
     return [html_table(head, cells), note]

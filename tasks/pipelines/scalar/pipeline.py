@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import bend
+from inflight.calibration import linearisation_error
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.figures import Section
@@ -18,7 +18,7 @@ from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
-    Compared,
+    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
@@ -70,13 +70,15 @@ class ScalarPipeline(Pipeline):
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
         again = relinearise_at(equations, plan.model, strength)
         # Days that are sure of their own fit stay linearised there: a pass at the same place moves nothing.
-        if again is None or (last is not None and bend(again, np.asarray(last), strength) <= MOST_BEND):
+        if again is None or (
+            last is not None and linearisation_error(again, np.asarray(last), strength) <= MOST_BEND
+        ):
             return None
         return [float(value) for value in again]
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
-        plan, keep = work.plan, self.keeper(work, days)
+        plan, keep = work.plan, self.table_stager(work, days)
         equations, model = load_equations(work.cat, list(days.values())), plan.model
         edges = {
             "window": window_edges(min(days), max(days), plan.settings.window_days),
@@ -105,14 +107,14 @@ class ScalarPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[Any]:
+    ) -> CompareResult[Any]:
         """Measure the residual of each sample; see `compare_samples`."""
         from inflight.tasks.pipelines.scalar.compare import compare_samples
 
         return compare_samples(cat, mission, comparison, days, span, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Refuse: tables of days and windows are shown as `sections`, and by ``compare``."""
         raise CatalogError(

@@ -13,7 +13,7 @@ from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission_fit import day_statistics
 from inflight.residual import size_of
-from inflight.tasks.archive import load_samples, stand_ins, treated_report
+from inflight.tasks.archive import load_samples, substitute_missing, substitution_report
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.time import day_bounds, usual_step
 
@@ -38,10 +38,10 @@ def level2_day(
     parameters = day_parameters(batch.table, middle, reference_of(model, middle))
     bound, raw, widening = model.bind(batch.table), batch.preflight, None
     treated: dict[str, Any] = {}
-    stand = stand_ins(batch.cat, batch.mission, model, job.needs, job.index, day, samples)
+    stand = substitute_missing(batch.cat, batch.mission, model, job.needs, job.index, day, samples)
     if stand is not None:
         widening, scalar = stand.variance(bound)
-        treated = treated_report(stand.treated(model), float(np.sqrt(scalar[stand.lost].mean())))
+        treated = substitution_report(stand.by_effect(model), float(np.sqrt(scalar[stand.lost].mean())))
         samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
     product = rounded(level2(bound, samples, parameters, raw, widening, distribute))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0

@@ -14,7 +14,14 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import Interval, NormalEquations, bend, calibration_table, empty_block, reference_of
+from inflight.calibration import (
+    Interval,
+    NormalEquations,
+    calibration_table,
+    empty_block,
+    linearisation_error,
+    reference_of,
+)
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.lsq import WEIGHTED_RMS, Solution, residual_sum
@@ -140,4 +147,4 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
     places = equations.dataset["linearised_at"].values[:, :-1]
-    return value if max(bend(value, at, strength) for at in places) > MOST_BEND else None
+    return value if max(linearisation_error(value, at, strength) for at in places) > MOST_BEND else None

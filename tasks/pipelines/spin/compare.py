@@ -18,18 +18,18 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.errors import InflightError, MissionError
 from inflight.figures import (
-    Later,
+    LazySection,
     daily_figure,
+    excess_scatter_figure,
     html_table,
     mean_turn_figure,
     paragraph,
     tone_dependence_figure,
     tone_name,
     tones_over_time_figure,
-    wander_figure,
 )
 from inflight.mission import Mission
-from inflight.model import Model, folding_of, rows_of, turn_residual
+from inflight.model import Model, folding_of, rows_of, spin_residual
 from inflight.residual import NO_FLOOR, NO_SIZE, NoiseFloor, Size, daily_scatter
 from inflight.samples import Complex, Folding, fold
 from inflight.spin import (
@@ -44,16 +44,16 @@ from inflight.spin import (
 from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples, needs_of
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
-    Compared,
     CompareReport,
+    CompareResult,
     Sources,
     Spans,
     blocks_of,
     channel_means,
-    fails_text,
     geometry_means,
     scalar_channels,
-    wandering_text,
+    scatter_html,
+    structures_html,
 )
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
@@ -96,16 +96,16 @@ class SpinDrawn:
     found: Sequence[ToneDependence]
 
 
-def spin_parts(report: SpinCompareReport, drawn: SpinDrawn) -> list[Later]:
+def spin_parts(report: SpinCompareReport, drawn: SpinDrawn) -> list[LazySection]:
     """Return everything that is shown of a spin comparison, as the page and the explorer have it."""
     return [
         ("Residual", lambda: (_told(report), _residual_figures(report, drawn))),
-        ("Where it fails", lambda: (fails_text(report), [])),
+        ("Where it fails", lambda: (structures_html(report), [])),
         (
             "What the tones follow",
             lambda: ([_legend(report), _in_step(drawn.found)], _dependence_figures(drawn)),
         ),
-        ("Parameters", lambda: ([wandering_text(report)], [wander_figure(report.wander)])),
+        ("Parameters", lambda: ([scatter_html(report)], [excess_scatter_figure(report.daily_scatter)])),
     ]
 
 
@@ -144,7 +144,7 @@ def _told(report: SpinCompareReport) -> list[str]:
         f"Rms over intervals, by weights that fall with nature's own noise in each. Nature's noise at the "
         f"neighbouring frequencies would alone leave {floor.level_nT:.5f} nT a row (95 % interval "
         f"{floor.low_nT:.5f} to {floor.high_nT:.5f}): how much a turn's tones differ from the next turn's. "
-        f"{report.left_out} samples of turns with too few readings are left out."
+        f"{report.skipped} samples of turns with too few readings are left out."
     )
     return [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), paragraph(note)]
 
@@ -203,7 +203,7 @@ class _Gathered:
     rows: list[tuple[Size, Size]] = field(default_factory=list)
     named: list[dict[str, Floats]] = field(default_factory=list)
     wheels: list[dict[str, Complex]] = field(default_factory=list)
-    left_out: int = 0
+    skipped: int = 0
 
     @property
     def stamps(self) -> Int64:
@@ -226,7 +226,7 @@ def compare_spin(
     comparison: str,
     days: Sequence[Day],
     tell: Progress,
-) -> Compared[SpinCompareReport]:
+) -> CompareResult[SpinCompareReport]:
     """Measure the tones of published products before and after calibration.
 
     Parameters
@@ -272,14 +272,14 @@ def compare_spin(
         block_name,
         [],
         daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
-        left_out=found.left_out,
+        skipped=found.skipped,
         acknowledgement=mission.acknowledgement,
         tones=(before.size, after.size),
     )
     steady = coordinates["spin phase"]
     turns = [tone_dependence(one, steady, block) for one in (before, after)]
     drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
-    return Compared(report, spin_title(report, mission), spin_parts(report, drawn))
+    return CompareResult(report, spin_title(report, mission), spin_parts(report, drawn))
 
 
 @dataclass(frozen=True)
@@ -322,7 +322,7 @@ class _Reader:
         raw = fold(samples, self.folding, span)
         folded = fold(self._product(day, samples), self.folding, span)
         calibrated = np.asarray(folded["vector"].values, dtype=np.float64)
-        after, good = turn_residual(self.folding, calibrated, folded)
+        after, good = spin_residual(self.folding, calibrated, folded)
         before = np.where(good[:, None], rows_of(self.model, raw).residual, np.nan)
         # The weights that 'inflight reprocess' takes: both tell one number.
         weight = np.where(good, raw["weight"].values, 0.0)
@@ -331,7 +331,7 @@ class _Reader:
         found.before.append(states[0])
         found.after.append(states[1])
         found.rows.append((_size(before, weight), _size(after, weight)))
-        found.left_out += int((~good).sum())
+        found.skipped += int((~good).sum())
         stamps = np.asarray(folded["tt2000"].values, dtype=np.int64)
         spans = Spans.of(stamps, self.folding.interval_ns / SECOND)
         spans = replace(spans, stamps=stamps[: len(states[0].value) * self.folding.sectors])
@@ -388,7 +388,7 @@ class _Reader:
         for name, (instrument, channel, told) in scalar_channels(self.mission).items():
             source = self.sources.days.get((instrument, day))
             cadence = self.mission.instruments[instrument].cadence
-            if told.axis_names or source is None or not turning.is_seen_by(cadence):
+            if told.axis_names or source is None or not turning.is_resolved_by(cadence):
                 continue
             data = self.cat.read(source, [channel])
             stamps = np.asarray(data["tt2000"].values, dtype=np.int64)

@@ -19,7 +19,7 @@ from inflight.catalog import Catalog
 from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError, MissionError, ModelError, TooLittleError
 from inflight.flags import UNUSABLE, Flag
-from inflight.frames import FRAMES, sunward, to_gse
+from inflight.frames import FRAMES, sun_direction_gse, to_gse
 from inflight.mission import Mission, SpinAxis
 from inflight.model import Model, ModelEffect
 from inflight.spin import (
@@ -41,7 +41,7 @@ from inflight.spin import (
     spinning_sensor_of,
     uncertainty_of_pairs,
 )
-from inflight.tasks.archive import FAULTS, SPIN_AXIS, ArchiveIndex, Need, channel_series, load_samples
+from inflight.tasks.archive import SPIN_AXIS, SPIN_FAULTS, ArchiveIndex, Need, channel_series, load_samples
 from inflight.tasks.pipelines.base import Batch, Job
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset
@@ -86,7 +86,7 @@ def attitude_of(
         return None
     elif (series := channel_series(cat, need, day, index, alone=False)) is not None:
         axis = _delivered(series, need, mission, stamps)
-    return Attitude(axis, sunward(stamps, _position(samples)))
+    return Attitude(axis, sun_direction_gse(stamps, _position(samples)))
 
 
 def _stated(axes: Sequence[SpinAxis], stamps: Int64) -> Floats:
@@ -209,7 +209,7 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         found = estimate_jointly(readings, phase, stamps, layout, present, _free(entry, known))
     except TooLittleError as error:
         lost = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
-        report |= {"coverage": 0.0, "told": error.message, FAULTS: [_fault(job, lost, error.remedy)]}
+        report |= {"coverage": 0.0, "told": error.message, SPIN_FAULTS: [_fault(job, lost, error.remedy)]}
         return _nothing(present, known, (start, end)), report
     field = found.parameters.correct(readings)
     means = _means(field, phase, stamps, good, told["period_s"], (start, end))
@@ -226,7 +226,7 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     if rate is not None:
         report["period"] = rate.summary()
         if not rate.agrees:
-            report[FAULTS] = [
+            report[SPIN_FAULTS] = [
                 _fault(job, rate.summary(), "see the stated spin period and the clock of its marks")
             ]
     return _dataset(found, layout, (start, end)).merge(means), report
@@ -279,7 +279,7 @@ def ground_of(entry: ModelEffect, tt2000: int) -> tuple[CalibrationParameters, d
         values.append(float(told.at(tt2000)[index]))
         stated = float(told.sigma[index, 0])
         sigmas[name] = stated if np.isfinite(stated) else kinds[key].sigma
-    return CalibrationParameters.of_values(values), sigmas
+    return CalibrationParameters.from_values(values), sigmas
 
 
 def _free(entry: ModelEffect, known: dict[str, float]) -> dict[str, float]:

@@ -14,11 +14,11 @@ from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
-from inflight.tasks.archive import cut_at_flips, flips_of
+from inflight.tasks.archive import flips_of, split_at_flips
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
-    Compared,
+    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
@@ -31,8 +31,8 @@ from inflight.tasks.pipelines.base import (
     Versions,
     month_edges,
     newest_table,
+    page_sections,
     residual_of_days,
-    shown,
     window_edges,
 )
 from inflight.tasks.pipelines.spin.day import spin_day, together
@@ -84,7 +84,7 @@ class SpinPipeline(Pipeline):
         """Return the day's estimates; see `spin_day`."""
         return spin_day(batch, day)
 
-    def alike(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return days with empty rows behind their sub-intervals and means."""
         return together(days)
 
@@ -102,13 +102,13 @@ class SpinPipeline(Pipeline):
                 remedy="look at the sun pulses or the angle, the stated spin period and the flags of the "
                 "field",
             )
-        plan, mission, keep = work.plan, work.mission, self.keeper(work, days)
+        plan, mission, keep = work.plan, work.mission, self.table_stager(work, days)
         settings, model, ordered = plan.settings, plan.model, sorted(days)
         read = [work.cat.read(days[day]) for day in ordered]
         first, last = ordered[0], ordered[-1]
-        windows = cut_at_flips(window_edges(first, last, settings.window_days), mission)
-        months = cut_at_flips(month_edges(first, last), mission)
-        whole = cut_at_flips([first, last + ONE_DAY], mission)
+        windows = split_at_flips(window_edges(first, last, settings.window_days), mission)
+        months = split_at_flips(month_edges(first, last), mission)
+        whole = split_at_flips([first, last + ONE_DAY], mission)
         by_window = keep.table("zero-level", partial(zero_level_table, read, model, windows))
         by_month = keep.table("zero-level-monthly", partial(zero_level_table, read, model, months))
         makers = {
@@ -120,7 +120,7 @@ class SpinPipeline(Pipeline):
         for name, (bounds, zero) in makers.items():
             keep.table(name, partial(spin_table, read, model, bounds, name, zero))
         flips = {"flipper": partial(flipper_table, read, model, whole, mission)} if flips_of(mission) else {}
-        return keep.solved(settings.table, model, keep.possible(flips))
+        return keep.solved(settings.table, model, keep.stage_possible(flips))
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's despun field; see `spin_product`."""
@@ -140,14 +140,14 @@ class SpinPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[Any]:
+    ) -> CompareResult[Any]:
         """Measure the tones of the products; see `compare_spin`."""
         from inflight.tasks.pipelines.spin.compare import compare_spin
 
         return compare_spin(cat, mission, comparison, days, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return the twelve parameters, where each came from, and what each day decided."""
         from inflight.tasks.pipelines.spin.report import spin_report
@@ -161,7 +161,7 @@ class SpinPipeline(Pipeline):
             return []
         from inflight.tasks.pipelines.spin.report import spin_table_parts
 
-        return shown(spin_table_parts(SpinResults.of(cat, mission, comparison)))
+        return page_sections(spin_table_parts(SpinResults.of(cat, mission, comparison)))
 
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:

@@ -12,7 +12,7 @@ from inflight.flags import Flag
 from inflight.model import Model, ModelEffect, rows_of
 from inflight.samples import fold
 from inflight.spin import NAMES, CalibrationParameters, make_spin_product
-from inflight.tasks.archive import FAULTS, day_faults, load_samples
+from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
@@ -45,7 +45,7 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     }
     report |= _tones(bound, batch.preflight, samples, span)
     report["phase"] = str(samples["spin_phase"].attrs["told"])
-    report[FAULTS] = day_faults(samples, job.needs, job.index, day)
+    report[SPIN_FAULTS] = day_faults(samples, job.needs, job.index, day)
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return rounded(product), report
 
@@ -60,7 +60,7 @@ def _holding(table: xr.Dataset, tt2000: int) -> tuple[CalibrationParameters, np.
     """Return the twelve that a table has for an instant, and their covariance."""
     row = _row(table, tt2000)
     assert row.sizes["parameter"] == len(NAMES)
-    return CalibrationParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
+    return CalibrationParameters.from_values(row["value"].values), np.asarray(row["covariance"].values)
 
 
 def _row(table: xr.Dataset, tt2000: int) -> xr.Dataset:

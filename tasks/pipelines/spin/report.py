@@ -17,7 +17,7 @@ from inflight.figures import (
     estimates_figure,
     html_page,
     html_table,
-    moved_figure,
+    parameter_change_figure,
     parameter_days_figure,
     uncertainty_figure,
     zero_drift_figure,
@@ -86,7 +86,7 @@ def _twelve(found: SpinResults) -> Part:
         )
         for one in part.fields["items"]
     ]
-    part.say(
+    part.add_text(
         f"The newest of {table.sizes['interval']} windows: what is in use, where it came from, and what the "
         "window's own estimate decided."
     )
@@ -94,7 +94,9 @@ def _twelve(found: SpinResults) -> Part:
     part.text.append(html_table(head, rows, kind="wide told"))
     remaining = ", ".join(one["name"] for one in part.fields["items"] if one["origin"] == "ground")
     part.fields["ground"] = remaining.split(", ") if remaining else []
-    part.say(f"These remain at their ground values: {remaining or 'none'}. The spin tells nothing of them.")
+    part.add_text(
+        f"These remain at their ground values: {remaining or 'none'}. The spin tells nothing of them."
+    )
     return part
 
 
@@ -119,7 +121,7 @@ def _days(found: SpinResults) -> Part:
     update = [one for one in part.fields["items"] if one["decision"] == "update"]
     later = [one for one in update if one["day"] != days[0]]
     looks = sum(one["day"] != days[0] for one in part.fields["items"])
-    part.say(
+    part.add_text(
         f"{len(later)} of {looks} decisions after the first day replace a value; the "
         "rest would only add jitter, or the day does not tell. Each parameter keeps its "
         "value (red) until a day's own estimate warrants another."
@@ -133,7 +135,7 @@ def _days(found: SpinResults) -> Part:
         part.text.append(html_table(head, rows, kind="wide told"))
     part.plots.append(parameter_days_figure(table, found.selected))
     if table.sizes["interval"] > 1:
-        part.plots.append(moved_figure(table))
+        part.plots.append(parameter_change_figure(table))
     return part
 
 
@@ -142,11 +144,11 @@ def _estimates(found: SpinResults) -> Part:
     cloud = found.cloud
     value, sigma = _joint(found.days)
     if not len(cloud.start):
-        part.lack("Estimates of sub-intervals", "no day has any")
+        part.add_absent("Estimates of sub-intervals", "no day has any")
         return part
     rows, items = _side_by_side(found, value, sigma)
     part.fields = {"items": items}
-    part.say(
+    part.add_text(
         "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
         "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
         "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
@@ -243,7 +245,7 @@ def _zero(found: SpinResults) -> Part:
             for name, (rate, sigma) in rates.items()
         },
     }
-    part.say(
+    part.add_text(
         "Offsets 1 and 2 come from the spin; the third, along the spin axis, from nature's own statistics in "
         "each window, by every method on the intervals of 15 minutes that suit it; days of a window share it."
     )

@@ -19,7 +19,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError, InflightError
-from inflight.figures import Cloud
+from inflight.figures import SubintervalEstimates
 from inflight.lsq import sigma_of_mean
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
@@ -49,7 +49,7 @@ from inflight.zero_level import (
     PARTS,
     Flipped,
     Intervals,
-    Question,
+    OffsetSearch,
     combine_methods,
     separate_flipped,
 )
@@ -122,7 +122,7 @@ def spin_table(
     """
     entry = require_spinning(model)
     bounds = [day_bounds(edge)[0] for edge in edges]
-    rows, book = list[_Row](), _Book.of_ground(entry, bounds[0])
+    rows, book = list[_Row](), _Book.from_ground(entry, bounds[0])
     for start, end in itertools.pairwise(bounds):
         inside = [day for day in days if start <= int(day["start"].values[0]) < end]
         if inside:
@@ -139,10 +139,10 @@ class _Book:
     source: str = GROUND
 
     @classmethod
-    def of_ground(cls, entry: ModelEffect, tt2000: int) -> _Book:
+    def from_ground(cls, entry: ModelEffect, tt2000: int) -> _Book:
         ground, sigma = ground_of(entry, tt2000)
         axial = ValueInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
-        return cls(ValuesInUse.of_ground(ground, sigma), axial)
+        return cls(ValuesInUse.from_ground(ground, sigma), axial)
 
     def row(
         self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
@@ -359,7 +359,7 @@ def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: floa
     times, means = _sorted(times[known], means[known])
     each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(COMBINED_METHODS))
     count, start = 0, float(ground.offset[2])
-    question = Question(free=(False, False, True), bound=bound)
+    question = OffsetSearch(free=(False, False, True), bound=bound)
     try:
         intervals = Intervals.of(times, means, ZERO_INTERVAL_S)
         count = len(intervals.start)
@@ -446,7 +446,7 @@ class SpinResults:
         return [str(one)[:10] for one in day_of(self.tables["daily"]["start"].values[[0, -1]])]
 
     @cached_property
-    def cloud(self) -> Cloud:
+    def cloud(self) -> SubintervalEstimates:
         """All sub-intervals of all days, and those that a threshold chooses."""
         kept = [_filled(day) for day in self.days]
 
@@ -480,7 +480,9 @@ def _filled(day: xr.Dataset) -> Bools:
     return np.asarray(day["sub_end"].values[0] > day["sub_start"].values[0])
 
 
-def cloud_of(start: np.ndarray, end: np.ndarray, estimate: Floats, uncertainty: Floats) -> Cloud:
+def cloud_of(
+    start: np.ndarray, end: np.ndarray, estimate: Floats, uncertainty: Floats
+) -> SubintervalEstimates:
     """Choose of estimates (sub, 8) by their uncertainties, and return them with the means."""
     chosen = np.zeros(estimate.shape, dtype=np.bool_)
     threshold, value = (np.full(estimate.shape[1], np.nan) for _ in range(2))
@@ -495,7 +497,7 @@ def cloud_of(start: np.ndarray, end: np.ndarray, estimate: Floats, uncertainty: 
         threshold[at], value[at] = float(errors.max()), float(mine.mean())
         expected = float(np.sqrt(np.sum((errors / _PUBLISHED) ** 2)) / mine.size)
         sigma[at] = max(expected, sigma_of_mean(mine))
-    return Cloud(start, end, estimate, uncertainty, chosen, threshold, value, sigma)
+    return SubintervalEstimates(start, end, estimate, uncertainty, chosen, threshold, value, sigma)
 
 
 #: Offsets along x and z among the twelve.
@@ -512,7 +514,7 @@ def flipper_table(
     days : sequence of Dataset
         As `inflight.tasks.pipelines.spin.day.spin_day` makes them, in order of time.
     edges : sequence of datetime64[D]
-        Of the positions: see `inflight.tasks.archive.samples.cut_at_flips`.
+        Of the positions: see `inflight.tasks.archive.samples.split_at_flips`.
 
     Returns
     -------

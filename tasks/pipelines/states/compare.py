@@ -21,18 +21,18 @@ from inflight.catalog import Catalog, Day
 from inflight.dual import (
     ResidualStep,
     Switchings,
-    name_units,
+    match_channels_to_units,
     quiet_steps,
     quietest_width,
     regress_steps,
     residual_steps_by_state,
-    rms,
+    rms_of_steps,
     steps_across,
     switchings,
 )
 from inflight.figures import (
     PLANES,
-    Later,
+    LazySection,
     before_after_figure,
     bullet_list,
     correction_figure,
@@ -42,7 +42,7 @@ from inflight.figures import (
     timeline_figure,
 )
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import Compared, TextLine, scalar_channels
+from inflight.tasks.pipelines.base import CompareResult, TextLine, scalar_channels
 from inflight.tasks.pipelines.states.tables import (
     channel_changes,
     constant_changes,
@@ -138,7 +138,7 @@ class DualCompareReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON; a residual is a step's rms component, nT."""
-        before, after, floor = (rms(self.joined(name)) for name in ("before", "after", "quiet"))
+        before, after, floor = (rms_of_steps(self.joined(name)) for name in ("before", "after", "quiet"))
         known = bool(np.isfinite(before))
         return {
             "command": "compare",
@@ -189,7 +189,7 @@ class DualCompareReport:
 
 def compare_dual(
     cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
-) -> Compared[DualCompareReport]:
+) -> CompareResult[DualCompareReport]:
     """Measure what is left at the switchings of published products.
 
     Parameters
@@ -212,12 +212,12 @@ def compare_dual(
         fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
     )
     title = f"{mission.mission}: two sensors on one boom, {days[0].day} to {days[-1].day}"
-    return Compared(report, title, states_parts(report))
+    return CompareResult(report, title, states_parts(report))
 
 
 def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: int) -> DualDayRows:
     """Return what is kept of a day; every `thin`-th sample is drawn."""
-    product = cat.read(day, dated=False)
+    product = cat.read(day, with_time=False)
     stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
     state = np.asarray(product["state"].values, dtype=np.int64)
     outboard, field = (
@@ -271,7 +271,7 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
             for name in ("last", "first", "before", "after", "room")
         )
     )
-    floor = rms(report.joined("quiet"))
+    floor = rms_of_steps(report.joined("quiet"))
     for one in residual_steps_by_state(at, steps):
         if one.is_clear:
             yield one, "nT"
@@ -295,16 +295,16 @@ def told_of_day(one: DualDayRows) -> dict[str, Any]:
     return {
         "day": str(one.day.day),
         "version": one.day.version,
-        "before_nT": rms(one.before),
-        "after_nT": rms(one.after),
-        "noise_floor_nT": rms(one.quiet),
+        "before_nT": rms_of_steps(one.before),
+        "after_nT": rms_of_steps(one.after),
+        "noise_floor_nT": rms_of_steps(one.quiet),
         "switchings": len(one.at),
         "applied": one.applied,
         "method": one.method,
     }
 
 
-def states_parts(report: DualCompareReport) -> list[Later]:
+def states_parts(report: DualCompareReport) -> list[LazySection]:
     """Return everything that is shown of two sensors, as the page and the explorer have it."""
     return [
         ("Steps at switchings", lambda: (_residual_text(report), _step_figures(report))),
@@ -468,7 +468,7 @@ def _units_text(report: DualCompareReport) -> list[str]:
         for name in names
     }
     rows = []
-    for one in name_units(signs, changes):
+    for one in match_channels_to_units(signs, changes):
         if one.unit not in known:
             continue
         table, row = known[one.unit]

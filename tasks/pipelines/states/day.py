@@ -31,22 +31,22 @@ from inflight.dual import (
     Correction,
     HeldOutDecision,
     Readings,
-    correction_by_both,
+    applied_part_to_dataset,
+    choose_correction,
     correction_by_states,
+    correction_by_states_and_gradiometer,
     correction_by_stored_gradiometer,
-    decide,
     dual_level2,
-    gradiometer_from_table,
-    gradiometer_variables,
+    gradiometer_from_dataset,
+    gradiometer_to_dataset,
     has_gradiometer,
     no_correction,
-    part_of_day,
-    part_variables,
     partial_correction,
     quiet_steps,
     quietest_width,
     readings_of,
-    rms,
+    rms_of_steps,
+    slow_part_of_day,
     steps_across,
     switchings,
     training_from_dataset,
@@ -63,7 +63,7 @@ from inflight.tasks.archive import (
     ambient_of,
     cached_readings,
     load_samples,
-    saturated,
+    saturation_flags,
 )
 from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
 from inflight.tasks.pipelines.states.tables import (
@@ -124,7 +124,7 @@ def boom_samples(
     turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
     for role, other in (_ROLES, _ROLES[::-1]):
         need = next(one for one in needs if one.name == role)
-        flag |= saturated(values[role], mission.instruments[need.instrument].channels[need.channel])
+        flag |= saturation_flags(values[role], mission.instruments[need.instrument].channels[need.channel])
         # In the axes of the sensor: one of those is what sticks.
         seen = turns[role].inv().apply(turns[other].apply(values[other]))
         still = still_axes(values[role], seen * (_SEEN_OUTBOARD if role == "outboard" else 1.0))
@@ -220,7 +220,7 @@ def states_window(
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            found = decide(readings, candidates.fit, candidates.priors)
+            found = choose_correction(readings, candidates.fit, candidates.priors)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -316,7 +316,7 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     chosen = found.chosen
     if candidates.gradiometers:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
-        gradiometer = gradiometer_variables(form, candidates.readings)
+        gradiometer = gradiometer_to_dataset(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
     told = table.assign(
         slope=(one, np.array([each.slope for each in scores])),
@@ -339,7 +339,7 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     if part == WHOLE:
         return told
     whole = whole_correction(told, candidates.readings)
-    return told.merge(part_variables(whole, candidates.readings, part, constant_part(told)))
+    return told.merge(applied_part_to_dataset(whole, candidates.readings, part, constant_part(told)))
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -353,7 +353,7 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     if not found.applied or told is None:
         return found
     part = AppliedPart(float(told["share"]), float(told["slower"]))
-    slow, middle = part_of_day(table, found, readings, part, constant_part(table))
+    slow, middle = slow_part_of_day(table, found, readings, part, constant_part(table))
     return partial_correction(found, part, float(told["share_away"]), slow, middle)
 
 
@@ -370,7 +370,7 @@ def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
     if not len(training):
         return no_correction(len(readings), verdict)
     if method == "combined":
-        found = correction_by_both(readings, training, gradiometer_from_table(table))
+        found = correction_by_states_and_gradiometer(readings, training, gradiometer_from_dataset(table))
         return replace(found, reason=verdict)
     fallback = correction_by_stored_gradiometer(table, readings) if gradiometer_helps(table) else None
     found = correction_by_states(readings, training, fallback=fallback)
@@ -428,9 +428,9 @@ def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
     begin, end = day_bounds(day)
     good = (product["flag"].values & ~np.uint32(_HARMLESS)) == 0
     steps = {
-        "before_nT": rms(steps_across(np.asarray(product["outboard"].values), at, width)),
-        "after_nT": rms(steps_across(field, at, width)),
-        "floor_nT": rms(quiet_steps(field, at, width)),
+        "before_nT": rms_of_steps(steps_across(np.asarray(product["outboard"].values), at, width)),
+        "after_nT": rms_of_steps(steps_across(field, at, width)),
+        "floor_nT": rms_of_steps(quiet_steps(field, at, width)),
     }
     return {
         "coverage": float(good.sum() * step / (end - begin)),

@@ -14,7 +14,7 @@ from inflight.errors import CatalogError, MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
-    Compared,
+    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
@@ -146,14 +146,14 @@ class StatesPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
-    ) -> Compared[Any]:
+    ) -> CompareResult[Any]:
         """Measure the steps of the products where the spacecraft switches; see `compare_dual`."""
         from inflight.tasks.pipelines.states.compare import compare_dual
 
         return compare_dual(cat, mission, comparison, days, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Refuse: what a table of states says stands beside what it does to the measurements."""
         raise CatalogError(

@@ -29,19 +29,19 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.dual import (
     ASSIGNMENT,
-    Ageing,
+    ContinuedTraining,
     Correction,
-    NamedUnit,
     Readings,
     Switchings,
     Training,
+    UnitChannels,
     continue_training,
     correction_by_states,
     correction_by_stored_gradiometer,
     covariance_of_product,
-    gradiometer_from_table,
+    gradiometer_from_dataset,
     has_gradiometer,
-    name_units,
+    match_channels_to_units,
     omits_slow_part,
     standalone_training,
     switchings,
@@ -144,13 +144,13 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
     return told.assign(_changes(going))
 
 
-def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) -> Ageing:
+def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) -> ContinuedTraining:
     """Return how a window goes on from the best of those before it."""
     # A number that any window before has given is given to nothing else.
     number = max(one.next_number for _, one in known)
     unit = max(one.next_unit for _, one in known)
     order = sorted(known, key=lambda one: str(one[0].attrs.get("applied")) != "yes")
-    tried: list[Ageing] = []
+    tried: list[ContinuedTraining] = []
     for _, earlier in order:
         going = continue_training(replace(earlier, next_number=number, next_unit=unit), later)
         if _keeps_constant(earlier, going):
@@ -159,7 +159,7 @@ def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) ->
     return next((one for one in tried if len(one.matched)), tried[0])
 
 
-def _keeps_constant(earlier: Training, going: Ageing) -> bool:
+def _keeps_constant(earlier: Training, going: ContinuedTraining) -> bool:
     """Return True when the constant part of the correction is that of the window before."""
     if not len(going.matched):
         return False
@@ -173,7 +173,7 @@ def _with_training(table: xr.Dataset, training: Training, goes_on: str) -> xr.Da
     return table.assign(fresh.data_vars).assign_attrs({**fresh.attrs, "goes_on": goes_on})
 
 
-def _changes(going: Ageing) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+def _changes(going: ContinuedTraining) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
     count = len(going.training)
     change, sigma, aged = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count, np.int64)
     rows = going.matched[:, 1]
@@ -319,7 +319,9 @@ def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     training = training_from_dataset(table)
     centre, seconds = training.centre[seen], np.maximum(training.seconds[seen], 1.0)
     away = centre - np.average(centre, axis=0, weights=seconds)
-    spread = training.covariance[seen] + covariance_of_product(gradiometer_from_table(table).covariance, away)
+    spread = training.covariance[seen] + covariance_of_product(
+        gradiometer_from_dataset(table).covariance, away
+    )
     variance = np.einsum("sii->si", spread) + training.scatter**2 + 1e-12
     weight = 1.0 / variance
     weight /= weight.sum(axis=0)
@@ -361,7 +363,7 @@ def joined_signs(signs: Sequence[Floats]) -> Floats:
     return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in signs])
 
 
-def housekeeping(mission: Mission) -> dict[str, tuple[str, str]]:
+def housekeeping_channels(mission: Mission) -> dict[str, tuple[str, str]]:
     """Return the housekeeping channels of one number a time: name -> (instrument, channel)."""
     return {
         name: (home, channel)
@@ -387,7 +389,7 @@ def channel_changes(
         The first reading after less the last one before, in the channel's unit; NaN where one is far.
     """
     out: dict[str, Floats] = {}
-    wanted = housekeeping(mission)
+    wanted = housekeeping_channels(mission)
     for instrument in dict.fromkeys(home for home, _ in wanted.values()):
         names = {name: channel for name, (home, channel) in wanted.items() if home == instrument}
         found = [
@@ -399,7 +401,7 @@ def channel_changes(
         ]
         if not found:
             continue
-        data = cat.read(found[0], list(names.values()), dated=False)
+        data = cat.read(found[0], list(names.values()), with_time=False)
         stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
         reach = _NEAR * mission.instruments[instrument].cadence
         for name, channel in names.items():
@@ -435,7 +437,7 @@ def named_units(
     signs, changes = [], []
     tables: dict[int, xr.Dataset] = {}
     for day in days:
-        product = cat.read(day, ["state", "tt2000"], dated=False)
+        product = cat.read(day, ["state", "tt2000"], with_time=False)
         stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
         state = np.asarray(product["state"].values, dtype=np.int64)
         at = switchings(state, stamps, usual_step(stamps, SECOND))
@@ -451,10 +453,12 @@ def named_units(
         )
         for name in names
     }
-    return [_told(one, tables[one.unit]) for one in name_units(joined, series) if one.unit in tables]
+    return [
+        _told(one, tables[one.unit]) for one in match_channels_to_units(joined, series) if one.unit in tables
+    ]
 
 
-def _told(one: NamedUnit, table: xr.Dataset) -> dict[str, Any]:
+def _told(one: UnitChannels, table: xr.Dataset) -> dict[str, Any]:
     """Return a unit's fields; its vectors are those of the last table that knows it."""
     fields = {
         "unit": one.unit,
@@ -470,7 +474,7 @@ def _told(one: NamedUnit, table: xr.Dataset) -> dict[str, Any]:
     return fields
 
 
-def sentence(one: NamedUnit) -> str:
+def sentence(one: UnitChannels) -> str:
     """Return what is known of a unit in words."""
     begin = f"unit {one.unit}, seen to switch {one.switchings} times"
     if not one.channels:
@@ -503,7 +507,7 @@ def _looks_swapped(table: xr.Dataset) -> bool:
         if clear.any():
             return float(np.linalg.norm(outer[clear])) > _LARGER * float(np.linalg.norm(inner[clear]))
     if has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
-        matrix = gradiometer_from_table(table).matrix
+        matrix = gradiometer_from_dataset(table).matrix
         return float(np.linalg.norm(matrix)) > _LARGER * float(np.linalg.norm(matrix + np.eye(3)))
     return False
 

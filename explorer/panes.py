@@ -7,9 +7,9 @@ from typing import Any
 
 import panel as pn
 
-from inflight.explorer.background import Job
+from inflight.explorer.background import BackgroundJob
 from inflight.figures import Section, render, text_style
-from inflight.tasks import place_of
+from inflight.tasks import location_of
 
 #: Panes stand apart from the page's own style, so each brings that of the text.
 _STYLES = [f":host {{ font: 15px/1.5 system-ui, sans-serif; color: #222 }} {text_style()}"]
@@ -43,9 +43,9 @@ def error(fields: Mapping[str, str]) -> pn.viewable.Viewable:
     Parameters
     ----------
     fields : mapping
-        As `told_error`.
+        As `error_fields`.
     """
-    return _alert("error", fields["message"], place_of(fields), fields.get("remedy", ""))
+    return _alert("error", fields["message"], location_of(fields), fields.get("remedy", ""))
 
 
 def hint(said: str) -> pn.viewable.Viewable:
@@ -58,6 +58,6 @@ def _alert(kind: str, message: str, place: str = "", remedy: str = "") -> pn.vie
     return text(render("alert.html", kind=kind, colour=colour, message=message, place=place, remedy=remedy))
 
 
-def progress(job: Job) -> str:
+def progress(job: BackgroundJob) -> str:
     """Return how far a job is as HTML; before it begins, that it waits."""
     return render("progress.html", job=job)

@@ -8,15 +8,15 @@ import numpy as np
 
 from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
-from inflight.tasks import Versions
+from inflight.tasks import ModelHistory
 from inflight.tasks.pipelines import find_pipeline, product_of
 
 #: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
-UNASKED_DAYS = 30
+DEFAULT_DAYS = 30
 
 
 @dataclass(frozen=True)
-class Offer:
+class ComparisonOverview:
     """What one comparison of a workspace has to show.
 
     Attributes
@@ -53,15 +53,15 @@ class Offer:
         """Return first and last day of what is shown unasked: the newest days of a long mission."""
         if self.first is None or self.last is None:
             return None
-        return max(self.first, self.last - np.timedelta64(UNASKED_DAYS - 1, "D")), self.last
+        return max(self.first, self.last - np.timedelta64(DEFAULT_DAYS - 1, "D")), self.last
 
 
-def comparisons(mission: Mission) -> list[str]:
+def list_comparisons(mission: Mission) -> list[str]:
     """Return the mission's comparisons, ``main`` first."""
     return sorted(mission.comparisons, key=lambda name: (name != "main", name))
 
 
-def offer_of(cat: Catalog, mission: Mission, comparison: str) -> Offer:
+def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> ComparisonOverview:
     """Return what a comparison has to show; nothing is read but the catalog's records.
 
     Raises
@@ -78,14 +78,14 @@ def offer_of(cat: Catalog, mission: Mission, comparison: str) -> Offer:
     }
     days = products or sorted(archived)
     names = {one.name for one in cat.tables() if one.certified and not one.damaged}
-    return Offer(
+    return ComparisonOverview(
         comparison,
         entry.kind,
         days[0] if days else None,
         days[-1] if days else None,
         len(products),
         len(archived),
-        Versions(cat, mission, comparison).used.told,
+        ModelHistory(cat, mission, comparison).used.told,
         tuple(sorted(name for name in names if _is_of(name, comparison, mission))),
         pipeline.note if pipeline else "",
     )
@@ -97,24 +97,24 @@ def _is_of(table: str, comparison: str, mission: Mission) -> bool:
     return max(owners, key=len, default="") == comparison
 
 
-def first_step(workspace: Workspace, offer: Offer) -> str:
+def next_step(workspace: Workspace, overview: ComparisonOverview) -> str:
     """Return what is to be done before there is more to see; empty when products are there.
 
     Parameters
     ----------
-    offer : Offer
+    overview : Offer
         Of the comparison that is looked at.
     """
     where = f" --workspace {workspace.root}"
-    named = "" if offer.comparison == "main" else f" --comparison {offer.comparison}"
-    if offer.is_empty:
+    named = "" if overview.comparison == "main" else f" --comparison {overview.comparison}"
+    if overview.is_empty:
         return (
             f"This workspace holds no measurements yet. Put the delivered files into {workspace.data} (or "
             f"name their folder), and type: inflight ingest{where}"
         )
-    if offer.products or (offer.tables and offer.note):
+    if overview.products or (overview.tables and overview.note):
         return ""
     return (
-        f"The archive has {offer.archived} days, and nothing is calibrated yet. Type: "
+        f"The archive has {overview.archived} days, and nothing is calibrated yet. Type: "
         f"inflight reprocess{named}{where}"
     )

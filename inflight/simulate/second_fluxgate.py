@@ -8,7 +8,7 @@ from collections.abc import Collection
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inflight.simulate.dipole import transfer
+from inflight.simulate.dipole import extrapolate_dipole
 from inflight.simulate.grid import Float
 from inflight.simulate.parameters import Matrix, Parameters, Vector
 
@@ -39,7 +39,9 @@ def as_second(parameters: Parameters) -> Parameters:
     """
 
     def there(field: Vector, position: Vector) -> Vector:
-        return _vector(transfer(field, position, parameters.vector_position, parameters.second_position))
+        return _vector(
+            extrapolate_dipole(field, position, parameters.vector_position, parameters.second_position)
+        )
 
     panels = zip(parameters.panel_fields, parameters.panel_positions, strict=True)
     coils = np.array(

@@ -15,11 +15,11 @@ import numpy as np
 
 from inflight.catalog import Catalog, Workspace
 from inflight.explorer.background import Background
-from inflight.figures import Later, Section
-from inflight.flows import client_when_needed
+from inflight.figures import LazySection, Section
+from inflight.flows import lazy_client
 from inflight.mission import Mission
-from inflight.model import tree_of
-from inflight.tasks import Progress, Versions, find_model
+from inflight.model import parse_tree
+from inflight.tasks import ModelHistory, Progress, find_model
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -27,10 +27,10 @@ from inflight.tasks.analysis import (
     diagnosis_sections,
     examine,
     last_diagnosis,
-    measured,
+    measure_comparison,
     open_workbench,
 )
-from inflight.tasks.pipelines import Compared, product_of, table_sections
+from inflight.tasks.pipelines import CompareResult, product_of, table_sections
 
 #: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
 _KEPT = 3
@@ -48,7 +48,7 @@ class Days:
         return str(self.first), str(self.last + np.timedelta64(1, "D"))
 
 
-class Sitting:
+class ExplorerSession:
     """One workspace being explored; several pages may look at it at a time.
 
     Parameters
@@ -67,7 +67,7 @@ class Sitting:
         self.drawing = Background()
         #: What the page's changes of each comparison's model did, as `Revision.as_json`, in their order.
         self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        self._measured: dict[tuple[Any, ...], Compared[Any]] = {}
+        self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
     def close(self) -> None:
@@ -81,7 +81,7 @@ class Sitting:
 
     # Model against measurement.
 
-    def compare(self, comparison: str, days: Days, progress: Progress) -> Sequence[Later]:
+    def compare(self, comparison: str, days: Days, progress: Progress) -> Sequence[LazySection]:
         """Return what `inflight compare` shows of a span; figures are made when they are looked at.
 
         Raises
@@ -93,7 +93,7 @@ class Sitting:
         published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
         key = (comparison, *span, *(day.id for day in published))
         if key not in self._measured:
-            self._measured[key] = measured(self.cat, self.mission(), *span, comparison, progress)
+            self._measured[key] = measure_comparison(self.cat, self.mission(), *span, comparison, progress)
             for old in list(self._measured)[:-_KEPT]:
                 del self._measured[old]
         return self._measured[key].parts
@@ -125,14 +125,14 @@ class Sitting:
         """
         settings, span = _settings(self._asked(comparison), comparison), days.bounds()
         self._bench = None
-        with client_when_needed(self.workers) as client:
+        with lazy_client(self.workers) as client:
             found = diagnose_span(self.workspace, *span, settings, client=client, progress=progress)
         return found | {"asked": {"start": span[0], "end": span[1], "settings": settings.model_dump()}}
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
         asked = self._asked(comparison)
-        with client_when_needed(self.workers) as client:
+        with lazy_client(self.workers) as client:
             examined = examine(
                 self.cat,
                 self.mission(),
@@ -152,8 +152,8 @@ class Sitting:
 
     def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
-        known = Versions(self.cat, self.mission(), comparison)
-        effects = [str(one.get("name", one["effect"])) for one in tree_of(known.used.text)["effects"]]
+        known = ModelHistory(self.cat, self.mission(), comparison)
+        effects = [str(one.get("name", one["effect"])) for one in parse_tree(known.used.text)["effects"]]
         return known.items(), effects
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
@@ -176,7 +176,7 @@ class Sitting:
         ModelError, InflightError
             As `inflight.tasks.analysis.revise.Workbench`.
         """
-        with client_when_needed(self.workers) as client:
+        with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
             try:
                 revision = bench.undo() if verb == "undo" else getattr(bench, verb)(effect)

@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 import panel as pn
 
-from inflight.explorer import drawing
-from inflight.explorer.offer import Offer
-from inflight.explorer.sitting import Days, Sitting
-from inflight.explorer.watching import Place
+from inflight.explorer import panes
+from inflight.explorer.job_pane import JobPane
+from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.figures import (
-    Inside,
     Section,
+    SectionBody,
     candidate_table,
     change_tables,
-    distinct,
-    drop_figure,
     error_figure,
     found_effects,
+    gain_change_figure,
     html_table,
     ledger_table,
     paragraph,
-    rivals_apart,
+    separating_blocks,
     short_name,
+    unique_labels,
     unscorable_list,
     verdict_strip,
 )
@@ -38,23 +38,23 @@ _NOTE = (
 )
 
 
-class MissingView:
+class DiagnosisView:
     """The missing effect; every button does what the verb of its name does.
 
     Parameters
     ----------
-    sitting : Sitting
+    session : ExplorerSession
     changed : callable
         Called when the model has another version.
     """
 
     title = "The missing effect"
 
-    def __init__(self, sitting: Sitting, changed: Callable[[], None]) -> None:
-        self._sitting, self._tell = sitting, changed
-        self._offer: Offer | None = None
+    def __init__(self, session: ExplorerSession, changed: Callable[[], None]) -> None:
+        self._session, self._tell = session, changed
+        self._overview: ComparisonOverview | None = None
         self._days: Days | None = None
-        self._found, self._model = Place(sitting.background), Place(sitting.background)
+        self._found, self._model = JobPane(session.background), JobPane(session.background)
         self._versions = pn.Column(sizing_mode="stretch_width")
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._figures = pn.widgets.Button(name="All figures of this diagnosis")
@@ -83,44 +83,44 @@ class MissingView:
             sizing_mode="stretch_width",
         )
 
-    def look_at(self, offer: Offer, days: Days | None) -> None:
+    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the last diagnosis of a comparison and the versions of its model."""
-        self._offer, self._days = offer, days
-        self._show_found(self._sitting.last_diagnosis(offer.comparison))
+        self._overview, self._days = overview, days
+        self._show_found(self._session.last_diagnosis(overview.comparison))
         self._show_model()
 
     # What the last diagnosis found.
 
     def _begin_diagnosis(self) -> None:
-        if self._offer is None or self._days is None:
-            self._found.put(drawing.hint("The archive is empty: 'inflight ingest' fills it."))
+        if self._overview is None or self._days is None:
+            self._found.put(panes.hint("The archive is empty: 'inflight ingest' fills it."))
             return
-        comparison, days = self._offer.comparison, self._days
+        comparison, days = self._overview.comparison, self._days
         self._found.begin(
             "Diagnosis",
-            lambda progress: self._sitting.diagnose(comparison, days, progress),
+            lambda progress: self._session.diagnose(comparison, days, progress),
             self._diagnosed,
         )
 
     def _diagnosed(self, fields: Fields) -> pn.viewable.Viewable:
         self._offer_candidates(fields)
-        return drawing.sections(diagnosis_sections(fields))
+        return panes.sections(diagnosis_sections(fields))
 
     def _begin_figures(self) -> None:
-        if self._offer is None:
+        if self._overview is None:
             return
-        comparison = self._offer.comparison
+        comparison = self._overview.comparison
         self._found.begin(
             "All figures",
-            lambda progress: self._sitting.figures_of_diagnosis(comparison, progress),
-            drawing.sections,
+            lambda progress: self._session.figures_of_diagnosis(comparison, progress),
+            panes.sections,
         )
 
     def _show_found(self, fields: Fields | None) -> None:
         self._figures.disabled = fields is None
         if fields is None:
             self._candidate.options = []
-            self._found.put(drawing.hint("Nobody has asked yet which effect is missing: diagnose a span."))
+            self._found.put(panes.hint("Nobody has asked yet which effect is missing: diagnose a span."))
         else:
             self._found.put(self._diagnosed(fields))
 
@@ -130,7 +130,7 @@ class MissingView:
         names = [one["name"] for one in fields["effects"]]
         names += [one["name"] for one in fields["candidates"] if not one["placebo"]]
         unique = list(dict.fromkeys(names))
-        labels = distinct([short_name(name) for name in unique])
+        labels = unique_labels([short_name(name) for name in unique])
         self._candidate.options = dict(zip(labels, unique, strict=True))
         if unique:
             self._candidate.value = unique[0]
@@ -138,36 +138,36 @@ class MissingView:
     # The model.
 
     def _change(self, verb: str, effect: str | None) -> None:
-        if self._offer is None:
+        if self._overview is None:
             return
         if verb != "undo" and not effect:
-            self._model.put(drawing.hint(f"Choose what to {verb} first."))
+            self._model.put(panes.hint(f"Choose what to {verb} first."))
             return
-        comparison = self._offer.comparison
+        comparison = self._overview.comparison
         self._other.value = ""
         self._model.begin(
             f"{verb} {effect}".strip(),
-            lambda progress: self._sitting.change(comparison, verb, effect or "", progress),
+            lambda progress: self._session.change(comparison, verb, effect or "", progress),
             lambda told: self._changed(),
         )
 
     def _changed(self) -> pn.viewable.Viewable:
         self._tell()
-        assert self._offer is not None
+        assert self._overview is not None
         self._show_versions()
-        return _change(self._sitting.changes[self._offer.comparison])
+        return _change(self._session.changes[self._overview.comparison])
 
     def _show_model(self) -> None:
-        assert self._offer is not None
-        changes = self._sitting.changes[self._offer.comparison]
+        assert self._overview is not None
+        changes = self._session.changes[self._overview.comparison]
         self._model.put(*([_change(changes)] if changes else []))
         self._show_versions()
 
     def _show_versions(self) -> None:
-        assert self._offer is not None
-        versions, effects = self._sitting.versions(self._offer.comparison)
+        assert self._overview is not None
+        versions, effects = self._session.versions(self._overview.comparison)
         self._own.options = effects
-        self._versions.objects = [drawing.section(*version_section(versions))]
+        self._versions.objects = [panes.section(*version_section(versions))]
 
 
 def diagnosis_sections(fields: Fields) -> list[Section]:
@@ -179,11 +179,11 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
     table = candidate_table(fields["candidates"], {}, rivals)
     unscorable = unscorable_list(fields["unscorable"])
     return [
-        ("Verdict", [_asked(fields), strip, *found_effects(fields), *rivals_apart(fields)], []),
+        ("Verdict", [_asked(fields), strip, *found_effects(fields), *separating_blocks(fields)], []),
         (
             "Candidates",
             [paragraph(_NOTE, kind="quiet"), table, unscorable],
-            [drop_figure(fields["candidates"])],
+            [gain_change_figure(fields["candidates"])],
         ),
         ("Ledger", [ledger_table(fields["rounds"])], []),
     ]
@@ -205,10 +205,10 @@ def _asked(fields: Fields) -> str:
 def _change(changes: Sequence[Fields]) -> pn.viewable.Viewable:
     """Return the last change with the figure beside it: both are seen at once."""
     paragraphs, figures = change_section(changes)
-    return pn.Row(*map(pn.pane.Bokeh, figures), drawing.text(*paragraphs), sizing_mode="stretch_width")
+    return pn.Row(*map(pn.pane.Bokeh, figures), panes.text(*paragraphs), sizing_mode="stretch_width")
 
 
-def change_section(changes: Sequence[Fields]) -> Inside:
+def change_section(changes: Sequence[Fields]) -> SectionBody:
     """Return what the page's last change did, and how the error fell with all of them.
 
     Parameters
@@ -223,13 +223,13 @@ def change_section(changes: Sequence[Fields]) -> Inside:
     return [*change_tables(changes[-1]), note], [error_figure(changes)]
 
 
-def version_section(versions: Sequence[Fields]) -> Inside:
+def version_section(versions: Sequence[Fields]) -> SectionBody:
     """Return every version of the workspace's models, newest first.
 
     Parameters
     ----------
     versions : sequence of mapping
-        As `inflight.tasks.models.Versions.items`.
+        As `inflight.tasks.models.ModelHistory.items`.
     """
     rows = [
         (

@@ -8,16 +8,16 @@ from typing import Any
 
 import panel as pn
 
-from inflight.explorer import drawing
-from inflight.explorer.background import Background, Job
-from inflight.figures import Later
+from inflight.explorer import panes
+from inflight.explorer.background import Background, BackgroundJob
+from inflight.figures import LazySection
 from inflight.tasks import Progress
 
 #: How often the page looks how far a job is, ms.
 _PERIOD = 300
 
 
-def later_tabs(parts: Sequence[Later], background: Background) -> pn.Tabs:
+def lazy_tabs(parts: Sequence[LazySection], background: Background) -> pn.Tabs:
     """Return sections behind tabs, each made when it is looked at for the first time.
 
     Parameters
@@ -25,7 +25,7 @@ def later_tabs(parts: Sequence[Later], background: Background) -> pn.Tabs:
     parts : sequence of Later
         Made in a thread of the background.
     """
-    places = [Place(background) for _ in parts]
+    places = [JobPane(background) for _ in parts]
     begun: set[int] = set()
     tabs = pn.Tabs(
         *((heading, place.panel) for (heading, _), place in zip(parts, places, strict=True)),
@@ -37,7 +37,7 @@ def later_tabs(parts: Sequence[Later], background: Background) -> pn.Tabs:
         if place not in begun:
             begun.add(place)
             heading, make = parts[place]
-            places[place].begin(heading, lambda progress: make(), lambda inside: drawing.section(*inside))
+            places[place].begin(heading, lambda progress: make(), lambda inside: panes.section(*inside))
 
     tabs.param.watch(lambda event: look_at(event.new), "active")
     if parts:
@@ -45,7 +45,7 @@ def later_tabs(parts: Sequence[Later], background: Background) -> pn.Tabs:
     return tabs
 
 
-class Place:
+class JobPane:
     """Where results of jobs appear, one after the other; the newest job wins.
 
     Parameters
@@ -58,9 +58,9 @@ class Place:
         self._background = background
         self._status = pn.pane.HTML("", visible=False, margin=(5, 10))
         self._content = pn.Column(sizing_mode="stretch_width")
-        self._job: Job | None = None
+        self._job: BackgroundJob | None = None
         self._look: Any = None
-        self._show: Callable[[Any], pn.viewable.Viewable] = drawing.text
+        self._show: Callable[[Any], pn.viewable.Viewable] = panes.text
         #: What the page holds.
         self.panel = pn.Column(self._status, self._content, sizing_mode="stretch_width")
 
@@ -87,7 +87,7 @@ class Place:
         """
         self._job, self._show = self._background.begin(name, work), show
         self._status.visible = True
-        self._status.object = drawing.progress(self._job)
+        self._status.object = panes.progress(self._job)
         if self._look is None:
             self._look = pn.state.add_periodic_callback(self._poll, period=_PERIOD)
 
@@ -96,7 +96,7 @@ class Place:
         if job is None:
             return
         if not job.is_finished:
-            self._status.object = drawing.progress(job)
+            self._status.object = panes.progress(job)
             return
         self._job, self._status.visible = None, False
         if self._look is not None:
@@ -108,4 +108,4 @@ class Place:
             # What is a defect leaves its traceback where the page was started.
             if job.error["message"].startswith("unexpected"):
                 print(job.trace, file=sys.stderr)
-            self.put(drawing.error(job.error))
+            self.put(panes.error(job.error))

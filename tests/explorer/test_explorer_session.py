@@ -5,8 +5,8 @@ import pytest
 
 from inflight.catalog import Catalog
 from inflight.errors import CatalogError, ModelError
-from inflight.explorer.missing_view import change_section, diagnosis_sections, version_section
-from inflight.explorer.sitting import Days, Sitting
+from inflight.explorer.diagnosis_view import change_section, diagnosis_sections, version_section
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.tasks.analysis import compare, last_diagnosis, open_workbench
 
 DAYS = Days(np.datetime64("2024-03-01"), np.datetime64("2024-03-04"))
@@ -18,15 +18,15 @@ def nobody(stage: str, done: int, total: int) -> None:
 
 
 @pytest.fixture
-def sitting(workspace):
-    made = Sitting(workspace, workers=1)
+def session(workspace):
+    made = ExplorerSession(workspace, workers=1)
     yield made
     made.close()
 
 
-def test_the_residual_is_that_of_the_verb_and_is_measured_once(sitting, workspace, monkeypatch):
+def test_the_residual_is_that_of_the_verb_and_is_measured_once(session, workspace, monkeypatch):
     told = compare(Catalog(workspace.root), workspace.mission(), *DAYS.bounds()).as_json()
-    parts = dict(sitting.compare("main", DAYS, nobody))
+    parts = dict(session.compare("main", DAYS, nobody))
     paragraphs, figures = parts["Residual"]()
     assert f"{told['residual']['after_nT']:.4f}" in "".join(paragraphs)
     assert len(figures) == 3
@@ -34,61 +34,61 @@ def test_the_residual_is_that_of_the_verb_and_is_measured_once(sitting, workspac
     def refuse(*arguments):
         raise AssertionError("measured again")
 
-    monkeypatch.setattr("inflight.explorer.sitting.measured", refuse)
-    assert [heading for heading, _ in sitting.compare("main", DAYS, nobody)] == list(parts)
+    monkeypatch.setattr("inflight.explorer.session.measure_comparison", refuse)
+    assert [heading for heading, _ in session.compare("main", DAYS, nobody)] == list(parts)
     with pytest.raises(AssertionError, match="measured again"):
-        sitting.compare("main", Days(DAYS.first, DAYS.first), nobody)
+        session.compare("main", Days(DAYS.first, DAYS.first), nobody)
 
 
-def test_a_span_without_products_is_told_as_by_the_verb(sitting):
+def test_a_span_without_products_is_told_as_by_the_verb(session):
     with pytest.raises(CatalogError, match="no published days in the span"):
-        sitting.compare("main", Days(np.datetime64("2030-01-01"), np.datetime64("2030-01-02")), nobody)
+        session.compare("main", Days(np.datetime64("2030-01-01"), np.datetime64("2030-01-02")), nobody)
 
 
-def test_the_effect_is_found_added_and_taken_back(sitting, workspace):
-    found = sitting.diagnose("main", DAYS, nobody)
+def test_the_effect_is_found_added_and_taken_back(session, workspace):
+    found = session.diagnose("main", DAYS, nobody)
     assert found["verdict"] == "FOUND"
     assert last_diagnosis(workspace)["effects"] == found["effects"]
-    headings = [heading for heading, _, _ in diagnosis_sections(sitting.last_diagnosis("main"))]
+    headings = [heading for heading, _, _ in diagnosis_sections(session.last_diagnosis("main"))]
     assert headings == ["Verdict", "Candidates", "Ledger"]
 
-    added = sitting.change("main", "add", EFFECT, nobody)
+    added = session.change("main", "add", EFFECT, nobody)
     before, after = added["error"]["held_out_nT"]
     assert after < 0.5 * before
-    versions, effects = sitting.versions("main")
+    versions, effects = session.versions("main")
     assert [one["used"] for one in versions] == [False, True]
     assert len(effects) == 2
 
-    undone = sitting.change("main", "undo", "", nobody)
+    undone = session.change("main", "undo", "", nobody)
     assert undone["error"]["held_out_nT"] == pytest.approx([after, before])
-    assert sitting.changes["main"] == [added, undone]
-    paragraphs, figures = change_section(sitting.changes["main"])
+    assert session.changes["main"] == [added, undone]
+    paragraphs, figures = change_section(session.changes["main"])
     assert "undo version 2" in "".join(paragraphs)
     assert len(figures) == 1
-    table, _ = version_section(sitting.versions("main")[0])
+    table, _ = version_section(session.versions("main")[0])
     assert "add channel_field(heater_current)" in "".join(table)
 
 
-def test_a_change_from_the_command_line_is_noticed(sitting, workspace):
-    added = sitting.change("main", "add", EFFECT, nobody)
+def test_a_change_from_the_command_line_is_noticed(session, workspace):
+    added = session.change("main", "add", EFFECT, nobody)
     # As 'inflight undo' does it, in another process.
     elsewhere = open_workbench(workspace).undo()
     assert elsewhere.model.version == added["model"]["version"] + 1
-    again = sitting.change("main", "add", EFFECT, nobody)
+    again = session.change("main", "add", EFFECT, nobody)
     assert again["model"]["parent"] == elsewhere.model.version
     assert again["error"]["held_out_nT"] == pytest.approx(added["error"]["held_out_nT"])
 
 
-def test_a_change_that_cannot_be_made_changes_nothing(sitting):
-    before = sitting.versions("main")
+def test_a_change_that_cannot_be_made_changes_nothing(session):
+    before = session.versions("main")
     with pytest.raises(ModelError):
-        sitting.change("main", "add", "no_such_effect", nobody)
-    assert sitting.versions("main") == before
-    assert sitting.changes["main"] == []
+        session.change("main", "add", "no_such_effect", nobody)
+    assert session.versions("main") == before
+    assert session.changes["main"] == []
 
 
-def test_tables_are_shown_with_values_and_errors(sitting):
-    sections = {heading: (text, figures) for heading, text, figures in sitting.tables("main", nobody)}
+def test_tables_are_shown_with_values_and_errors(session):
+    sections = {heading: (text, figures) for heading, text, figures in session.tables("main", nobody)}
     _, figures = sections["Parameters over days"]
     assert len(figures) == 3
     assert "±" in "".join(sections["Values"][0])

@@ -12,7 +12,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.flags import Flag
 from inflight.tasks import RunReport
 from inflight.tasks.analysis import compare
-from inflight.tasks.archive import ArchiveIndex, ingest, needs_of, partial_problems
+from inflight.tasks.archive import ArchiveIndex, ingest, needs_of, substitution_problems
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MODEL = f"""\
@@ -137,7 +137,7 @@ def test_the_catalog_names_the_days_and_their_cause(holed):
     by_day = {str(day.day): day for day in holed.days()}
     assert [by_day[day].cause for day in HEATED_DAYS] == ["", "partial", "", "partial"]
     assert by_day[HEATED_DAYS[1]].message.startswith("heater: 1440 samples without heater_current")
-    problems = partial_problems(holed.days())
+    problems = substitution_problems(holed.days())
     assert [item["day"] for item in problems] == [HEATED_DAYS[1], HEATED_DAYS[3]]
     assert {(item["cause"], item["channel"]) for item in problems} == {("partial", "heater_current")}
     assert RunReport("reprocess", days={"done": 4}, problems=problems).exit_code == 0

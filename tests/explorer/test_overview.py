@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from inflight.catalog import Catalog, Workspace
-from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
-from inflight.explorer.sitting import Days
+from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
+from inflight.explorer.session import Days
 from inflight.tasks.archive import ingest
 
 
-def offered(workspace: Workspace) -> Offer:
-    return offer_of(Catalog(workspace.root), workspace.mission(), "main")
+def offered(workspace: Workspace) -> ComparisonOverview:
+    return summarise_comparison(Catalog(workspace.root), workspace.mission(), "main")
 
 
 def test_an_empty_workspace_says_that_files_are_to_be_ingested(tiny_workspace):
@@ -18,7 +18,7 @@ def test_an_empty_workspace_says_that_files_are_to_be_ingested(tiny_workspace):
     found = offered(workspace)
     assert found.is_empty
     assert found.span() is None
-    assert "inflight ingest" in first_step(workspace, found)
+    assert "inflight ingest" in next_step(workspace, found)
 
 
 def test_an_archive_without_products_says_that_it_is_to_be_calibrated(tiny_workspace):
@@ -27,12 +27,12 @@ def test_an_archive_without_products_says_that_it_is_to_be_calibrated(tiny_works
     found = offered(workspace)
     assert (found.archived, found.products) == (2, 0)
     assert found.span() == (np.datetime64("2024-03-01"), np.datetime64("2024-03-02"))
-    assert "inflight reprocess" in first_step(workspace, found)
+    assert "inflight reprocess" in next_step(workspace, found)
 
 
 def test_a_calibrated_workspace_asks_for_nothing(calibrated):
     found = offered(calibrated)
-    assert first_step(calibrated, found) == ""
+    assert next_step(calibrated, found) == ""
     assert found.products == 4
     assert {"main-daily", "main-window"} <= set(found.tables)
     assert found.model.endswith("version 1")
@@ -40,7 +40,7 @@ def test_a_calibrated_workspace_asks_for_nothing(calibrated):
 
 def test_of_a_long_mission_the_newest_days_are_shown_unasked():
     first, last = np.datetime64("2001-01-01"), np.datetime64("2008-12-31")
-    found = Offer("main", "scalar", first, last, 2922, 2922, "champ version 1", ())
+    found = ComparisonOverview("main", "scalar", first, last, 2922, 2922, "champ version 1", ())
     assert found.span() == (np.datetime64("2008-12-02"), last)
 
 
@@ -54,7 +54,7 @@ def test_main_comes_first():
     from inflight.mission import Mission
 
     path = shipped_missions()["champ-two-fluxgates"]
-    names = comparisons(Mission.parse(path.read_text(encoding="utf-8")))
+    names = list_comparisons(Mission.parse(path.read_text(encoding="utf-8")))
     assert names[0] == "main"
     assert sorted(names[1:]) == names[1:]
     assert len(names) > 1
@@ -64,7 +64,7 @@ def test_main_comes_first():
 def test_a_table_belongs_to_the_comparison_whose_whole_name_it_has(table, owner):
     from types import SimpleNamespace
 
-    from inflight.explorer.offer import _is_of
+    from inflight.explorer.overview import _is_of
 
     mission = SimpleNamespace(comparisons={"main": None, "main-b": None})
     assert [name for name in mission.comparisons if _is_of(table, name, mission)] == [owner]
