@@ -1,7 +1,7 @@
 """Design matrices: columns of the residual, from native samples to the library's cadence.
 
-Takes a day's native rows and the channels on the library's bins; makes `DesignRows` (`coarsen`): means of the good
-samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
+Takes a day's native rows and the channels on the library's bins; makes `DesignRows` (`coarsen`): means of
+the good samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
 residual is the same function of the mean columns. From rows and terms, `design` makes the columns: what one
 unit of each parameter changes.
 

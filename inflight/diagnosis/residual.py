@@ -1,9 +1,9 @@
 """The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-Takes a state of the search and the `DiagnosisData` of its verdict (the coarse series, the model, the noise floor);
-makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
-sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
-(`correlation_s`) and how many independent blocks there are (`effective_blocks`).
+Takes a state of the search and the `DiagnosisData` of its verdict (the coarse series, the model, the noise
+floor); makes the residual after calibration, model and everything that was taken (`remaining_residual`), its
+sizes in sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its
+correlation time (`correlation_s`) and how many independent blocks there are (`effective_blocks`).
 
 In the Gram blocks a missing channel has its usual value, so that its gaps do not cost all other candidates
 their rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error

@@ -1,7 +1,7 @@
 """Candidates: the corrections that are tried on readings, and the one by states and gradiometer together.
 
-Takes readings; makes the correctors by name that `held_out.choose_correction` scores: gradiometers of every form,
-``states``, and ``combined``.
+Takes readings; makes the correctors by name that `held_out.choose_correction` scores: gradiometers of every
+form, ``states``, and ``combined``.
 
 The combined correction takes the field of a state where the state is known, and the gradiometer for what the
 difference does in addition, such as a current that follows the load; while the state is not known it takes

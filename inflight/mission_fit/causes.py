@@ -5,13 +5,14 @@ Takes the days' wide equations, their auxiliary columns and the continuous fit; 
 - the coil's temperature (`fit_coil_lag`): its coefficients, its lag, and its rivals. The auxiliary columns
   are the residual's derivatives by the temperature's rate. A lag is bilinear: its column is the rate's
   times the coefficients, so that a few passes settle it together with everything that the model fits.
-- the field of day and night (`fit_day_night_jointly`), fitted together with everything else, trends included: what
-  a panel's current explains by day is not counted twice, and the error contains it. Without it the angles
-  of each day's own fit vary with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
+- the field of day and night (`fit_day_night_jointly`), fitted together with everything else, trends
+  included: what a panel's current explains by day is not counted twice, and the error contains it. Without
+  it the angles of each day's own fit vary with the local time, with a period of 260.5 days (Yin 2010,
+  section 4.3).
 - cross-talk: what one unit of an ignored cause does to everything else. With the nine alone, a cause goes
-  into them as far as they can imitate it (`nine_parameter_cross_talk`; Yin 2010, section 4.2). With everything fitted
-  together (`joint_cross_talk`), C the covariance, leaving out a parameter j of size c moves parameter i by
-  ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
+  into them as far as they can imitate it (`nine_parameter_cross_talk`; Yin 2010, section 4.2). With
+  everything fitted together (`joint_cross_talk`), C the covariance, leaving out a parameter j of size c
+  moves parameter i by ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
 """
 
 from __future__ import annotations

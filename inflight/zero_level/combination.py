@@ -1,7 +1,7 @@
 r"""All methods on one record: one offset, whether they agree, and whether other offsets are refused.
 
-Takes: `Intervals` and a `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of the
-methods of `METHODS`, each on the intervals that suit it, with their agreement.
+Takes: `Intervals` and a `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of
+the methods of `METHODS`, each on the intervals that suit it, with their agreement.
 
 Methods share intervals and fluctuations, so they are not independent. Each is weighted by the inverse of its
 own covariance; the error of the mean is that of the weighted influences of every interval, in which what

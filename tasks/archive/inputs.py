@@ -394,8 +394,8 @@ class ArchiveIndex:
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
         """Return the days that a channel's typical value comes from: the day itself, else the nearest two.
 
-        One before and one after, at most `INPUTS.typical_value_days` away; none when there is none. A day that
-        hardly has the channel counts only when no other does.
+        One before and one after, at most `INPUTS.typical_value_days` away; none when there is none. A day
+        that hardly has the channel counts only when no other does.
         """
         far = INPUTS.typical_value_days + 1
         for least in (INPUTS.least_coverage, np.finfo(float).tiny):
