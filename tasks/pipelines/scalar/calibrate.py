@@ -94,8 +94,7 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
 
 @dataclass(frozen=True)
 class _Begun:
-    """A day's samples before the fit: split as `remove_other_effects` does, and which are usable; `step` in
-    ns."""
+    """A day's samples before the fit, what other effects add removed; `step` in ns."""
 
     job: Job
     day: np.datetime64
