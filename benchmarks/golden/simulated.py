@@ -155,7 +155,7 @@ BOOM = Case(
         reprocess("", comparison="boom"),
         Keep("end"),
         chain(),
-        chain("boom", ends=1),
+        chain("boom"),
         compare(),
     ),
 )
