@@ -2,8 +2,12 @@
 
 In go datasets of a day (`Run.stage`, `write_segment`), calibration tables, models and delivered files; out
 come lazy Datasets (`Catalog.open`), days with their state, lineage and releases. A run publishes all its days
-in one transaction, or none. Open `catalog` first; `records` defines the words; `readers` opens delivered
-files.
+in one transaction, or none. Open `catalog` first: it names every operation; `records` defines the words.
+
+What is stored: `schema` and `database` (SQLite); `segments`, `layout`, `encoding` and `manifest` write Zarr
+stores, `stores` and `opening` read them. What is asked: `days`, `validity` (tables), `provenance` (models,
+contexts, files, lineage). What is done: `runs`, `upkeep` (inventory, verify, repair, garbage), `release`.
+`readers` opens delivered files; `workspace` is the folder of one mission.
 """
 
 import lazy_loader

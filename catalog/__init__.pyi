@@ -1,5 +1,5 @@
 from .catalog import Catalog
-from .lineage import Edge
+from .provenance import Edge
 from .records import (
     ContextRecord,
     Day,

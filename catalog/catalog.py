@@ -10,18 +10,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import registry
+from inflight.catalog import provenance
 from inflight.catalog.database import Database
 from inflight.catalog.days import current_day, day_of_version, published_days, released_days, status_of_days
-from inflight.catalog.lineage import Edge, walk
 from inflight.catalog.opening import open_days, read_one_day, read_table
-from inflight.catalog.publishing import baseline_of, raise_baseline
+from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import freeze_release
-from inflight.catalog.repair import Repair, repair
-from inflight.catalog.runs import Run, close_dead_runs, run_records
+from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
-from inflight.catalog.upkeep import collect_garbage, dataset_summary, find_faults
+from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
 from inflight.catalog.validity import certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
 
@@ -263,7 +261,7 @@ class Catalog:
     ) -> int:
         """Save a model and return its version; a known text returns the version it has, unless `again`."""
         with self._database.write() as session:
-            return registry.save_model(session, name, text, parent, message, new_version)
+            return provenance.save_model(session, name, text, parent, message, new_version)
 
     def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
         """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.
@@ -274,24 +272,24 @@ class Catalog:
             When it is not there; the message lists those that are.
         """
         with self._database.read() as session:
-            return registry.model_text(session, name, version)
+            return provenance.model_text(session, name, version)
 
     def models(self) -> list[ModelRecord]:
         """Return the history of all models, oldest first."""
         with self._database.read() as session:
-            return registry.model_records(session)
+            return provenance.model_records(session)
 
     def save_context(
         self, mission_text: str, model_name: str, model_version: int, tables: Mapping[str, int]
     ) -> str:
         """Pin mission YAML, model version and table versions; return the id, the sha256 of these."""
         with self._database.write() as session:
-            return registry.save_context(session, mission_text, (model_name, model_version), tables)
+            return provenance.save_context(session, mission_text, (model_name, model_version), tables)
 
     def context(self, context: str) -> ContextRecord:
         """Return what a context pins."""
         with self._database.read() as session:
-            return registry.context_record(session, context)
+            return provenance.context_record(session, context)
 
     def record_file(
         self,
@@ -321,12 +319,12 @@ class Catalog:
         """Record many delivered files in one transaction."""
         with self._database.write() as session:
             for record in files:
-                registry.record_file(session, run.id, record)
+                provenance.record_file(session, run.id, record)
 
     def files(self, instrument: str) -> dict[str, FileRecord]:
         """Return the delivered files already taken in, by path."""
         with self._database.read() as session:
-            return registry.file_records(session, instrument)
+            return provenance.file_records(session, instrument)
 
     def lineage(self, id: str | Day, up: bool = True) -> list[Edge]:
         """Return the edges from an id towards what it was made from (`up`), or what was made from it.

@@ -40,7 +40,7 @@ class Database:
         # No pool: a connection costs 0.2 ms, and none may be inherited by a forked worker.
         self.engine = create_engine(url, poolclass=NullPool)
         if self.engine.dialect.name == "sqlite":
-            event.listen(self.engine, "do_connect", _open_sealed)
+            event.listen(self.engine, "do_connect", _open_read_only)
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._writing = self.engine.execution_options(inflight_writes=True)
@@ -52,7 +52,7 @@ class Database:
     @contextmanager
     def read(self) -> Iterator[Session]:
         """Open a session that sees one consistent state, whatever is published meanwhile."""
-        with _errors_told(self.engine), Session(self.engine, expire_on_commit=False) as session:
+        with _database_errors(self.engine), Session(self.engine, expire_on_commit=False) as session:
             yield session
 
     @contextmanager
@@ -65,15 +65,18 @@ class Database:
             When another writer holds the database for longer than the busy timeout, or the disk is full.
         """
         with (
-            _errors_told(self.engine),
+            _database_errors(self.engine),
             Session(self._writing, expire_on_commit=False) as session,
             session.begin(),
         ):
             yield session
 
     def _migrate(self) -> None:
-        if _version(self.engine) == HEAD:
-            return
+        with self.engine.connect() as connection:
+            if self.engine.dialect.has_table(connection, "alembic_version"):
+                version = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+                if version == HEAD:
+                    return
         # Imported here because opening an up-to-date catalog should not pay for Alembic.
         from alembic import command
         from alembic.config import Config
@@ -92,14 +95,7 @@ class Database:
                 ) from error
 
 
-def _version(engine: Engine) -> str | None:
-    with engine.connect() as connection:
-        if not engine.dialect.has_table(connection, "alembic_version"):
-            return None
-        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-
-
-def _open_sealed(
+def _open_read_only(
     _dialect: Any, _record: Any, arguments: Sequence[Any], _options: Any
 ) -> sqlite3.Connection | None:
     """Open a database that this user cannot write, for reading; None leaves any other to SQLAlchemy.
@@ -108,7 +104,7 @@ def _open_sealed(
     no process writes at this moment, the database is read as a file that does not change.
     """
     path = Path(str(arguments[0])) if arguments else Path()
-    if not _is_sealed(path):
+    if not _is_read_only(path):
         return None
     log, shared = (path.with_name(f"{path.name}-{end}") for end in ("wal", "shm"))
     in_use = log.exists() and (shared.exists() or log.stat().st_size > 0)
@@ -120,29 +116,24 @@ def _prepare_sqlite(connection: sqlite3.Connection, _record: Any) -> None:
     connection.isolation_level = None  # the driver's own BEGIN is the deferred one
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
-    if not _is_sealed(Path(cursor.execute("PRAGMA database_list").fetchone()[2])):
-        _switch_to_wal(cursor)
+    if not _is_read_only(Path(cursor.execute("PRAGMA database_list").fetchone()[2])):
+        # With the write-ahead log readers go on while one writes. The switch ignores the busy timeout.
+        deadline = time.monotonic() + BUSY_TIMEOUT_MS / 1000
+        while cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+            try:
+                cursor.execute("PRAGMA journal_mode=WAL")
+            except sqlite3.OperationalError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.05)
     cursor.execute("PRAGMA synchronous=FULL")  # a published day survives a power failure
     cursor.execute("PRAGMA foreign_keys=ON")
     cursor.close()
 
 
-def _is_sealed(path: Path) -> bool:
-    """Tell whether a database is there and this user can only read it."""
+def _is_read_only(path: Path) -> bool:
+    """Return True when a database is there and this user can only read it."""
     return path.is_file() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK))
-
-
-def _switch_to_wal(cursor: sqlite3.Cursor) -> None:
-    """Turn on the write-ahead log, with which readers go on while one writes."""
-    # The switch itself ignores the busy timeout.
-    deadline = time.monotonic() + BUSY_TIMEOUT_MS / 1000
-    while cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
-        try:
-            cursor.execute("PRAGMA journal_mode=WAL")
-        except sqlite3.OperationalError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.05)
 
 
 def _begin_sqlite(connection: Connection) -> None:
@@ -153,7 +144,8 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 @contextmanager
-def _errors_told(engine: Engine) -> Iterator[None]:
+def _database_errors(engine: Engine) -> Iterator[None]:
+    """Turn what the driver raises into a `CatalogError`."""
     try:
         yield
     except DatabaseError as error:

@@ -1,10 +1,13 @@
-"""Questions about days: which revision is the present one, what happened to the others."""
+"""Queries about days: which revision is the present one, what happened to the others.
+
+Each takes a database session and the name of a dataset, and returns `Day` records.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from sqlalchemy import Select, select
@@ -27,26 +30,16 @@ from inflight.errors import CatalogError
 def day_record(row: DayRow, dataset: str, path: str | None) -> Day:
     """Return a row of the database as the record users see."""
     published = row.baseline is not None and row.revision is not None
-    return Day(
+    return row.as_record(
+        Day,
         dataset=dataset,
         day=utc_day(row.day),
-        state=row.state,
-        cause=row.cause,
-        message=row.message,
         version=version_text(row.baseline or 0, row.revision or 0) if published else "",
         revision=-1 if row.revision is None else row.revision,
-        coverage=row.coverage,
-        count=row.count,
-        key=row.key,
         run=row.run_id,
         id=f"day:{row.id}",
         segment=path or "",
         rows=(row.start, row.stop),
-        report=row.report,
-        context=row.context,
-        first_tt2000=row.first_tt2000,
-        last_tt2000=row.last_tt2000,
-        step_ns=row.step_ns,
     )
 
 
@@ -123,8 +116,12 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
             by_day[row.day] = [(row, path)]
         elif row.state != "published":
             by_day[row.day].append((row, path))
-    chosen = (_choose(by_day[day], accepted) for day in sorted(by_day))
-    return [day_record(found[0], name, found[1]) for found in chosen if found]
+    chosen = []
+    for _, found in sorted(by_day.items()):
+        preferred = {"published"} if accepted is None else accepted
+        matching = [pair for pair in found if pair[0].state in preferred]
+        chosen += matching[-1:] or (found[-1:] if accepted is None else [])
+    return [day_record(row, name, path) for row, path in chosen]
 
 
 def published_days(session: Session, name: str, span: Span, context: str | None) -> list[Day]:
@@ -195,13 +192,6 @@ def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
         .where(DatasetRow.name == name, DayRow.state == "verified", RunRow.state != "running")
     )
     return [(day, key) for day, key in found]
-
-
-def _choose(rows: Sequence[Any], accepted: set[str] | None) -> Any:
-    if accepted is not None:
-        return next((found for found in reversed(rows) if found[0].state in accepted), None)
-    published = next((found for found in rows if found[0].state == "published"), None)
-    return published or rows[-1]
 
 
 def _with_store() -> Select[Any]:

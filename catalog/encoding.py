@@ -82,7 +82,11 @@ class Encoding:
     def encode(self, values: Array) -> Array:
         """Return the stored form of `values`, same shape."""
         if self.kind == "packed":
-            return _quanta(values, self.resolution, self.missing, self.stored)
+            absent = np.isnan(values)
+            finite = np.where(absent, 0.0, values) if absent.any() else values
+            steps: Array = _steps(finite, self.resolution).astype(self.stored)
+            steps[absent] = self.missing
+            return steps
         if self.kind == "labels":
             index = {label: number for number, label in enumerate(self.labels)}
             codes = [index[str(value)] for value in values.ravel()]
@@ -103,7 +107,7 @@ class Encoding:
 
 
 def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> Encoding:
-    """Choose how a variable is stored, looking at all its values.
+    """Choose how a variable is stored, from all its values.
 
     Parameters
     ----------
@@ -140,14 +144,21 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
 
 
 def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
+    """Return the encoding as multiples of the resolution; None unless it keeps all values, see `PACKING`."""
     largest = 0.0
     for piece in pieces:
         finite = piece if np.isfinite(piece).all() else piece[~np.isnan(piece)]
         if finite.size:
             largest = max(largest, float(finite.max()) / resolution, -float(finite.min()) / resolution)
         # An infinity has no integer.
-        if not largest < 2**53 or not _lossless(finite, resolution):
+        if not largest < 2**53:
             return None
+        # Whole numbers of steps are what is stored, whatever their type: as floats they need no copy.
+        decoded = _values(_steps(finite, resolution), resolution, None, finite.dtype)
+        if not np.array_equal(decoded, finite):
+            error, allowed = np.abs(decoded - finite), PACKING.value_tolerance * np.abs(finite)
+            if np.any((error > PACKING.step_tolerance * resolution) | (error > allowed)):
+                return None
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
     return Encoding(
         kind="packed",
@@ -160,33 +171,9 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
     )
 
 
-def _lossless(finite: Array, resolution: float) -> bool:
-    """Tell whether values come back the same: exactly, or within both tolerances."""
-    # Whole numbers of steps are the quanta themselves, whatever their type: as floats they need no copy.
-    decoded = _values(_steps(finite, resolution), resolution, None, finite.dtype)
-    if np.array_equal(decoded, finite):
-        return True
-    error = np.abs(decoded - finite)
-    return bool(
-        np.all(
-            (error <= PACKING.step_tolerance * resolution)
-            & (error <= PACKING.value_tolerance * np.abs(finite))
-        )
-    )
-
-
 def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:
     steps = np.asarray(values, dtype=np.float64) / resolution
     return np.rint(steps, out=steps)
-
-
-def _quanta(values: Array, resolution: float, missing: int, stored: str) -> Array:
-    absent = np.isnan(values)
-    if not absent.any():
-        return _steps(values, resolution).astype(stored)
-    quanta: Array = _steps(np.where(absent, 0.0, values), resolution).astype(stored)
-    quanta[absent] = missing
-    return quanta
 
 
 def _values(quanta: Array, resolution: float, missing: int | None, dtype: np.dtype[Any]) -> Array:

@@ -58,7 +58,14 @@ def lay_out(days: Sequence[DayData]) -> Layout:
     if not days:
         raise ContentError("a segment needs at least one day", remedy="skip the write when nothing was made")
     ordered = tuple(sorted(days, key=lambda item: utc_day(item.day)))
-    row_dim = _row_dimension(ordered[0])
+    dims = [name for name in ROW_TIMES if name in ordered[0].dataset.dims]
+    if len(dims) != 1:
+        raise ContentError(
+            f"dimensions are {tuple(map(str, ordered[0].dataset.dims))}, expected one of 'time' and 'block'",
+            day=str(ordered[0].day),
+            remedy="write a dataset that is not cut in days with write_table",
+        )
+    row_dim = dims[0]
     times = [_row_times(item, row_dim) for item in ordered]
     names = [utc_day(item.day) for item in ordered]
     if len(set(names)) < len(names):
@@ -116,7 +123,7 @@ def shared_attributes(each: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any]
     common = {
         name: value for name, value in each[0].items() if all(other.get(name) == value for other in each)
     }
-    return common, [{name: value for name, value in one.items() if name not in common} for one in each]
+    return common, [{name: value for name, value in own.items() if name not in common} for own in each]
 
 
 def _plain(value: Any) -> Any:
@@ -125,17 +132,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} {value!r:.60}")
-
-
-def _row_dimension(item: DayData) -> str:
-    found = [name for name in ROW_TIMES if name in item.dataset.dims]
-    if len(found) != 1:
-        raise ContentError(
-            f"dimensions are {tuple(map(str, item.dataset.dims))}, expected one of 'time' and 'block'",
-            day=str(item.day),
-            remedy="write a dataset that is not cut in days with write_table",
-        )
-    return found[0]
 
 
 def _row_times(item: DayData, row_dim: str) -> npt.NDArray[np.int64]:
@@ -165,7 +161,10 @@ def _row(item: DayData, stamps: npt.NDArray[np.int64], start: int) -> SegmentRow
     uniform = steps.size > 0 and bool(np.all(steps == steps[0]))
     first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (int(TT2000_FILL), int(TT2000_FILL))
     report = plain_attributes(item.report, f"the report of day {item.day}")
-    if "coverage" not in report and (cadence := _cadence(item.dataset)):
+    own = [variable.attrs for variable in item.dataset.variables.values()]
+    stated = [found.get("cadence_ns") for found in (item.dataset.attrs, *own)]
+    cadence = min((int(value) for value in stated if value), default=0)
+    if "coverage" not in report and 0 < cadence < 3600 * SECOND:
         begin, end = day_bounds(item.day)
         report["coverage"] = round(min(1.0, stamps.size * cadence / (end - begin)), 6)
     return SegmentRow(
@@ -180,15 +179,6 @@ def _row(item: DayData, stamps: npt.NDArray[np.int64], start: int) -> SegmentRow
         parents=tuple(item.parents),
         step_ns=int(steps[0]) if uniform else 0,
     )
-
-
-def _cadence(dataset: xr.Dataset) -> int:
-    stated = [
-        dataset.attrs.get("cadence_ns"),
-        *(item.attrs.get("cadence_ns") for item in dataset.variables.values()),
-    ]
-    known = [int(value) for value in stated if value]
-    return min(known) if known and min(known) < 3600 * SECOND else 0
 
 
 def _variable_names(dataset: xr.Dataset, row_dim: str) -> set[str]:
@@ -210,7 +200,7 @@ def _variable(name: str, layout: Layout) -> Variable:
         _check_like_first(name, str(item.day), (arrays[0], pieces[0]), (array, piece), in_rows)
     attributes = [plain_attributes(array.attrs, f"variable '{name}'") for array in arrays]
     common, own = shared_attributes(attributes)
-    if changed := sorted({key for one in own for key in one} & set(FIXED_ATTRIBUTES)):
+    if changed := sorted({key for day in own for key in day} & set(FIXED_ATTRIBUTES)):
         raise ContentError(
             f"{changed} differ between days of one segment", channel=name, remedy="write two segments"
         )

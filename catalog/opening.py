@@ -1,4 +1,7 @@
-"""Opening days as one Dataset: lazily over any span, or one day at once."""
+"""Opening days as one Dataset: lazily over any span (`open_days`), or one day at once (`read_one_day`).
+
+In go `Day` records; values come from their stores (`inflight.catalog.stores`).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.catalog.layout import FIXED_ATTRIBUTES, ROW_TIMES
+from inflight.catalog.layout import FIXED_ATTRIBUTES, ROW_TIMES, shared_attributes
 from inflight.catalog.records import Day
 from inflight.catalog.spans import Span
 from inflight.catalog.stores import Store, open_store
@@ -63,8 +66,17 @@ def open_days(
     names = _names_to_read(stores, dataset, requested)
     data = {name: _variable(name, stores, pieces) for name in names}
     coordinates = frozenset.union(*(store.coordinates for store in stores)) & set(names)
-    opened = xr.Dataset(data, attrs=_common([store.attributes for store in stores])).set_coords(coordinates)
-    return _with_time(opened, pieces) if row_dim == "time" else opened
+    attributes, _ = shared_attributes([store.attributes for store in stores])
+    opened = xr.Dataset(data, attrs=attributes).set_coords(coordinates)
+    if row_dim != "time":
+        return opened
+    if sum(piece.stop - piece.start for piece in pieces) > INDEX_LIMIT:
+        tasks = [(load_times, str(piece.store.folder), piece.start, piece.stop) for piece in pieces]
+        time = xr.Variable(("time",), _lazy_array("time", tasks, pieces, (), np.dtype("datetime64[ns]")))
+        return opened.assign_coords(xr.Coordinates({"time": time}, indexes={}))
+    stamps = [_row_times(piece) for piece in pieces]
+    opened["tt2000"] = ("time", np.concatenate(stamps), opened["tt2000"].attrs)
+    return opened.assign_coords(time=("time", np.concatenate([utc_of_day(part) for part in stamps])))
 
 
 def load_rows(folder: str, name: str, start: int, stop: int) -> Array:
@@ -139,7 +151,7 @@ def _names_to_read(stores: Sequence[Store], dataset: str, variables: Iterable[st
 def _variable(name: str, stores: Sequence[Store], pieces: Sequence[_Piece]) -> xr.Variable:
     holders = [store for store in stores if name in store.variables]
     like = holders[0].variables[name]
-    attributes = _common([store.variables[name].attributes for store in holders])
+    attributes, _ = shared_attributes([store.variables[name].attributes for store in holders])
     for store in holders[1:]:
         other = store.variables[name]
         clash = [key for key in FIXED_ATTRIBUTES if other.attributes.get(key) != like.attributes.get(key)]
@@ -149,12 +161,8 @@ def _variable(name: str, stores: Sequence[Store], pieces: Sequence[_Piece]) -> x
                 f"{store.folder.name}",
                 remedy="open the two spans apart, or make the older days again",
             )
-    if not holders[0].in_rows(name):
-        return xr.Variable(like.dims, _static(name, holders), attributes)
-    return xr.Variable(like.dims, _lazy_rows(name, holders, pieces), attributes)
-
-
-def _static(name: str, holders: Sequence[Store]) -> Array:
+    if holders[0].in_rows(name):
+        return xr.Variable(like.dims, _lazy_rows(name, holders, pieces), attributes)
     values = holders[0].whole(name)
     for store in holders[1:]:
         if not np.array_equal(values, store.whole(name), equal_nan=values.dtype.kind in "fc"):
@@ -163,11 +171,10 @@ def _static(name: str, holders: Sequence[Store]) -> Array:
                 f"and {store.folder.name}",
                 remedy="open the two spans apart, or make the older days again",
             )
-    return values
+    return xr.Variable(like.dims, values, attributes)
 
 
 def _lazy_rows(name: str, holders: Sequence[Store], pieces: Sequence[_Piece]) -> da.Array:
-    """Make one task a day by hand: slicing and joining 3000 days takes dask a second a channel."""
     dtype = np.result_type(*(store.variables[name].decoded_dtype() for store in holders))
     if len(holders) < len({piece.store.folder for piece in pieces}) and dtype.kind not in "fc":
         raise CatalogError(
@@ -175,40 +182,24 @@ def _lazy_rows(name: str, holders: Sequence[Store], pieces: Sequence[_Piece]) ->
             remedy="leave it out with variables=[...], or open the spans apart",
         )
     inner = _inner(holders[0], name)
-    sizes = tuple(piece.stop - piece.start for piece in pieces)
-    tasks = [_task(name, piece, inner, dtype) for piece in pieces]
-    token = hashlib.sha256(repr([task[1:] for task in tasks]).encode()).hexdigest()[:32]
-    layer = {(f"{name}-{token}", index, *([0] * len(inner))): task for index, task in enumerate(tasks)}
-    chunks = (sizes, *((size,) for size in inner))
-    return da.Array(layer, f"{name}-{token}", chunks, dtype=dtype)  # type: ignore[no-untyped-call]
+    tasks = [
+        (load_rows, str(piece.store.folder), name, piece.start, piece.stop)
+        if name in piece.store.variables
+        else (np.full, (piece.stop - piece.start, *inner), np.nan, dtype)
+        for piece in pieces
+    ]
+    return _lazy_array(name, tasks, pieces, inner, dtype)
 
 
-def _task(name: str, piece: _Piece, inner: tuple[int, ...], dtype: np.dtype[Any]) -> tuple[Any, ...]:
-    if name not in piece.store.variables:
-        return (np.full, (piece.stop - piece.start, *inner), np.nan, dtype)
-    return (load_rows, str(piece.store.folder), name, piece.start, piece.stop)
-
-
-def _with_time(opened: xr.Dataset, pieces: Sequence[_Piece]) -> xr.Dataset:
-    if sum(piece.stop - piece.start for piece in pieces) > INDEX_LIMIT:
-        return opened.assign_coords(xr.Coordinates({"time": _lazy_time(pieces)}, indexes={}))
-    stamps = [_row_times(piece) for piece in pieces]
-    opened["tt2000"] = ("time", np.concatenate(stamps), opened["tt2000"].attrs)
-    return opened.assign_coords(time=("time", np.concatenate([utc_of_day(part) for part in stamps])))
-
-
-def _lazy_time(pieces: Sequence[_Piece]) -> xr.Variable:
-    tasks = [(load_times, str(piece.store.folder), piece.start, piece.stop) for piece in pieces]
-    name = f"time-{hashlib.sha256(repr([task[1:] for task in tasks]).encode()).hexdigest()[:32]}"
-    chunks = (tuple(piece.stop - piece.start for piece in pieces),)
-    layer = {(name, index): task for index, task in enumerate(tasks)}
-    stamps = da.Array(layer, name, chunks, dtype=np.dtype("datetime64[ns]"))  # type: ignore[no-untyped-call]
-    return xr.Variable(("time",), stamps)
+def _lazy_array(
+    name: str, tasks: list[tuple[Any, ...]], pieces: Sequence[_Piece], inner: tuple[int, ...], dtype: Any
+) -> da.Array:
+    """Make one chunk a day by hand: slicing and joining 3000 days takes dask a second a channel."""
+    token = f"{name}-{hashlib.sha256(repr([task[1:] for task in tasks]).encode()).hexdigest()[:32]}"
+    layer = {(token, index, *([0] * len(inner))): task for index, task in enumerate(tasks)}
+    chunks = (tuple(piece.stop - piece.start for piece in pieces), *((size,) for size in inner))
+    return da.Array(layer, token, chunks, dtype=dtype)  # type: ignore[no-untyped-call]
 
 
 def _inner(store: Store, name: str) -> tuple[int, ...]:
     return store.variables[name].shape[1:]
-
-
-def _common(each: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in each[0].items() if all(other.get(name) == value for other in each)}

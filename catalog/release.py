@@ -1,4 +1,8 @@
-"""Releases: a collection frozen in the catalog and copied out whole, readable by any Zarr v3 reader."""
+"""Releases: a collection frozen in the catalog and copied out whole, readable by any Zarr v3 reader.
+
+`freeze_release` collects days, tables and context, refuses what lacks provenance or a cause, writes the copy
+with its manifest, and registers the release in one transaction that ends with the rename of its folder.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ import json
 import re
 import shutil
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import groupby
@@ -21,11 +25,10 @@ from sqlalchemy.orm import Session
 from inflight.catalog.database import Database
 from inflight.catalog.days import published_days, status_of_days
 from inflight.catalog.faultpoints import fault_point
-from inflight.catalog.lineage import Edge, unknown_ids, walk
 from inflight.catalog.manifest import flush_folder, write_manifest
 from inflight.catalog.opening import read_one_day
+from inflight.catalog.provenance import Edge, context_record, model_text, unknown_ids, walk
 from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
-from inflight.catalog.registry import context_record, model_text
 from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import Span
@@ -72,7 +75,12 @@ def freeze_release(
         _refuse_known_version(session, version)
         collection = _collect(session, version, context, datasets, notes)
         _refuse_without_provenance(session, collection.days)
-    _refuse_unexplained(collection)
+    if unexplained := [day for day in collection.absent if not day.cause]:
+        listed = ", ".join(f"{day.dataset} {day.day} ({day.state})" for day in unexplained[:5])
+        raise CatalogError(
+            f"{len(unexplained)} missing days have no recorded cause, among them {listed}",
+            remedy="process them again, or record why they are missing",
+        )
     staged = destination / f".{version}-{uuid.uuid4().hex[:8]}"
     try:
         destination.mkdir(parents=True, exist_ok=True)
@@ -107,7 +115,9 @@ def _collect(
     days: list[Day] = []
     absent: list[Day] = []
     for name in names:
-        present = _days_of(session, name, context)
+        present = published_days(session, name, _WHOLE, None)
+        if context is not None and any(day.context is not None for day in present):
+            present = published_days(session, name, _WHOLE, context)
         days += present
         there = {day.day for day in present}
         recorded = [day for day in status_of_days(session, name, _WHOLE, None) if day.day not in there]
@@ -137,13 +147,6 @@ def _collect(
     )
 
 
-def _days_of(session: Session, name: str, context: str | None) -> list[Day]:
-    present = published_days(session, name, _WHOLE, None)
-    if context is None or all(day.context is None for day in present):
-        return present
-    return published_days(session, name, _WHOLE, context)
-
-
 def _refuse_without_provenance(session: Session, days: Sequence[Day]) -> None:
     """Every day, and every day it was made from, states what it was made from, and that is known."""
     ids = [day.id for day in days]
@@ -161,45 +164,52 @@ def _refuse_without_provenance(session: Session, days: Sequence[Day]) -> None:
         )
 
 
-def _refuse_unexplained(collection: _Collection) -> None:
-    unexplained = [day for day in collection.absent if not day.cause]
-    if unexplained:
-        listed = ", ".join(f"{day.dataset} {day.day} ({day.state})" for day in unexplained[:5])
-        raise CatalogError(
-            f"{len(unexplained)} missing days have no recorded cause, among them {listed}",
-            remedy="process them again, or record why they are missing",
-        )
-
-
 def _write_release(workspace: Path, folder: Path, collection: _Collection) -> None:
-    for batch in _batches(collection.days):
-        _copy_days(workspace, folder, batch)
+    # Days of one segment can share a released store: their variables and units are equal.
+    for _, group in groupby(collection.days, key=lambda day: (day.dataset, day.segment)):
+        members = list(group)
+        for first in range(0, len(members), DAYS_PER_STORE):
+            _copy_days(workspace, folder, members[first : first + DAYS_PER_STORE])
     for table in collection.tables:
         store = open_store(str(workspace / table.segment))
         dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
         write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
     if (folder / "stores").exists():
-        for group in (folder / "stores").iterdir():
-            group.rename(folder / group.name)
+        for part in (folder / "stores").iterdir():
+            part.rename(folder / part.name)
         (folder / "stores").rmdir()
     shutil.rmtree(folder / "staging", ignore_errors=True)
-    _write_days(folder / "days.csv", collection)
-    _write_tables(folder / "tables.csv", collection.tables)
+    ordered = sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day))
+    _write_csv(
+        folder / "days.csv",
+        ("dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"),
+        (
+            (
+                *(day.dataset, day.day, day.version, "" if day.coverage is None else f"{day.coverage:.6f}"),
+                *(day.count, day.state, day.cause, day.message, day.key),
+            )
+            for day in ordered
+        ),
+    )
+    _write_csv(
+        folder / "tables.csv",
+        ("table", "name", "context", "valid_from", "valid_to", "valid_from_tt2000", "valid_to_tt2000"),
+        (
+            (table.id, table.name, context or "", to_utc(start), to_utc(end), start, end)
+            for table in collection.tables
+            for context, start, end in table.certified or ((table.context, table.start, table.end),)
+        ),
+    )
     if collection.context:
         (folder / "mission.yaml").write_text(collection.context.mission_text, "utf-8")
         (folder / "model.yaml").write_text(collection.model, "utf-8")
     (folder / "README.md").write_text(_readme(collection), "utf-8")
-    (folder / "RELEASE_NOTES.md").write_text(_release_notes(collection), "utf-8")
+    notes = [f"# Release notes, {collection.version}", "", collection.notes.strip() or "No notes were given."]
+    if collection.absent:
+        notes += ["", f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
+    (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / _MARKER).write_text(json.dumps({"version": collection.version}) + "\n", "utf-8")
     write_manifest(folder)
-
-
-def _batches(days: Sequence[Day]) -> Iterator[list[Day]]:
-    """Days that can share a released store: of one segment, so of equal variables and units."""
-    for _, group in groupby(days, key=lambda day: (day.dataset, day.segment)):
-        members = list(group)
-        for first in range(0, len(members), DAYS_PER_STORE):
-            yield members[first : first + DAYS_PER_STORE]
 
 
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
@@ -226,38 +236,11 @@ def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
             )
 
 
-def _write_days(path: Path, collection: _Collection) -> None:
+def _write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
-        writer.writerow(
-            ["dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"]
-        )
-        for day in sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day)):
-            coverage = "" if day.coverage is None else f"{day.coverage:.6f}"
-            writer.writerow(
-                [
-                    day.dataset,
-                    day.day,
-                    day.version,
-                    coverage,
-                    day.count,
-                    day.state,
-                    day.cause,
-                    day.message,
-                    day.key,
-                ]
-            )
-
-
-def _write_tables(path: Path, tables: Sequence[TableRecord]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(
-            ["table", "name", "context", "valid_from", "valid_to", "valid_from_tt2000", "valid_to_tt2000"]
-        )
-        for table in tables:
-            for context, start, end in table.certified or ((table.context, table.start, table.end),):
-                writer.writerow([table.id, table.name, context or "", to_utc(start), to_utc(end), start, end])
+        writer.writerow(header)
+        writer.writerows(rows)
 
 
 def _readme(collection: _Collection) -> str:
@@ -290,13 +273,6 @@ def _readme(collection: _Collection) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _release_notes(collection: _Collection) -> str:
-    text = [f"# Release notes, {collection.version}", "", collection.notes.strip() or "No notes were given."]
-    if collection.absent:
-        text += ["", f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
-    return "\n".join(text) + "\n"
-
-
 def _register(
     database: Database, collection: _Collection, context: str | None, staged: Path, target: Path
 ) -> Path:
@@ -316,18 +292,16 @@ def _register(
         days = (int(day.id.partition(":")[2]) for day in collection.days)
         session.add_all(ReleaseDayRow(release_id=row.id, day_id=day) for day in days)
         session.flush()
-        _clear_leftover(target, collection.version)
+        if target.exists():
+            # Left by a release that was killed between its rename and its commit; nothing else is removed.
+            marker = target / _MARKER
+            stated = json.loads(marker.read_text("utf-8")) if marker.exists() else {}
+            if stated.get("version") != collection.version:
+                raise CatalogError(
+                    "the folder exists and is no release", file=str(target), remedy="move it away"
+                )
+            shutil.rmtree(target)
         staged.rename(target)
         flush_folder(target.parent)
         fault_point("release_renamed")
     return target
-
-
-def _clear_leftover(target: Path, version: str) -> None:
-    """Remove what a release killed between its rename and its commit left; nothing else is touched."""
-    if not target.exists():
-        return
-    marker = target / _MARKER
-    if not marker.exists() or json.loads(marker.read_text("utf-8")).get("version") != version:
-        raise CatalogError("the folder exists and is no release", file=str(target), remedy="move it away")
-    shutil.rmtree(target)

@@ -1,37 +1,64 @@
-"""Runs: one piece of work whose days become visible together, or not at all."""
+"""Runs: one piece of work whose days become visible together, or not at all.
+
+A run registers the segments that workers wrote (`Run.attach`) and records days without data; `Run.publish`
+makes its days the present ones and certifies its tables, in one transaction. The process of a run is known by
+host, pid and the time it began; `close_dead_runs` ends the runs of processes that are gone.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
+import os
 import shutil
+import socket
+import subprocess
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
-from sqlalchemy import select, update
+from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.days import adoptable_day, adoptable_days, day_record
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import plain_attributes
-from inflight.catalog.lineage import Edge, add_edges, parent_ids, walk
-from inflight.catalog.manifest import manifest_faults
-from inflight.catalog.processes import ProcessMark, this_process
-from inflight.catalog.publishing import publish_run
-from inflight.catalog.records import CAUSES, DAY_STATES, Day, DayData, RunRecord, Segment, SegmentRow, utc_day
-from inflight.catalog.schema import DatasetRow, DayRow, RunRow, StoreRow, TableRow
+from inflight.catalog.manifest import manifest_faults, manifest_sha256
+from inflight.catalog.provenance import Edge, add_edges, parent_ids, walk
+from inflight.catalog.records import (
+    CAUSES,
+    DAY_STATES,
+    Day,
+    DayData,
+    RunRecord,
+    Segment,
+    SegmentRow,
+    utc_day,
+    version_text,
+)
+from inflight.catalog.schema import (
+    CurrentRow,
+    DatasetRow,
+    DayRow,
+    FileRow,
+    RunRow,
+    SettingRow,
+    StoreRow,
+    TableRow,
+)
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import as_date
-from inflight.catalog.validity import Certification
-from inflight.errors import CatalogError, InflightError
+from inflight.catalog.validity import Certification, certify_table
+from inflight.errors import CatalogError, InflightError, IntegrityError
 
 #: States a caller may record; the others follow from staging and publishing.
 _RECORDED = ("planned", "running", "failed", "no_work")
+#: Setting that holds the release baseline, the XX of ``vXX.YY``.
+BASELINE_SETTING: Final = "baseline"
 
 
 class Run:
@@ -50,10 +77,9 @@ class Run:
         self.settings: dict[str, Any] = plain_attributes(settings, f"run '{kind}'")
         self._database = database
         self._started = now.isoformat(timespec="microseconds")
-        self._sound_stores: set[str] = set()
+        self._intact_stores: set[str] = set()
 
     def __enter__(self) -> Self:
-        mark = this_process()
         with self._database.write() as session:
             session.add(
                 RunRow(
@@ -62,9 +88,9 @@ class Run:
                     settings=self.settings,
                     context=self.context,
                     state="running",
-                    host=mark.host,
-                    pid=mark.pid,
-                    process=mark.process,
+                    host=socket.gethostname(),
+                    pid=os.getpid(),
+                    process=_process_start(os.getpid()),
                     started=self._started,
                 )
             )
@@ -236,20 +262,14 @@ class Run:
             return None
         with self._database.write() as session:
             found = adoptable_day(session, name, as_date(day), key)
-            if found is None or not self._is_sound(found[1]):
+            if found is None:
                 return None
             theirs, store = found
-            written = SegmentRow(
-                day=utc_day(theirs.day),
-                start=theirs.start,
-                stop=theirs.stop,
-                key=theirs.key,
-                first_tt2000=theirs.first_tt2000,
-                last_tt2000=theirs.last_tt2000,
-                count=theirs.count,
-                report=theirs.report,
-                step_ns=theirs.step_ns,
-            )
+            if store.path not in self._intact_stores:
+                if manifest_faults(self.workspace / store.path, store.sha256):
+                    return None
+                self._intact_stores.add(store.path)
+            written = theirs.as_record(SegmentRow, day=utc_day(theirs.day))
             row = self._staged_row(session, theirs.dataset_id, store, written)
             session.flush()
             adopted = f"day:{theirs.id}"
@@ -280,7 +300,29 @@ class Run:
         IntegrityError
             When a store is missing or not the one that was verified; nothing is published then.
         """
-        return publish_run(self.workspace, self._database, self.id, certify, supersede=supersede)
+        with self._database.write() as session:
+            fault_point("publish_begun")
+            rows = session.execute(
+                select(DayRow, StoreRow, DatasetRow.name)
+                .join(StoreRow, StoreRow.id == DayRow.store_id)
+                .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+                .where(DayRow.run_id == self.id, DayRow.state == "verified")
+                .order_by(DatasetRow.name, DayRow.day)
+            ).all()
+            for path, sha256 in {store.path: store.sha256 for _, store, _ in rows}.items():
+                if manifest_sha256(self.workspace / path) != sha256:
+                    raise IntegrityError(
+                        "the manifest is not the one that was verified", file=path, remedy="run again"
+                    )
+            published = _move_pointers(session, self.id, [row for row, _, _ in rows])
+            for certification in certify:
+                certify_table(session, certification, supersede=supersede)
+            # A delivered file counts as taken in only with the days that were made from it.
+            session.execute(update(FileRow).where(FileRow.run_id == self.id).values(taken=True))
+            session.flush()
+            fault_point("publish_flushed")
+        fault_point("published")
+        return [day_record(row, name, store.path) for row, store, name in rows if row.id in published]
 
     def _store(self, session: Session, segment: Segment) -> StoreRow:
         store = StoreRow(
@@ -317,14 +359,6 @@ class Run:
         row.coverage = written.report.get("coverage")
         return row
 
-    def _is_sound(self, store: StoreRow) -> bool:
-        if store.path in self._sound_stores:
-            return True
-        if manifest_faults(self.workspace / store.path, store.sha256):
-            return False
-        self._sound_stores.add(store.path)
-        return True
-
 
 def cause_of(error: BaseException) -> str:
     """Return the catalog's cause of an exception: only failures that can pass are ``transient``."""
@@ -355,20 +389,7 @@ def run_records(session: Session, kind: str | None) -> list[RunRecord]:
     query = select(RunRow).order_by(RunRow.started, RunRow.id)
     if kind is not None:
         query = query.where(RunRow.kind == kind)
-    return [
-        RunRecord(
-            id=row.id,
-            kind=row.kind,
-            state=row.state,
-            cause=row.cause,
-            message=row.message,
-            context=row.context,
-            settings=row.settings,
-            started=row.started,
-            ended=row.ended,
-        )
-        for row in session.scalars(query)
-    ]
+    return [row.as_record(RunRecord) for row in session.scalars(query)]
 
 
 def close_dead_runs(workspace: Path, database: Database) -> list[str]:
@@ -377,7 +398,8 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
         gone = [
             row.id
             for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
-            if ProcessMark(row.host, row.pid, row.process).is_gone()
+            # A process of another host may be alive.
+            if row.host == socket.gethostname() and _process_start(row.pid) != row.process
         ]
     if not gone:
         return []
@@ -398,3 +420,69 @@ def _dataset(session: Session, name: str) -> int:
         session.add(row)
         session.flush()
     return row.id
+
+
+def baseline_of(session: Session) -> int:
+    """Return the workspace's release baseline."""
+    setting = session.get(SettingRow, BASELINE_SETTING)
+    return int(setting.value) if setting else 1
+
+
+def raise_baseline(session: Session, baseline: int) -> None:
+    """Begin a new release baseline; see `Catalog.set_baseline`."""
+    present = baseline_of(session)
+    if baseline < present:
+        raise CatalogError(f"baseline {baseline} is lower than the present {present}", remedy="raise it")
+    session.merge(SettingRow(name=BASELINE_SETTING, value=str(baseline)))
+
+
+def _move_pointers(session: Session, run_id: str, rows: Sequence[DayRow]) -> set[int]:
+    """Give each row its version and make it the present one; return the ids of the published."""
+    baseline = baseline_of(session)
+    mine = select(DayRow.dataset_id, DayRow.day).where(DayRow.run_id == run_id)
+    pointers = session.execute(
+        select(CurrentRow, DayRow)
+        .join(DayRow, DayRow.id == CurrentRow.day_id)
+        .where(tuple_(CurrentRow.dataset_id, CurrentRow.day).in_(mine))
+    )
+    present = {(pointer.dataset_id, pointer.day): (pointer, old) for pointer, old in pointers}
+    newest = session.execute(
+        select(DayRow.dataset_id, DayRow.day, func.max(DayRow.revision))
+        .where(DayRow.baseline == baseline, tuple_(DayRow.dataset_id, DayRow.day).in_(mine))
+        .group_by(DayRow.dataset_id, DayRow.day)
+    )
+    revisions = {(dataset, day): revision or 0 for dataset, day, revision in newest}
+    published = set()
+    for row in rows:
+        place = (row.dataset_id, row.day)
+        pointer, old = present.get(place, (None, None))
+        if old is not None and row.key and row.key == old.key and old.baseline == baseline:
+            row.state, row.cause = "no_work", "no_work"
+            row.message = f"already published as {version_text(old.baseline, old.revision or 0)}"
+            continue
+        row.state, row.baseline, row.revision = "published", baseline, revisions.get(place, -1) + 1
+        published.add(row.id)
+        if pointer is None:
+            session.add(CurrentRow(dataset_id=row.dataset_id, day=row.day, day_id=row.id))
+        else:
+            pointer.day_id = row.id
+    return published
+
+
+def _process_start(pid: int) -> str:
+    """Return when a process began, in the system's own unit; empty when there is none.
+
+    With the host it names one process for good: a pid alone is given out again.
+    """
+    if not Path("/proc/self/stat").exists():
+        line = ["ps", "-o", "lstart=", "-p", str(pid)]
+        return subprocess.run(line, capture_output=True, text=True, check=False).stdout.strip()
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text("utf-8", errors="replace")
+        boot_id = Path("/proc/sys/kernel/random/boot_id")
+        boot = boot_id.read_text("utf-8").strip() if boot_id.exists() else ""
+    except OSError:
+        return ""
+    fields = stat.rpartition(")")[2].split()
+    # A killed process stays as a zombie until its parent asks for it.
+    return "" if fields[0] in "ZX" else f"{boot}:{fields[19]}"

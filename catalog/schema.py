@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any, ClassVar
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from sqlalchemy import (
     JSON,
@@ -19,6 +20,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Record = TypeVar("Record", bound="DataclassInstance")
 #: SQLite numbers rows by itself only in columns declared INTEGER.
 _Id = BigInteger().with_variant(Integer, "sqlite")
 
@@ -34,6 +39,19 @@ class Base(DeclarativeBase):
         dt.date: Date,
         float: Float,
     }
+
+    def as_record(self, record: type[Record], **others: Any) -> Record:
+        """Return this row as a frozen record of `inflight.catalog.records`.
+
+        Parameters
+        ----------
+        record : type
+            Its fields take the columns of the same names.
+        **others
+            Fields that are no column, or differ from it.
+        """
+        names = {item.name for item in fields(record)} & set(self.__table__.columns.keys()) - set(others)
+        return record(**{name: getattr(self, name) for name in names}, **others)
 
 
 class RunRow(Base):

@@ -2,7 +2,7 @@
 
 A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (one a
 component for packed vectors), so a day is read without an event loop, and a chunk that is missing
-is an error here, where Zarr would give fill. Every chunk is held against the manifest as it is read: of
+is an error here, where Zarr would give fill. Every chunk is compared with the manifest as it is read: of
 flipped bits a third decode to other numbers without an error, and the check costs half a millisecond a day.
 """
 
@@ -73,7 +73,7 @@ class Store:
         return stated_hashes(self.folder)
 
     def in_rows(self, name: str) -> bool:
-        """Tell whether a variable has a value for each row."""
+        """Return True when a variable has a value for each row."""
         return bool(self.row_dim) and self.variables[name].dims[:1] == (self.row_dim,)
 
     def rows(self, name: str, start: int, stop: int) -> Array:
@@ -88,7 +88,12 @@ class Store:
         index, offset = divmod(start, self.chunk)
         if stop - start > self.chunk - offset:
             raise CatalogError(f"rows {start} to {stop} are not in one day of {self.folder}")
-        block = self._block(variable, index)
+        grid = [
+            range(-(-size // chunk))
+            for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
+        ]
+        parts = [self._chunk(variable, (index, *place)) for place in itertools.product(*grid)]
+        block = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
         return variable.encoding.decode(block[offset : offset + stop - start])
 
     def whole(self, name: str) -> Array:
@@ -120,14 +125,6 @@ class Store:
         """Return a variable's attributes on day `index` of the store."""
         own = self.variable_attributes.get(name)
         return {**self.variables[name].attributes, **(own[index] if own else {})}
-
-    def _block(self, variable: StoredVariable, index: int) -> Array:
-        grid = [
-            range(-(-size // chunk))
-            for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
-        ]
-        parts = [self._chunk(variable, (index, *place)) for place in itertools.product(*grid)]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _chunk(self, variable: StoredVariable, place: tuple[int, ...]) -> Array:
         name = "/".join((variable.name, "c", *map(str, place)))

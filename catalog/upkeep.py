@@ -1,30 +1,69 @@
-"""Upkeep of a workspace: what it holds, whether it is whole, which stores are no longer needed."""
+"""Upkeep of a workspace: what it holds, whether it is whole, the way back from damage, and garbage.
+
+`dataset_summary` lists what there is, `find_faults` compares every store with its manifest, `repair` takes
+damaged stores out of use, `collect_garbage` removes stores that nothing refers to.
+
+Repair: a published key means that there is no work. So the days of a damaged store lose their pointer, and
+its tables their validity; the next ingest and reprocess make them again. What was delivered and what is
+whole is not touched.
+"""
 
 from __future__ import annotations
 
 import shutil
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import select, update
+from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.days import status_of_days
-from inflight.catalog.lineage import unknown_ids
 from inflight.catalog.manifest import manifest_faults
-from inflight.catalog.records import Day, is_damaged
-from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, EdgeRow, RunRow, StoreRow, TableRow
+from inflight.catalog.provenance import unknown_ids
+from inflight.catalog.records import DAMAGED, Day, is_damaged
+from inflight.catalog.runs import Run
+from inflight.catalog.schema import (
+    CertificationRow,
+    CurrentRow,
+    DatasetRow,
+    DayRow,
+    EdgeRow,
+    RunRow,
+    StoreRow,
+    TableRow,
+)
 from inflight.catalog.spans import Span
 
 
 def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
     """Describe each dataset; see `Catalog.inventory`."""
     names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
-    return [_summary(name, status_of_days(session, name, span, None)) for name in names]
+    summaries = []
+    for name in names:
+        days = status_of_days(session, name, span, None)
+        states = Counter(day.state for day in days)
+        published = [day for day in days if day.state == "published"]
+        coverages = [day.coverage for day in published if day.coverage is not None]
+        summaries.append(
+            {
+                "dataset": name,
+                "first": str(published[0].day) if published else "",
+                "last": str(published[-1].day) if published else "",
+                "days": states["published"],
+                "failed": states["failed"],
+                "no_work": states["no_work"],
+                "gaps": [str(day) for day in missing_days(published)],
+                "versions": dict(sorted(Counter(day.version for day in published).items())),
+                "coverage": float(np.mean(coverages)) if coverages else None,
+                "samples": sum(day.count for day in published),
+            }
+        )
+    return summaries
 
 
 def find_faults(workspace: Path, session: Session, name: str | None) -> list[dict[str, str]]:
@@ -35,7 +74,12 @@ def find_faults(workspace: Path, session: Session, name: str | None) -> list[dic
         for file, fault in found
     ]
     if name is None:
-        unknown = unknown_ids(session, (end for edge in _edges_in_use(session) for end in edge))
+        # Of published days only: a run that died had not recorded the files of others yet.
+        others = select(DayRow.id).where(DayRow.state != "published")
+        unpublished = {f"day:{id}" for id in session.scalars(others)}
+        edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
+        named = (end for edge in edges if edge.child not in unpublished for end in edge)
+        unknown = unknown_ids(session, named)
         faults += [
             {"item": item, "fault": "lineage names what is not in the catalog", "path": ""}
             for item in unknown
@@ -47,16 +91,89 @@ def damaged_stores(
     workspace: Path, session: Session, name: str | None
 ) -> Iterator[tuple[StoreRow, str, list[tuple[str, str]]]]:
     """Yield the stores in use that are not as they were written: store, dataset or table, (file, fault)."""
-    for store, item in _stores_in_use(session, name):
+    of_days = (
+        select(StoreRow, DatasetRow.name)
+        .join(DayRow, DayRow.store_id == StoreRow.id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DayRow.state == "published")
+        .order_by(StoreRow.id)
+    )
+    of_tables = select(StoreRow, TableRow.name).join(TableRow, TableRow.store_id == StoreRow.id)
+    in_use = {store.path: (store, dataset) for store, dataset in session.execute(of_days)}
+    in_use |= {store.path: (store, f"tables/{table}") for store, table in session.execute(of_tables)}
+    for store, item in in_use.values():
+        if name not in {None, item} or is_damaged(store.notes):
+            continue
         if found := manifest_faults(workspace / store.path, store.sha256):
             yield store, item, found
 
 
-def _edges_in_use(session: Session) -> list[tuple[str, str]]:
-    """Return the lineage of published days: a run that died had not recorded the files of others yet."""
-    unseen = {f"day:{id}" for id in session.scalars(select(DayRow.id).where(DayRow.state != "published"))}
-    edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
-    return [(parent, child) for parent, child in edges if child not in unseen]
+@dataclass(frozen=True)
+class Repair:
+    """One damaged store: its dataset or table (`item`), the damaged files, and what is to be made again.
+
+    Attributes
+    ----------
+    days : tuple of str
+        UTC days whose present revision lies in the store; empty when later revisions replaced all.
+    tables : tuple of int
+        Ids of calibration tables.
+    """
+
+    item: str
+    path: str
+    files: tuple[str, ...]
+    days: tuple[str, ...]
+    tables: tuple[int, ...]
+
+
+def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair]:
+    """Withdraw what lies in damaged stores; see `Catalog.repair`."""
+    with database.read() as session:
+        damaged = [
+            (store.path, item, tuple(file for file, _ in faults))
+            for store, item, faults in damaged_stores(workspace, session, None)
+        ]
+        found = [_contents(session, *store) for store in damaged]
+    if dry_run or not found:
+        return found
+    settings = {"repaired": [asdict(store) for store in found]}
+    with Run(workspace, database, "repair", settings, None) as run, database.write() as session:
+        # Asked again under the write lock: a run may have published meanwhile.
+        found = [_contents(session, *store) for store in damaged]
+        for store in found:
+            _withdraw(session, run.id, store)
+    return found
+
+
+def _contents(session: Session, path: str, item: str, files: tuple[str, ...]) -> Repair:
+    days = session.scalars(
+        select(DayRow.day)
+        .join(CurrentRow, CurrentRow.day_id == DayRow.id)
+        .join(StoreRow, StoreRow.id == DayRow.store_id)
+        .where(StoreRow.path == path)
+        .order_by(DayRow.day)
+    )
+    tables = session.scalars(
+        select(TableRow.id).join(StoreRow, StoreRow.id == TableRow.store_id).where(StoreRow.path == path)
+    )
+    return Repair(item, path, files, tuple(map(str, days)), tuple(tables))
+
+
+def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
+    """Take the pointers and validities of one store away and record why; rows and files stay."""
+    store = session.scalars(select(StoreRow).where(StoreRow.path == damage.path)).one()
+    store.notes = [*store.notes, DAMAGED + ", ".join(damage.files)]
+    message = f"its store is damaged: {damage.path}/{damage.files[0]}"
+    rows = session.scalars(
+        select(DayRow).join(CurrentRow, CurrentRow.day_id == DayRow.id).where(DayRow.store_id == store.id)
+    ).all()
+    for row in rows:
+        lost = DayRow(run_id=run_id, dataset_id=row.dataset_id, day=row.day, context=row.context)
+        lost.state, lost.cause, lost.message = "failed", "transient", message
+        session.add(lost)
+    session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
+    session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))
 
 
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:
@@ -72,29 +189,25 @@ def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> li
         run_id = path.split("/")[1]
         if run_id not in alive and path not in needed:
             garbage.append(path)
-    if not dry_run:
-        _remove(workspace, database, garbage)
-    return garbage
-
-
-def _remove(workspace: Path, database: Database, garbage: list[str]) -> None:
+    if dry_run:
+        return garbage
     with database.write() as session:
         # Asked again under the write lock: a run may have adopted a store meanwhile.
         needed = _needed_stores(session)
-        garbage = [path for path in garbage if path not in needed]
-        stores = session.scalars(select(StoreRow).where(StoreRow.path.in_(garbage))).all()
-        ids = [store.id for store in stores]
+        removed = [path for path in garbage if path not in needed]
+        stores = session.scalars(select(StoreRow).where(StoreRow.path.in_(removed))).all()
         session.execute(
             update(DayRow)
-            .where(DayRow.store_id.in_(ids))
+            .where(DayRow.store_id.in_([store.id for store in stores]))
             .values(store_id=None, state="failed", cause="no_work")
         )
         for store in stores:
             session.delete(store)
-    for path in garbage:
+    for path in removed:
         shutil.rmtree(workspace / path, ignore_errors=True)
         if not any((workspace / path).parent.iterdir()) and path.startswith("stores/"):
             (workspace / path).parent.rmdir()
+    return garbage
 
 
 def _needed_stores(session: Session) -> set[str]:
@@ -118,42 +231,6 @@ def _needed_stores(session: Session) -> set[str]:
         .where(DayRow.state == "verified", ~newer)
     )
     return {path for query in (published, tables, adoptable) for path in session.scalars(query)}
-
-
-def _stores_in_use(session: Session, name: str | None) -> list[tuple[StoreRow, str]]:
-    of_days = (
-        select(StoreRow, DatasetRow.name)
-        .join(DayRow, DayRow.store_id == StoreRow.id)
-        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
-        .where(DayRow.state == "published")
-        .order_by(StoreRow.id)
-    )
-    of_tables = select(StoreRow, TableRow.name).join(TableRow, TableRow.store_id == StoreRow.id)
-    found = {store.path: (store, dataset) for store, dataset in session.execute(of_days)}
-    found |= {store.path: (store, f"tables/{table}") for store, table in session.execute(of_tables)}
-    return [
-        (store, item)
-        for store, item in found.values()
-        if name in {None, item} and not is_damaged(store.notes)
-    ]
-
-
-def _summary(name: str, days: list[Day]) -> dict[str, Any]:
-    states = Counter(day.state for day in days)
-    published = [day for day in days if day.state == "published"]
-    known = [day.coverage for day in published if day.coverage is not None]
-    return {
-        "dataset": name,
-        "first": str(published[0].day) if published else "",
-        "last": str(published[-1].day) if published else "",
-        "days": states["published"],
-        "failed": states["failed"],
-        "no_work": states["no_work"],
-        "gaps": [str(day) for day in missing_days(published)],
-        "versions": dict(sorted(Counter(day.version for day in published).items())),
-        "coverage": float(np.mean(known)) if known else None,
-        "samples": sum(day.count for day in published),
-    }
 
 
 def missing_days(published: list[Day]) -> list[np.datetime64]:

@@ -1,4 +1,7 @@
-"""Calibration tables and when they hold: half-open validities that never overlap."""
+"""Calibration tables and when they hold: half-open validities that never overlap.
+
+`certify_table` gives a table a validity, `valid_table` finds the one that holds at an instant.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,17 @@ def certify_table(session: Session, certification: Certification, *, supersede: 
                 f"table {older.table_id}, valid {_span(older.start, older.end)}",
                 remedy="choose a span that is free, or supersede the older table",
             )
-        _take_out(session, older, start, end)
+        # What remains of the older validity before and behind the new one stays valid.
+        remaining = [span for span in ((older.start, start), (end, older.end)) if span[0] < span[1]]
+        if remaining:
+            older.start, older.end = remaining[0]
+        else:
+            session.delete(older)
+        session.flush()
+        for first, last in remaining[1:]:
+            again = CertificationRow(name=table.name, context=scope, start=first, end=last)
+            again.table_id = older.table_id
+            session.add(again)
     session.flush()
     session.add(CertificationRow(table_id=table_id, name=table.name, context=scope, start=start, end=end))
     session.flush()
@@ -81,14 +94,9 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
     for row in session.scalars(select(CertificationRow).order_by(CertificationRow.start)):
         validities.setdefault(row.table_id, []).append((row.context or None, row.start, row.end))
     return [
-        TableRecord(
-            id=row.id,
-            name=row.name,
-            start=row.start,
-            end=row.end,
+        row.as_record(
+            TableRecord,
             run=row.run_id,
-            context=row.context,
-            key=row.key,
             segment=store.path,
             certified=tuple(validities.get(row.id, ())),
             damaged=is_damaged(store.notes),
@@ -115,24 +123,6 @@ def _certified(session: Session, name: str, at: int, scope: str) -> TableRow | N
             CertificationRow.end > at,
         )
     )
-
-
-def _take_out(session: Session, older: CertificationRow, start: int, end: int) -> None:
-    """Take ``[start, end)`` out of an older validity; what is left on both sides stays valid."""
-    before, after = (older.start, start), (end, older.end)
-    kept = [span for span in (before, after) if span[0] < span[1]]
-    if not kept:
-        session.delete(older)
-        session.flush()
-        return
-    older.start, older.end = kept[0]
-    session.flush()
-    for first, last in kept[1:]:
-        session.add(
-            CertificationRow(
-                table_id=older.table_id, name=older.name, context=older.context, start=first, end=last
-            )
-        )
 
 
 def _span(start: int, end: int) -> str:

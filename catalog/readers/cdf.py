@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,9 +12,10 @@ import cdflib
 import numpy as np
 
 from inflight.catalog.readers.source import Array, Source, Variable, reading, require_bytes, require_content
+from inflight.catalog.readers.times import from_tt2000
 from inflight.errors import ContentError, ReadError
 from inflight.instruments import Files
-from inflight.time import TT2000_FILL, TT2000_PAD, Int64, to_tt2000
+from inflight.time import TT2000_FILL, Int64, to_tt2000
 
 #: Milliseconds from 0000-01-01, where CDF_EPOCH begins, to 1970-01-01 (proleptic Gregorian calendar).
 _EPOCH_TO_1970_MS = 62_167_219_200_000
@@ -57,17 +58,14 @@ def _require_whole(path: Path) -> None:
         offset = "q" if wide == 8 else "i"
         # Both CDR and CCR: record size, record type, offset of the next record (GDR or CPR).
         (record,) = struct.unpack_from(f">{offset}", head, 8 + wide + 4)
-        if kind == _PLAIN:
-            _require_plain(path, stream, record, wide, offset)
+        if kind == _PACKED:
+            # The CPR stands last and begins with its size.
+            (length,) = _unpack(path, stream, record, f">{offset}")
+            require_bytes(path, record + length)
             return
-        # The CPR stands last and begins with its size.
-        (length,) = _unpack(path, stream, record, f">{offset}")
-        require_bytes(path, record + length)
-
-
-def _require_plain(path: Path, stream: BinaryIO, gdr: int, wide: int, offset: str) -> None:
-    """Check the GDR: heads of three lists, then the end of file, then counts."""
-    end, rvars, attributes, _, _, zvars = _unpack(path, stream, gdr + wide + 4 + 3 * wide, f">{offset}iiiii")
+        # The GDR: heads of three lists, then the end of file, then counts.
+        place = record + wide + 4 + 3 * wide
+        end, rvars, attributes, _, _, zvars = _unpack(path, stream, place, f">{offset}iiiii")
     require_bytes(path, end)
     counts = (rvars, attributes, zvars)
     if min(counts) < 0 or sum(counts) * _SMALLEST_RECORD > end:
@@ -97,33 +95,16 @@ def _read(cdf: Any, name: str, path: Path) -> Variable:
     values = np.asarray(cdf.varget(name))
     if values.ndim == 0 or not inquiry.Rec_Vary:
         values = values[None]
-    kind = inquiry.Data_Type_Description
-    times = _times(values, kind)
+    decode = _TIMES.get(inquiry.Data_Type_Description)
     unit = attributes.get("UNITS")
+    fill = np.asarray(attributes.get("FILLVAL", ())).ravel()[:1]
+    numeric = values.dtype.kind in "iuf" and fill.dtype.kind in "iuf"
     return Variable(
         values,
         unit=str(unit).strip() or None if unit is not None else None,
-        fill=_fill(attributes.get("FILLVAL"), values),
-        times=times,
+        fill=tuple(map(float, fill)) if numeric else (),
+        times=decode(values) if decode else None,
     )
-
-
-def _fill(value: Any, values: Array) -> tuple[float, ...]:
-    if value is None or values.dtype.kind not in "iuf":
-        return ()
-    first = np.asarray(value).ravel()
-    return (float(first[0]),) if first.size and first.dtype.kind in "iuf" else ()
-
-
-def _times(values: Array, kind: str) -> Int64 | None:
-    if kind == "CDF_TIME_TT2000":
-        ticks = values.astype(np.int64)
-        return np.where(ticks <= TT2000_PAD, TT2000_FILL, ticks)
-    if kind == "CDF_EPOCH":
-        return from_epoch(values)
-    if kind == "CDF_EPOCH16":
-        return from_epoch16(values)
-    return None
 
 
 def from_epoch(milliseconds: Array) -> Int64:
@@ -150,3 +131,11 @@ def from_epoch16(pairs: Array) -> Int64:
     whole = np.where(missing, _EPOCH_TO_1970_S, seconds).astype(np.int64) - _EPOCH_TO_1970_S
     part = np.rint(np.where(missing, 0, picoseconds) / 1000).astype(np.int64)
     return np.where(missing, TT2000_FILL, to_tt2000((whole * 1_000_000_000 + part).astype("datetime64[ns]")))
+
+
+#: Types of a CDF that are times, and how they become TT2000.
+_TIMES: dict[str, Callable[[Array], Int64]] = {
+    "CDF_TIME_TT2000": from_tt2000,
+    "CDF_EPOCH": from_epoch,
+    "CDF_EPOCH16": from_epoch16,
+}

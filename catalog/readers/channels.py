@@ -92,7 +92,7 @@ class _Request:
 
 
 def _series(request: _Request, variable_name: str, axes: int) -> Float:
-    """Read one variable: shape of the times, and axes when there are any."""
+    """Read one variable in `channel.unit`: shape of the times, and axes when there are any."""
     variable = request.source.read(variable_name, request.name)
     picked = _pick(request, variable, variable_name, axes)
     # The YAML's fill values are the file's numbers, before any scaling.
@@ -105,7 +105,19 @@ def _series(request: _Request, variable_name: str, axes: int) -> Float:
             "correct the channel in the mission YAML or repair the file",
         ) from None
     values[missing] = np.nan
-    return _converted(request, values, variable.unit)
+    unit, goal = request.channel.file_unit or variable.unit, request.channel.unit
+    if unit is None:
+        return values
+    try:
+        factor, offset = factor_and_offset(unit, goal)
+    except ValueError as error:
+        raise request.error(
+            f"the file's unit is {unit!r}, the mission YAML's {goal!r} ({error})",
+            "correct 'unit', or state the file's true unit in 'file_unit'",
+        ) from None
+    if (factor, offset) == (1.0, 0.0):
+        return values
+    return np.asarray(values.astype(np.float64) * factor + offset)
 
 
 def _pick(request: _Request, variable: Variable, variable_name: str, axes: int) -> Variable:
@@ -127,21 +139,3 @@ def _pick(request: _Request, variable: Variable, variable_name: str, axes: int) 
         named = f" for axes {', '.join(request.channel.axis_names)}" if axes else ""
         raise request.error(f"{found}{named}", "correct 'axes', or choose one column with 'column'")
     return Variable(values, variable.unit, variable.fill, variable.scale)
-
-
-def _converted(request: _Request, values: Float, stated: str | None) -> Float:
-    """Convert from `file_unit` of the YAML, else from the unit the file states."""
-    goal = request.channel.unit
-    unit = request.channel.file_unit or stated
-    if unit is None:
-        return values
-    try:
-        factor, offset = factor_and_offset(unit, goal)
-    except ValueError as error:
-        raise request.error(
-            f"the file's unit is {unit!r}, the mission YAML's {goal!r} ({error})",
-            "correct 'unit', or state the file's true unit in 'file_unit'",
-        ) from None
-    if (factor, offset) == (1.0, 0.0):
-        return values
-    return np.asarray(values.astype(np.float64) * factor + offset)

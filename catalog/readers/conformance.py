@@ -2,7 +2,7 @@
 
 It takes the reader (a function that opens a file, see `inflight.catalog.readers.source.Source`) and a
 function that writes an example in the format, has the example read as an ingest would, and reads damaged
-copies of it. Everything that fails is collected and said at once, each time with what to mend.
+copies of it. All failures are reported together, each with what to mend.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ Write = Callable[[Path, Example], ReadOptions]
 
 
 def check_reader(open_source: Open, write: Write, name: str = "example") -> None:
-    """Check that a reader keeps its contract; say nothing when it does.
+    """Check that a reader keeps its contract.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def check_reader(open_source: Open, write: Write, name: str = "example") -> None
         example = Example()
         try:
             written = write(path, example)
-            case = _Case(open_source, path, example, *_described(written, reader))
+            case = _Case(open_source, path, example, *_read_options(written, reader))
         except (InflightError, ValueError, OSError) as error:
             faults.found.append(f"writing the example: {error}; correct 'write'")
         else:
@@ -134,7 +134,7 @@ def _registered(open_source: Open) -> Iterator[str]:
         FORMATS.update(known)
 
 
-def _described(written: ReadOptions, reader: str) -> tuple[Files, Instrument]:
+def _read_options(written: ReadOptions, reader: str) -> tuple[Files, Instrument]:
     files = Files.model_validate({"pattern": "*", "reader": "npz", **written.files})
     files = files.model_copy(update={"reader": reader})
     channels = {
@@ -175,7 +175,7 @@ def _check(function: Callable[[_Case], Iterator[str]]) -> Callable[[_Case], Iter
 
 
 @_check
-def _says_what_it_reads(case: _Case) -> Iterator[str]:
+def _has_docstring(case: _Case) -> Iterator[str]:
     if not (case.open_source.__doc__ or "").strip():
         yield "the function has no docstring; name the format and what its variables are"
 
@@ -205,15 +205,15 @@ def _gives_the_values(case: _Case) -> Iterator[str]:
             yield f"'{name}' has shape {found.shape}, written was {expected.shape}; put rows first"
         elif found.dtype.kind != "f":
             yield f"'{name}' comes as {found.dtype}; numbers are needed"
-        elif (gone := np.isnan(found) != np.isnan(expected)).any():
-            row = int(np.argwhere(gone)[0][0]) + 1
+        elif (missing := np.isnan(found) != np.isnan(expected)).any():
+            row = int(np.argwhere(missing)[0][0]) + 1
             yield f"'{name}' is missing in the wrong rows (row {row}); state the fill value in Variable.fill"
         elif not np.allclose(found, expected, rtol=1e-7, atol=0.0, equal_nan=True):
             yield f"'{name}' has other values than were written; check scaling and order"
 
 
 @_check
-def _states_units_that_are_some(case: _Case) -> Iterator[str]:
+def _states_known_units(case: _Case) -> Iterator[str]:
     """A stated unit is a unit, and leads to the same values whatever unit the mission asks for."""
     with case.open_source(case.path, case.files) as source:
         for name in case.variables:
@@ -265,13 +265,13 @@ def _is_open(path: Path) -> bool:
     folder = Path("/proc/self/fd")
     if not folder.is_dir():
         return False
-    held = []
+    opened = []
     for link in folder.iterdir():
         try:
-            held.append(link.readlink())
+            opened.append(link.readlink())
         except OSError:
             continue
-    return path.resolve() in held
+    return path.resolve() in opened
 
 
 @_check
@@ -325,7 +325,7 @@ def _refusal(case: _Case, label: str, content: bytes, cut: bool = False) -> Iter
         if path.name not in error.file:
             yield f"of an {label} the error does not name the file: {error}; raise it with file=str(path)"
         if not error.remedy:
-            yield f"of an {label} the error says no remedy: {error}; say what a person can do"
+            yield f"of an {label} the error states no remedy: {error}; state what a person can do"
         return
     except Exception as error:
         yield (

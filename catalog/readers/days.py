@@ -38,11 +38,14 @@ class DayAssemblySettings:
     near : float
         Rows of two passes of one clock that are this near, in cadences, cover one span twice. Derived: of two
         interleaved series some rows lie half a cadence apart or less, and stamps jitter.
+    excursion_gap : float
+        The gap of an excursion may differ from the time of its rows by less than this, in cadences (assumed).
     listed_gaps : int
         Gaps listed one by one in a report; the number and the missing samples always cover all.
     """
 
     near: float = 0.6
+    excursion_gap: float = 0.75
     listed_gaps: int = 200
 
 
@@ -113,7 +116,12 @@ def assemble_day(
     _refuse_backwards(rows, files, day, instrument.cadence)
     merged, repeated = _merge_repeats(rows, files, day)
     leap = np.where(in_leap_second(merged.times), Flag.LEAP_SECOND, 0).astype(np.uint32)
-    flag = merged.flag | _missing_flags(merged.channels, instrument) | leap
+    flag = merged.flag | leap
+    missing = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
+    of_field = missing.get(instrument.role, Flag.CHANNEL_MISSING)
+    for channel_name, values in merged.channels.items():
+        bit = of_field if channel_name == "field" else Flag.CHANNEL_MISSING
+        flag |= np.where(valid_rows(values), 0, bit).astype(np.uint32)
     dataset = _dataset(merged, flag, name, instrument)
     report = {
         "rows": int(merged.times.size),
@@ -185,17 +193,12 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
         stop = begin + int(later[0])
         missing = int(times[stop] - times[begin - 1]) - (stop - begin + 1) * cadence
         others = np.sort(np.delete(times, slice(begin, stop)))
-        if abs(missing) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
+        after = np.clip(np.searchsorted(others, times[begin:stop]), 1, others.size - 1)
+        distance = np.abs(others[[after - 1, after]] - times[begin:stop]).min(axis=0)
+        near = (distance <= DAY_ASSEMBLY.near * cadence).all()
+        if abs(missing) < DAY_ASSEMBLY.excursion_gap * cadence and near:
             keep[begin:stop] = False
     return part.take(keep), int((~keep).sum())
-
-
-def _all_near(times: Int64, others: Int64, cadence: int) -> bool:
-    """Return True when each time lies within `DAY_ASSEMBLY.near` cadences of another row."""
-    after = np.clip(np.searchsorted(others, times), 0, others.size - 1)
-    before = np.clip(after - 1, 0, None)
-    distance = np.minimum(np.abs(others[after] - times), np.abs(others[before] - times))
-    return bool((distance <= DAY_ASSEMBLY.near * cadence).all())
 
 
 def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
@@ -292,17 +295,6 @@ def _clash(rows: _Rows, name: str, start: int, files: Sequence[str], day: np.dat
         channel=name,
         day=str(day),
     )
-
-
-def _missing_flags(channels: dict[str, Float], instrument: Instrument) -> Flags:
-    own = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}.get(
-        instrument.role, Flag.CHANNEL_MISSING
-    )
-    bits = [
-        np.where(valid_rows(values), 0, own if name == "field" else Flag.CHANNEL_MISSING).astype(np.uint32)
-        for name, values in channels.items()
-    ]
-    return np.asarray(np.bitwise_or.reduce(bits))
 
 
 def _refuse_all_fill(

@@ -40,20 +40,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             dtype={"DATE": str, "TIME": str, "DOY": str},
             compression="gzip" if packed else None,
         )
-    _require_whole_stamps(table, path)
-
-    def read(name: str) -> Variable:
-        if name == "time":
-            dates, times = (table[key].to_numpy().astype(np.str_) for key in ("DATE", "TIME"))
-            return Variable(np.strings.add(np.strings.add(dates, "T"), times))
-        unit = _ANGLES.get(name[-1:], "nT")
-        return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
-
-    yield Source(path, ("time", *names[3:]), read, tuple(files.drop))
-
-
-def _require_whole_stamps(table: pd.DataFrame, path: Path) -> None:
-    """Refuse a row whose date or time is shorter than the first one's: the file was cut within it."""
+    # A row whose date or time is shorter than the first one's: the file was cut within it.
     lengths = table[["DATE", "TIME"]].apply(lambda column: column.str.len())
     unlike = np.flatnonzero((lengths != lengths.head(1).squeeze()).any(axis=1).to_numpy())
     if unlike.size:
@@ -64,6 +51,15 @@ def _require_whole_stamps(table: pd.DataFrame, path: Path) -> None:
             remedy="it is cut or damaged; fetch it again",
             file=str(path),
         )
+
+    def read(name: str) -> Variable:
+        if name == "time":
+            dates, times = (table[key].to_numpy().astype(np.str_) for key in ("DATE", "TIME"))
+            return Variable(np.strings.add(np.strings.add(dates, "T"), times))
+        unit = _ANGLES.get(name[-1:], "nT")
+        return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
+
+    yield Source(path, ("time", *names[3:]), read, tuple(files.drop))
 
 
 def _header(path: Path, encoding: str) -> tuple[list[str], int]:

@@ -28,29 +28,28 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
         classic = stream.read(3) == b"CDF"
     with reading(path):
         handle: Any = netcdf_file(path, "r", mmap=False) if classic else h5py.File(path, "r")
+    arrays: dict[str, Any] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[name] = item
+
     try:
         with reading(path):
-            names = tuple(handle.variables) if classic else _names(handle)
-        read = _read_classic if classic else _read_hdf5
-        yield Source(path, names, lambda name: read(handle, name), tuple(files.drop))
+            if classic:
+                arrays.update(handle.variables)
+            else:
+                handle.visititems(collect)
+
+        def read(name: str) -> Variable:
+            found = arrays[name]
+            if classic:
+                return _variable(np.array(found.data), dict(found._attributes))
+            return _variable(np.asarray(found[...]), dict(found.attrs))
+
+        yield Source(path, tuple(arrays), read, tuple(files.drop))
     finally:
         handle.close()
-
-
-def _names(handle: Any) -> tuple[str, ...]:
-    found: list[str] = []
-    handle.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
-    return tuple(found)
-
-
-def _read_hdf5(handle: Any, name: str) -> Variable:
-    dataset = handle[name]
-    return _variable(np.asarray(dataset[...]), dict(dataset.attrs))
-
-
-def _read_classic(handle: Any, name: str) -> Variable:
-    found = handle.variables[name]
-    return _variable(np.array(found.data), dict(found._attributes))
 
 
 def _variable(values: Array, attributes: Mapping[str, Any]) -> Variable:
@@ -92,4 +91,4 @@ def _fills(value: Any, dtype: np.dtype[Any]) -> tuple[float, ...]:
     found = np.asarray(value).ravel()
     if found.dtype.kind not in "iuf":
         return ()
-    return tuple(float(one) for one in found.astype(dtype))
+    return tuple(map(float, found.astype(dtype)))

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from inflight.catalog.readers.source import Array, Source, Variable, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, reading, require_content
 from inflight.instruments import Files
 from inflight.time import to_tt2000
 
@@ -35,11 +35,7 @@ def _read(table: pq.ParquetFile, name: str) -> Variable:
         stamps = column.cast(pa.timestamp("ns")).to_numpy()
         return Variable(stamps, times=to_tt2000(stamps))
     unit = (table.schema_arrow.field(name).metadata or {}).get(b"units", b"").decode() or None
-    return Variable(_numbers(column), unit=unit)
-
-
-def _numbers(column: pa.ChunkedArray) -> Array:
     if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        return np.array(column.to_pylist(), dtype=np.float64)
+        return Variable(np.array(column.to_pylist(), dtype=np.float64), unit=unit)
     values = np.asarray(column.to_numpy())
-    return values.astype(np.str_) if values.dtype == object else values
+    return Variable(values.astype(np.str_) if values.dtype == object else values, unit=unit)

@@ -111,7 +111,9 @@ def _layout_regex(layout: str) -> str:
 
 
 def parse_name(name: str, files: Files) -> Delivered | None:
-    """Say what a path below the data folder (with ``/``) is; None when no pattern matches it.
+    """Return what the name of a file states: span, family, version; None when no pattern matches it.
+
+    The name is a path below the data folder, with ``/``.
 
     A name whose digits are no date (``20230231``) does not match.
     """
@@ -120,21 +122,19 @@ def parse_name(name: str, files: Files) -> Delivered | None:
         match = compiled.regex.fullmatch(name)
         if not match:
             continue
-        found = _fields(compiled, match)
+        dates: dict[str, list[tuple[str, str]]] = {}
+        wild: dict[str, list[str]] = {"*": [], "v": []}
+        for (field, directive), text in zip(compiled.groups, match.groups(), strict=True):
+            if field in wild:
+                wild[field].append(text)
+            elif (directive, text) not in (texts := dates.setdefault(field, [])):
+                texts.append((directive, text))
         try:
-            span = _span(found)
+            span = _span(dates)
         except ValueError:
             continue
-        wild = {
-            kind: [
-                text
-                for (field, _), text in zip(compiled.groups, match.groups(), strict=True)
-                if field == kind
-            ]
-            for kind in "*v"
-        }
         dated = [
-            f"{field}{directive}{text.lower()}" for field, texts in found.items() for directive, text in texts
+            f"{field}{directive}{text.lower()}" for field, texts in dates.items() for directive, text in texts
         ]
         family = (str(number), *dated, *(text.lower() for text in wild["*"])) if dated else ()
         return Delivered(name, span, family, tuple(part for text in wild["v"] for part in natural_key(text)))
@@ -158,23 +158,23 @@ def find_files(data: Path, files: Files) -> tuple[list[Delivered], dict[str, str
 
 def newest_versions(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]:
     """Keep the last version of each family; return them in order of time, and old name -> new name."""
-    kept: dict[tuple[str, ...], Delivered] = {}
+    newest: dict[tuple[str, ...], Delivered] = {}
     superseded: dict[str, str] = {}
     for file in found:
         key = file.family or (file.name,)
-        other = kept.get(key)
+        other = newest.get(key)
         if other is None:
-            kept[key] = file
+            newest[key] = file
             continue
-        old, new = sorted((other, file), key=lambda one: (one.version, one.name))
+        old, new = sorted((other, file), key=lambda each: (each.version, each.name))
         superseded = {name: new.name if by == old.name else by for name, by in superseded.items()}
-        superseded[old.name], kept[key] = new.name, new
+        superseded[old.name], newest[key] = new.name, new
 
-    def place(one: Delivered) -> tuple[int, tuple[tuple[int, int, str], ...]]:
-        stated = [at for at in (one.span.start, one.span.end) if at is not None]
-        return stated[0] if stated else -(2**63), natural_key(one.name)
+    def place(each: Delivered) -> tuple[int, tuple[tuple[int, int, str], ...]]:
+        stated = [at for at in (each.span.start, each.span.end) if at is not None]
+        return stated[0] if stated else -(2**63), natural_key(each.name)
 
-    return sorted(kept.values(), key=place), superseded
+    return sorted(newest.values(), key=place), superseded
 
 
 def natural_key(text: str) -> tuple[tuple[int, int, str], ...]:
@@ -198,16 +198,6 @@ def _walk(data: Path, files: Files) -> Iterator[str]:
                 if path not in seen:
                     seen.add(path)
                     yield path
-
-
-def _fields(compiled: _Compiled, match: re.Match[str]) -> dict[str, list[tuple[str, str]]]:
-    found: dict[str, list[tuple[str, str]]] = {}
-    for (field, directive), text in zip(compiled.groups, match.groups(), strict=True):
-        if field not in ("*", "v"):
-            texts = found.setdefault(field, [])
-            if (directive, text) not in texts:
-                texts.append((directive, text))
-    return found
 
 
 def _span(found: dict[str, list[tuple[str, str]]]) -> NameSpan:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from inflight.catalog.readers import cdf, iaga2002, mat, netcdf, npz, parquet, table
 from inflight.catalog.readers.channels import read_channel, read_for_expression
 from inflight.catalog.readers.patterns import NameSpan
-from inflight.catalog.readers.source import Array, Float, Source
+from inflight.catalog.readers.source import Float, Source
 from inflight.catalog.readers.times import decode_times
 from inflight.errors import ContentError
 from inflight.expression import Expression
@@ -93,7 +93,7 @@ def read_file(
     """
     span = span or NameSpan()
     with _open(path, files) as source:
-        times, kept, dropped = _times(source, files, instrument, span)
+        times, keep, dropped = _times(source, files, instrument, span)
         flag = np.zeros(times.shape, dtype=np.uint32)
         channels, notes = {}, []
         for channel_name, channel in instrument.channels.items():
@@ -103,7 +103,13 @@ def read_file(
             if outside.any():
                 notes.append(f"channel '{channel_name}': {int(outside.sum())} rows out of range")
         if files.good_when is not None:
-            good = _good(source, files, times.shape)
+            condition = Expression(files.good_when)
+            variables = {name: read_for_expression(source, name, times.shape) for name in condition.names}
+            try:
+                good = np.broadcast_to(condition.evaluate(variables), times.shape)
+            except (ValueError, IndexError) as error:
+                remedy = "correct the expression in the mission YAML"
+                raise ContentError(f"'good_when' {error}", remedy=remedy, file=str(source.path)) from None
             flag |= np.where(good, 0, Flag.INSTRUMENT_FLAG).astype(np.uint32)
     rows = np.arange(1, times.size + 1)
     whole = RawTable(
@@ -115,14 +121,14 @@ def read_file(
         dropped=dropped,
         notes=tuple(notes),
     )
-    return whole.take(kept) if dropped else whole
+    return whole.take(keep) if dropped else whole
 
 
 def read_times(path: Path, files: Files, instrument: Instrument, span: NameSpan | None = None) -> Int64:
     """Return only the times of the rows that `read_file` keeps, int64 TT2000 (row,)."""
     with _open(path, files) as source:
-        times, kept, _ = _times(source, files, instrument, span or NameSpan())
-    return np.asarray(times.ravel()[kept])
+        times, keep, _ = _times(source, files, instrument, span or NameSpan())
+    return np.asarray(times.ravel()[keep])
 
 
 def _open(path: Path, files: Files) -> AbstractContextManager[Source]:
@@ -134,13 +140,13 @@ def _open(path: Path, files: Files) -> AbstractContextManager[Source]:
 def _times(
     source: Source, files: Files, instrument: Instrument, span: NameSpan
 ) -> tuple[Int64, npt.NDArray[np.bool_], dict[str, int]]:
-    """Return times (row,) or (report, sample), which rows are kept, and why the others are not."""
+    """Return times (row,) or (report, sample), which rows to keep, and why the others are dropped."""
     if files.time_start is not None:
         name, channel = next(iter(instrument.channels.items()))
         rows = len(source.read(channel.sources[0], name).values)
         times = files.time_start + np.arange(rows, dtype=np.int64) * instrument.cadence
     else:
-        times = _series(decode_times(source, files, span), source, files)
+        times = _times_of_rows(decode_times(source, files, span), source, files)
     missing = times == TT2000_FILL
     times = np.where(missing, TT2000_FILL, times + clock_offset(times, files))
     outside = np.zeros(times.shape, dtype=bool)
@@ -163,7 +169,8 @@ def clock_offset(times: Int64, files: Files) -> Int64:
     return offset
 
 
-def _series(times: Int64, source: Source, files: Files) -> Int64:
+def _times_of_rows(times: Int64, source: Source, files: Files) -> Int64:
+    """Return times of shape (row,), or (report, sample) when `files.flatten` joins them."""
     if times.ndim == 1:
         return times
     if times.ndim == 2 and files.time_column is not None and files.time_column < times.shape[1]:
@@ -177,14 +184,3 @@ def _series(times: Int64, source: Source, files: Files) -> Int64:
         remedy="set 'flatten: true' for (report, sample), or choose one with 'time_column'",
         file=str(source.path),
     )
-
-
-def _good(source: Source, files: Files, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    expression = Expression(files.good_when or "")
-    values: dict[str, Array] = {name: read_for_expression(source, name, shape) for name in expression.names}
-    try:
-        return np.broadcast_to(expression.evaluate(values), shape)
-    except (ValueError, IndexError) as error:
-        raise ContentError(
-            f"'good_when' {error}", remedy="correct the expression in the mission YAML", file=str(source.path)
-        ) from None

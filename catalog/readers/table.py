@@ -32,7 +32,22 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 
 def _table(stream: TextIO, files: Files, path: Path) -> pd.DataFrame:
     """Read the table; unnamed columns are dropped only when a closing delimiter makes them."""
-    options = _options(files)
+    delimiter = files.delimiter
+    options: dict[str, Any] = {
+        "sep": r"\s+" if delimiter == "whitespace" else delimiter or ",",
+        "decimal": files.decimal,
+        "skiprows": files.skip,
+        "comment": files.comment,
+        "index_col": False,
+        "skipinitialspace": True,
+        # One type a column, whatever the length of the file.
+        "low_memory": False,
+    }
+    if files.columns is not None:
+        options |= {"header": None, "names": files.columns}
+    if files.time_unit is None:
+        # A stamp such as 0921235902 must keep its leading zero.
+        options["dtype"] = dict.fromkeys(files.time or [], str)
     with warnings.catch_warnings():
         # pandas drops such columns and only warns, so that `1,5` could become 1.
         warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -60,26 +75,6 @@ def _require_closing_delimiters(stream: TextIO, files: Files, path: Path) -> Non
 def _uneven(message: str, path: Path) -> ContentError:
     remedy = "correct 'skip' (lines before the header), 'delimiter', 'decimal' or 'columns'"
     return ContentError(message, remedy=remedy, file=str(path))
-
-
-def _options(files: Files) -> dict[str, Any]:
-    delimiter = files.delimiter
-    options: dict[str, Any] = {
-        "sep": r"\s+" if delimiter == "whitespace" else delimiter or ",",
-        "decimal": files.decimal,
-        "skiprows": files.skip,
-        "comment": files.comment,
-        "index_col": False,
-        "skipinitialspace": True,
-        # One type a column, whatever the length of the file.
-        "low_memory": False,
-    }
-    if files.columns is not None:
-        options |= {"header": None, "names": files.columns}
-    if files.time_unit is None:
-        # A stamp such as 0921235902 must keep its leading zero.
-        options["dtype"] = dict.fromkeys(files.time or [], str)
-    return options
 
 
 def _values(column: Any, name: str, path: Path, files: Files) -> Array:

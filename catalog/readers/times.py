@@ -76,6 +76,12 @@ def from_cf(values: Array, unit: str, fill: tuple[float, ...] = ()) -> Int64:
     return np.where(missing, TT2000_FILL, ticks)
 
 
+def from_tt2000(values: Array) -> Int64:
+    """Return counts that are TT2000 already as int64; the fill and pad values of CDF become `TT2000_FILL`."""
+    ticks = values.astype(np.int64)
+    return np.where(ticks <= TT2000_PAD, TT2000_FILL, ticks)
+
+
 def _unit_length(text: str) -> int | None:
     plain = text.replace("µ", "u")
     return _UNIT_NS.get(plain) or _UNIT_NS.get(plain.lower().removesuffix("s") or plain)
@@ -122,8 +128,7 @@ def decode_times(source: Source, files: Files, span: NameSpan) -> Int64:
 def _from_variable(variable: Variable, files: Files, span: NameSpan, source: Source) -> Int64:
     values = variable.values
     if files.time_unit == "tt2000":
-        ticks = values.astype(np.int64)
-        return np.where(ticks <= TT2000_PAD, TT2000_FILL, ticks)
+        return from_tt2000(values)
     if files.time_unit is not None:
         numbers = values.astype(np.float64) if values.dtype.kind in "OUST" else values
         return from_cf(numbers, files.time_unit, variable.fill)

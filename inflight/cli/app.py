@@ -8,20 +8,29 @@ from typing import Annotated
 import typer
 
 from inflight import __version__
-from inflight.cli import (
-    browse,
-    chain,
-    demo,
-    diagnose,
-    explore,
-    figures,
-    models,
-    pipeline,
-    report,
-    results,
-    start,
+from inflight.cli import catalog, diagnose, figures, models, pipeline, results, start
+from inflight.cli.session import EXIT_USAGE, DebugOption, JsonOption, Session, WorkspaceOption, verb
+
+#: Verbs in the order that ``--help`` shows them.
+VERBS = (
+    start.new,
+    start.simulate,
+    pipeline.ingest,
+    pipeline.reprocess,
+    pipeline.backfill,
+    results.compare,
+    results.release,
+    results.chain,
+    diagnose.diagnose,
+    diagnose.auto,
+    diagnose.add,
+    diagnose.drop,
+    diagnose.undo,
+    results.report,
+    results.explore,
+    figures.figures,
+    start.demo,
 )
-from inflight.cli.session import EXIT_USAGE, DebugOption, JsonOption, Session, WorkspaceOption
 
 app = typer.Typer(
     name="inflight",
@@ -31,12 +40,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with days missing.",
 )
-for module in (start, pipeline, results, chain, diagnose, report, explore, models, browse, figures, demo):
-    module.register(app)
+app.add_typer(models.model, name="model")
+app.add_typer(catalog.catalog, name="catalog")
+for function in VERBS:
+    verb(app, function.__name__)(function)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         print(f"inflight {__version__}")
         raise typer.Exit
 
@@ -71,12 +82,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         code = command.main(given, prog_name="inflight", standalone_mode="--json" not in given)
     except typer.TyperException as error:
-        Session(json=True).fail(_usage_fields(error))
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        remedy = "inflight --help lists verbs and options"
+        place = {"file": "", "channel": "", "day": ""}
+        Session(json=True).fail({"kind": "UsageError", "message": message, "remedy": remedy, **place})
         code = EXIT_USAGE
     sys.exit(code)
-
-
-def _usage_fields(error: typer.TyperException) -> dict[str, str]:
-    told = error.format_message() if hasattr(error, "format_message") else str(error)
-    fields = {"kind": "UsageError", "message": told, "remedy": "inflight --help lists verbs and options"}
-    return fields | {"file": "", "channel": "", "day": ""}

@@ -1,24 +1,43 @@
-"""Verbs about a missing effect: ``diagnose`` and ``auto`` find it; ``add``, ``drop``, ``undo`` revise."""
+"""Verbs about a missing effect: ``diagnose`` and ``auto`` find it; ``add``, ``drop``, ``undo`` revise.
+
+Behind the verbs stands how a diagnosis (`print_diagnosis`) and a revision (`print_revision`) are printed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from inflight.cli.pipeline import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
-from inflight.cli.session import Session, verb
+from inflight.cli.session import Session, text_table
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from inflight.tasks.analysis import Revision, Workbench
 
+Fields = Mapping[str, Any]
+#: What each verdict means, and its colour.
+VERDICTS = {
+    "FOUND": ("beyond doubt, and nothing else explains it as well", "green"),
+    "CONFOUNDED": ("something is there; these data cannot tell all rivals apart", "yellow"),
+    "NOT_IDENTIFIABLE": ("something is there; the record is too short to say what", "yellow"),
+    "UNKNOWN_EFFECT": ("something is there that no effect of the library explains", "red"),
+    "NOTHING_LEFT": ("the residual is noise", "green"),
+}
+#: Rows shown before the rest is only counted; --json has all.
+_CANDIDATES, _PLACEBOS, _UNSCORABLE, _CHANGED, _COEFFICIENTS = 8, 3, 6, 10, 9
+#: Columns set flush right.
+_NUMERIC = ("value", "gain", "t", "p", "retained", "beats placebo by t", "gain now", "by", "sigma")
+
 ComparisonOption = Annotated[
-    str | None, typer.Option("--comparison", help="What is held against what (default: main).")
+    str | None, typer.Option("--comparison", help="What is compared with what (default: main).")
 ]
 CadenceOption = Annotated[
     float | None,
@@ -37,12 +56,6 @@ EffectArgument = Annotated[
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    for function in (diagnose, auto, add, drop, undo):
-        verb(app, function.__name__)(function)
-
-
 def diagnose(
     session: Session,
     *,
@@ -55,9 +68,8 @@ def diagnose(
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Find which physical effect is missing from the model."""
-    asked = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    fields = _search(session, asked, save=False, workers=workers, prefect=not no_prefect)
-    _emit_diagnosis(session, fields)
+    options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
+    _search(session, options, save=False, workers=workers, prefect=not no_prefect)
 
 
 def auto(
@@ -72,25 +84,25 @@ def auto(
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Find what is missing and add it, until nothing more is justified; a version for each effect."""
-    asked = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    fields = _search(session, asked, save=True, workers=workers, prefect=not no_prefect)
-    _emit_diagnosis(session, fields)
+    options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
+    _search(session, options, save=True, workers=workers, prefect=not no_prefect)
 
 
 def _search(
-    session: Session, asked: Mapping[str, Any], *, save: bool, workers: int | None, prefect: bool
-) -> dict[str, Any]:
-    """Run the flow, or its plain function, and return the diagnosis."""
-    given = {name: value for name, value in asked.items() if value is not None}
+    session: Session, options: Mapping[str, Any], *, save: bool, workers: int | None, prefect: bool
+) -> None:
+    """Run the flow, or its plain function, and print the diagnosis."""
+    given = {name: value for name, value in options.items() if value is not None}
     given["comparison"] = _comparison(session, given.get("comparison"))
     span: dict[str, Any] = {name: given.pop(name) for name in ("start", "end") if name in given}
     parameters: dict[str, Any] = {**span, "settings": given, "save": save}
     report = run_flow(session, "diagnose", parameters, workers=workers, prefect=prefect)
-    return {"command": report.command, "run": report.run, "context": report.context, **report.extra}
+    fields = {"command": report.command, "run": report.run, "context": report.context, **report.extra}
+    session.emit(fields, lambda console: print_diagnosis(console, fields))
 
 
 def _comparison(session: Session, named: str | None) -> str:
-    """Return the comparison to work on: the one named, ``main``, or the only one; wrong ones are refused."""
+    """Return the comparison to work on: the one named, ``main``, or the only one; refuse others."""
     from inflight.tasks.analysis import require_sampled
 
     mission = session.open_workspace().mission()
@@ -98,12 +110,6 @@ def _comparison(session: Session, named: str | None) -> str:
     name = named or only
     require_sampled(mission, name)
     return name
-
-
-def _emit_diagnosis(session: Session, fields: dict[str, Any]) -> None:
-    from inflight.cli.telling import print_diagnosis
-
-    session.emit(fields, lambda console: print_diagnosis(console, fields))
 
 
 def add(
@@ -114,8 +120,14 @@ def add(
     workers: WorkersOption = None,
 ) -> None:
     """Put an effect into the model, fit everything anew, and save a new version."""
-    wanted = _entry_text(effect)
-    _revise(session, comparison, workers, lambda bench: bench.add(wanted))
+    entry = effect
+    if effect.endswith((".yaml", ".yml")):
+        try:
+            entry = Path(effect).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            remedy = "name a file with one entry of a model, or write the entry itself"
+            raise SettingsError(f"{effect}: {error}", remedy=remedy) from None
+    _revise(session, comparison, workers, lambda bench: bench.add(entry))
 
 
 def drop(
@@ -134,31 +146,187 @@ def undo(session: Session, *, comparison: ComparisonOption = None, workers: Work
     _revise(session, comparison, workers, lambda bench: bench.undo())
 
 
-def _entry_text(effect: str) -> str:
-    """Return the text of a YAML file that is named, else what was typed."""
-    if not effect.endswith((".yaml", ".yml")):
-        return effect
-    try:
-        return Path(effect).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SettingsError(
-            f"{effect}: {error}", remedy="name a file with one entry of a model, or write the entry itself"
-        ) from None
-
-
 def _revise(
     session: Session, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
 ) -> None:
-    from inflight.cli.telling import print_revision
     from inflight.flows import lazy_client
     from inflight.tasks.analysis import open_workbench
 
     name = _comparison(session, comparison)
     workspace = session.open_workspace()
     with session.progress() as progress, lazy_client(workers) as client:
-        told = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
+        fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
+    session.emit(fields, lambda console: print_revision(console, fields))
 
-    def show(console: Console) -> None:
-        print_revision(console, told)
 
-    session.emit(told, show)
+def print_diagnosis(console: Console, fields: Fields) -> None:
+    """Print the verdict, the effects that were found, their rivals, what remains, and what to type next.
+
+    Parameters
+    ----------
+    fields : mapping
+        `Diagnosis.as_json`; of ``auto`` with ``versions``.
+    """
+    from rich.panel import Panel
+    from rich.text import Text
+
+    def line(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False)
+
+    meaning, colour = VERDICTS[fields["verdict"]]
+    sentence = Text(f"{fields['sentence']}\n", style="default").append(meaning, style="dim")
+    console.print(Panel(sentence, title=fields["verdict"], title_align="left", border_style=colour))
+    if fields["effects"]:
+        console.print(_effects_table(fields["effects"]))
+    names: tuple[str, ...] = ("before", "after", "held_out_before", "held_out_after")
+    names += ("noise_floor", "noise_floor_low", "noise_floor_high")
+    size = {name: _number(fields["residual"][f"{name}_nT"], 3) for name in names}
+    line(
+        f"residual {size['before']} -> {size['after']} nT, held out "
+        f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
+        f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
+    )
+    remaining = fields["remaining"]["verdict"]
+    if remaining != fields["verdict"]:
+        line(f"what is left: {remaining}, {VERDICTS[remaining][0]}")
+    console.print(_candidates_table(fields["candidates"]))
+    for text in _undecided(fields):
+        line(text)
+    for unit in fields.get("units", ()):
+        line(unit["sentence"])
+    for step in fields.get("versions", ()):
+        _print_step(console, step)
+    if fields["stopped"]:
+        line(f"why it stopped: {fields['stopped']}")
+    if step_text := _next_step(fields):
+        line(step_text)
+
+
+def _effects_table(effects: Sequence[Fields]) -> Table:
+    """One row a coefficient; effect, family and its scores stand in the first of its rows.
+
+    Of more than `_COEFFICIENTS` coefficients, those beyond three sigma are shown.
+    """
+    rows = []
+    for effect in effects:
+        cells = [_percent(effect["gain"]), _number(effect["t"], 3), _number(effect["flip_p"], 2)]
+        cells.append(_percent(effect["retained"]))
+        name, family, shown = effect["name"], effect["family"], effect["coefficients"]
+        if len(shown) > _COEFFICIENTS:
+            shown = [each for each in shown if abs(each["value"]) > 3.0 * each["sigma"]] or shown[:1]
+        for each in shown:
+            value, sigma = _with_error(each["value"], each["sigma"])
+            rows.append([name, family, each["name"], value, f"± {sigma}", each["unit"], each["at"], *cells])
+            name, family, cells = "", "", []
+        if effect["lag_s"]:
+            lag, sigma = _with_error(effect["lag_s"], effect["lag_sigma_s"] or 0.0)
+            rows.append(["", "", "lag", lag, f"± {sigma}" if effect["lag_sigma_s"] else "", "s"])
+    columns = ("effect", "family", "coefficient", "value", "", "unit", "at", "gain", "t", "p", "retained")
+    return text_table(columns, rows, right=_NUMERIC, folded=("effect",))
+
+
+def _candidates_table(candidates: Sequence[Fields]) -> Table:
+    """The best candidates of the first round, and the best placebos."""
+    real = [each for each in candidates if not each["placebo"]]
+    placebos = [each for each in candidates if each["placebo"]]
+    rows = []
+    for each in [*real[:_CANDIDATES], *placebos[:_PLACEBOS]]:
+        name, family, beats = f"{each['name']} (ghost)", "", ""
+        if not each["placebo"]:
+            name, family, beats = each["name"], each["family"], _number(each["placebo_t"], 3)
+        scores = (_percent(each["gain"]), _number(each["t"], 3), _number(each["p"], 2), beats)
+        rows.append((name, family, *scores, _percent(each["gain_now"])))
+    columns = ("candidate, first round", "family", "gain", "t", "p", "beats placebo by t", "gain now")
+    return text_table(columns, rows, right=_NUMERIC, folded=columns[:1])
+
+
+def _undecided(fields: Fields) -> Iterator[str]:
+    """Yield which candidates cannot be told apart, where they differ, and which could not be tried."""
+    names = []
+    for rival in fields["confusion_set"]:
+        behind = rival.get("behind_t")
+        names.append(f"{rival['name']} (behind by t {behind:.1f})" if behind else str(rival["name"]))
+    if names:
+        yield f"cannot be told apart: {'; '.join(names)}"
+        for span in fields["separating"]:
+            rivals = " and ".join(span["rivals"])
+            yield (
+                f"  {span['start'][:16]} to {span['end'][:16]} would separate {rivals}: "
+                f"they differ by {_number(span['difference_nT'], 2)} nT there"
+            )
+    unscorable = fields["unscorable"]
+    for candidate in unscorable[:_UNSCORABLE]:
+        yield f"not tried: {candidate['name']}: {candidate['reason']}"
+    if len(unscorable) > _UNSCORABLE:
+        yield f"  ... and {len(unscorable) - _UNSCORABLE} more; --json lists all"
+
+
+def _next_step(fields: Fields) -> str:
+    """Return what a person may type next."""
+    if fields["command"] == "auto":
+        undo = "next: inflight reprocess    (undo the last addition: inflight undo)"
+        return undo if fields.get("versions") else ""
+    if fields["effects"]:
+        return f'next: inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+    if fields["verdict"] == "UNKNOWN_EFFECT":
+        return "next: write the effect as a class of your own, and inflight add it"
+    return "next: nothing to add; inflight reprocess uses the model as it is"
+
+
+def print_revision(console: Console, fields: Fields) -> None:
+    """Print a new version of the model: its numbers, the residual before and after, and what changed.
+
+    Parameters
+    ----------
+    fields : mapping
+        `Revision.as_json`.
+    """
+    _print_step(console, fields)
+    rows: list[tuple[str, ...]] = []
+    if fields["coefficients"]:
+        for each in fields["coefficients"]:
+            value, sigma = _with_error(each["value"], each["sigma"])
+            rows.append((each["name"], value, f"± {sigma}", each["unit"]))
+        columns = ("parameter", "value", "", "unit")
+        console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
+    changed = fields["moved"]
+    if changed:
+        rows = []
+        for each in changed[:_CHANGED]:
+            numbers = [_number(each[key], 3) for key in ("by", "sigma_before", "sigma")]
+            rows.append((each["parameter"], *numbers, each["unit"], each["why"]))
+        heads = ("what else moved", "by", "sigma before", "sigma", "unit", "")
+        console.print(text_table(heads, rows, right=_NUMERIC, folded=heads[:1]))
+    if len(changed) > _CHANGED:
+        console.print(f"  ... and {len(changed) - _CHANGED} more; --json lists all", markup=False)
+    console.print("next: inflight reprocess    (take it back: inflight undo)", soft_wrap=True, markup=False)
+
+
+def _print_step(console: Console, fields: Fields) -> None:
+    model, error = fields["model"], fields["error"]
+    inside, held = error["in_sample_nT"], error["held_out_nT"]
+    console.print(
+        f"{model['name']} version {model['version']}: {fields['effect']}: residual {inside[0]:.4g} -> "
+        f"{inside[1]:.4g} nT, held out {held[0]:.4g} -> {held[1]:.4g} nT",
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}g}"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{100.0 * value:.1f} %"
+
+
+def _with_error(value: float, sigma: float) -> tuple[str, str]:
+    """Return a value and its error, to the same digit: two of the error's."""
+    if not 0.0 < sigma < float("inf"):
+        return f"{value:.4g}", f"{sigma:.2g}"
+    place = floor(log10(sigma)) - 1
+    if -6 <= place <= 0:
+        return f"{value:.{-place}f}", f"{sigma:.{-place}f}"
+    digits = max(1, floor(log10(max(abs(value), sigma))) - place)
+    return f"{value:.{digits}e}", f"{sigma:.1e}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Session, verb
+from inflight.cli.session import Session, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,11 +20,6 @@ _PRINTED, _OBTAINED = 9, 6
 _SHOWN = 3
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb of this module."""
-    verb(app, "figures")(figures)
-
-
 def figures(
     session: Session,
     *,
@@ -33,22 +28,22 @@ def figures(
     ] = None,
     section: Annotated[str | None, typer.Option(help="Only this section, such as residual.")] = None,
 ) -> None:
-    """Hold published figures against what the software obtains for them, now."""
+    """Compare published figures with what the software obtains for them, now."""
     from inflight.scorecard import SECTIONS, run_scorecard
 
     found = [report.as_json() for report in run_scorecard(only or (), section)]
-    counts = {name: _counts(found, name) for name in ("printed", "expected", "recovered")}
+    counts = _counts(found)
 
     def show(console: Console) -> None:
         for name, title in SECTIONS.items():
-            of_section = [one for one in found if one["section"] == name]
+            of_section = [figure for figure in found if figure["section"] == name]
             if of_section:
                 console.print(f"\n{title}", style="bold")
                 console.print(_table(of_section))
         console.print()
         for name, verdicts in counts.items():
-            told = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
-            console.print(f"{sum(verdicts.values())} figures {name}: {told or 'none'}")
+            text = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+            console.print(f"{sum(verdicts.values())} figures {name}: {text or 'none'}")
         console.print(
             "(d) derived, (i) recovered from injection, (m) measured, (n) needs the mission's data;"
         )
@@ -57,50 +52,45 @@ def figures(
     session.emit({"command": "figures", "figures": found, "verdicts": counts}, show)
 
 
-def _counts(found: list[dict[str, Any]], kind: str) -> dict[str, int]:
-    """How often each verdict was given to figures that are printed, expected by theory, or put in."""
-    every = Counter(one["verdict"] for one in found if _kind(one) == kind)
-    return {name: every[name] for name in _COLOURS if every[name]}
+def _counts(found: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """Count verdicts of figures that are printed, expected by theory, or recovered from injection.
 
-
-def _kind(one: dict[str, Any]) -> str:
-    """What was put in proves an estimator, whether its number is printed or not."""
-    if one["basis"] == "recovered_from_injection":
-        return "recovered"
-    return "printed" if one["printed"] else "expected"
+    What was injected tests an estimator, whether its number is printed or not.
+    """
+    counts: dict[str, Counter[str]] = {"printed": Counter(), "expected": Counter(), "recovered": Counter()}
+    for figure in found:
+        injected = figure["basis"] == "recovered_from_injection"
+        kind = "recovered" if injected else "printed" if figure["printed"] else "expected"
+        counts[kind][figure["verdict"]] += 1
+    return {kind: {name: count[name] for name in _COLOURS if count[name]} for kind, count in counts.items()}
 
 
 def _table(found: list[dict[str, Any]]) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False)
-    for name in ("figure", "published", "obtained", "tolerance", "unit", "", "verdict", "why"):
-        table.add_column(name, overflow="fold")
-    for one in found:
-        table.add_row(
-            one["id"],
-            _number(one["published"], _PRINTED) + ("" if one["printed"] else " *"),
-            _number(one["obtained"]),
-            _tolerance(one["tolerance"]),
-            "" if one["unit"] == "1" else one["unit"],
-            f"({one['basis'][0] if one['basis'] != 'recovered_from_injection' else 'i'})",
-            Text(one["verdict"], style=_COLOURS[one["verdict"]]),
-            one["why"],
+    rows: list[tuple[str | Text, ...]] = []
+    for figure in found:
+        tolerance, injected = figure["tolerance"], figure["basis"] == "recovered_from_injection"
+        is_range = isinstance(tolerance, dict)
+        rows.append(
+            (
+                figure["id"],
+                _number(figure["published"], _PRINTED) + ("" if figure["printed"] else " *"),
+                _number(figure["obtained"]),
+                f"{tolerance['low']:g} to {tolerance['high']:g}" if is_range else _number(tolerance),
+                "" if figure["unit"] == "1" else figure["unit"],
+                f"({'i' if injected else figure['basis'][0]})",
+                Text(figure["verdict"], style=_COLOURS[figure["verdict"]]),
+                figure["why"],
+            )
         )
-    return table
+    return text_table(("figure", "published", "obtained", "tolerance", "unit", "", "verdict", "why"), rows)
 
 
 def _number(value: Any, digits: int = _OBTAINED) -> str:
     if value is None:
         return "-"
     several = value if isinstance(value, list | tuple) else (value,)
-    told = ", ".join(f"{one:.{digits}g}" for one in several[:_SHOWN])
+    text = ", ".join(f"{each:.{digits}g}" for each in several[:_SHOWN])
     more = len(several) - _SHOWN
-    return f"{told}, {more} more" if more > 0 else told
-
-
-def _tolerance(value: Any) -> str:
-    if isinstance(value, dict):
-        return f"{value['low']:g} to {value['high']:g}"
-    return _number(value)
+    return f"{text}, {more} more" if more > 0 else text

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Session, verb
+from inflight.cli.session import Session, text_table, verb
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,11 +22,6 @@ ComparisonOption = Annotated[str | None, typer.Option("--comparison", help="Comp
 ModelArgument = Annotated[str, typer.Argument(help="Version (3), name, or both (champ-preflight:3).")]
 #: Digits a value is shown with; --json has all.
 _DIGITS = 9
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    app.add_typer(model, name="model")
 
 
 @verb(model, "show")
@@ -46,12 +41,11 @@ def show_model(
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
-        made = f" (from version {found.fields['parent']})" if found.fields["parent"] else ""
-        told = f": {message}" if message else ""
-        console.print(f"{found.told}{made}{told}", soft_wrap=True, markup=False)
-        console.print(
-            _table(("effect", "sensor", "parameter", "value", "sigma", "unit", "time", "fit"), tree)
-        )
+        parent = f" (from version {found.fields['parent']})" if found.fields["parent"] else ""
+        why = f": {message}" if message else ""
+        console.print(f"{found.told}{parent}{why}", soft_wrap=True, markup=False)
+        columns = ("effect", "sensor", "parameter", "value", "sigma", "unit", "time", "fit")
+        console.print(text_table(columns, _rows(tree), right=("value", "sigma")))
         for entry in tree["effects"]:
             if "source" in entry:
                 console.print(f"{entry['effect']} is the mission's own effect, source {entry['source']}")
@@ -68,7 +62,7 @@ def diff_models(
     *,
     comparison: ComparisonOption = None,
 ) -> None:
-    """Tell what one version of a model changes of another."""
+    """Show what one version of a model changes of another."""
     from inflight.model import changes, parse_tree
 
     versions = _versions(session, comparison)
@@ -95,7 +89,13 @@ def model_history(session: Session, *, comparison: ComparisonOption = None) -> N
         if not items:
             console.print("No model has been used yet. Next: inflight reprocess")
             return
-        console.print(_plain_table(("", "name", "version", "parent", "message", "created", "sha256"), items))
+        columns = ("", "name", "version", "parent", "message", "created", "sha256")
+        rows = []
+        for item in items:
+            shown = item | {"": "*" if item["used"] else "", "sha256": item["sha256"][:12]}
+            shown["parent"] = "" if item["parent"] is None else item["parent"]
+            rows.append([str(shown[name]) for name in columns])
+        console.print(text_table(columns, rows))
 
     session.emit({"command": "model history", "items": items}, show)
 
@@ -128,29 +128,5 @@ def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
 
 def _number(value: Any) -> str:
     if isinstance(value, list):
-        return ", ".join(_number(one) for one in value)
+        return ", ".join(_number(each) for each in value)
     return "" if value is None else f"{value:.{_DIGITS}g}"
-
-
-def _table(columns: tuple[str, ...], tree: Mapping[str, Any]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for name in columns:
-        table.add_column(name, overflow="fold", justify="right" if name in ("value", "sigma") else "left")
-    for row in _rows(tree):
-        table.add_row(*(cell.replace("[", r"\[") for cell in row))
-    return table
-
-
-def _plain_table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for name in columns:
-        table.add_column(name, overflow="fold")
-    for item in items:
-        shown = item | {"": "*" if item["used"] else "", "sha256": item["sha256"][:12]}
-        shown["parent"] = "" if item["parent"] is None else item["parent"]
-        table.add_row(*(str(shown[name]).replace("[", r"\[") for name in columns))
-    return table

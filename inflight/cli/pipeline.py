@@ -6,13 +6,13 @@ Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_U
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from inflight.cli.session import Session, verb
+from inflight.cli.session import Session
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -54,17 +54,10 @@ CoverageOption = Annotated[
     float | None,
     typer.Option(min=0, max=1, help="Part of a day that must be usable (default: 0)", show_default=False),
 ]
-ComparisonOption = Annotated[str, typer.Option(help="What is held against what.")]
+ComparisonOption = Annotated[str, typer.Option(help="What is compared with what.")]
 BatchOption = Annotated[
     int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    verb(app, "ingest")(ingest)
-    verb(app, "reprocess")(reprocess)
-    verb(app, "backfill")(backfill)
 
 
 def run_flow(
@@ -77,7 +70,7 @@ def run_flow(
     session : Session
         The command.
     name : str
-        ``ingest``, ``reprocess``, ``backfill`` or ``release``.
+        ``ingest``, ``reprocess``, ``backfill``, ``diagnose`` or ``release``.
     parameters : mapping
         Of the flow, the workspace excepted.
     workers : int or None
@@ -128,22 +121,18 @@ def ingest(
         )
     parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
     report = run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect)
-    session.finish(report, _remarks(session, report, folders))
-
-
-def _remarks(session: Session, report: RunReport, folders: list[Path]) -> Iterator[str]:
-    """Yield what a person must know that no day tells: what matched nothing, what was dropped and noted."""
     workspace = session.open_workspace()
     mission, folder = workspace.mission(), folders[0] if folders else workspace.data
-    for name, told in report.extra.get("datasets", {}).items():
-        if not told["days"]:
+    remarks = []
+    for name, dataset in report.extra.get("datasets", {}).items():
+        if not dataset["days"]:
             patterns = " or ".join(map(repr, mission.files(name.removeprefix("l1/")).pattern or ()))
-            yield f"{name}: no file of the span below {folder} matches {patterns}"
-        if told["dropped"]:
-            rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in told["dropped"].items())
-            yield f"{name}: rows dropped: {rows}"
-        for note in told["notes"]:
-            yield f"{name}: {note}"
+            remarks.append(f"{name}: no file of the span below {folder} matches {patterns}")
+        if dataset["dropped"]:
+            rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in dataset["dropped"].items())
+            remarks.append(f"{name}: rows dropped: {rows}")
+        remarks += [f"{name}: {note}" for note in dataset["notes"]]
+    session.finish(report, remarks)
 
 
 def reprocess(
@@ -170,6 +159,8 @@ def reprocess(
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
+    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
+
     settings = _given(
         comparison=comparison,
         table=table,
@@ -182,15 +173,9 @@ def reprocess(
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    session.finish(report, _run_remarks(session, settings, report))
-
-
-def _run_remarks(session: Session, settings: Mapping[str, Any], report: RunReport) -> Iterator[str]:
-    """Yield what a person must know of a run that no day tells, in the words of the pipeline."""
-    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
-
-    asked = ReprocessSettings.model_validate(settings)
-    yield from pipeline_of(session.open_workspace().mission(), asked.comparison, asked).remarks(report.extra)
+    checked = ReprocessSettings.model_validate(settings)
+    pipeline = pipeline_of(session.open_workspace().mission(), checked.comparison, checked)
+    session.finish(report, pipeline.remarks(report.extra))
 
 
 def backfill(
@@ -206,14 +191,10 @@ def backfill(
 ) -> None:
     """Take in and reprocess a past span: planned first, then only what is needed."""
     settings = _given(comparison=comparison, batch_days=batch_days)
-    if dry_run:
-        _print_plan(session, start, end, settings)
+    if not dry_run:
+        parameters = {"start": start, "end": end, "settings": settings}
+        session.finish(run_flow(session, "backfill", parameters, workers=workers, prefect=not no_prefect))
         return
-    parameters = {"start": start, "end": end, "settings": settings}
-    session.finish(run_flow(session, "backfill", parameters, workers=workers, prefect=not no_prefect))
-
-
-def _print_plan(session: Session, start: str, end: str, settings: Mapping[str, Any]) -> None:
     from inflight.flows import plan_span
 
     fields = plan_span(session.open_workspace(), start, end, settings)

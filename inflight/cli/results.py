@@ -1,15 +1,23 @@
-"""Verbs that judge and hand out results: ``compare`` and ``release``."""
+"""Verbs that show and hand out results: ``compare``, ``chain``, ``report``, ``explore`` and ``release``."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.pipeline import ComparisonOption, EndOption, NoPrefectOption, StartOption, run_flow
-from inflight.cli.session import Session, verb
+from inflight.cli.pipeline import (
+    ComparisonOption,
+    EndOption,
+    NoPrefectOption,
+    StartOption,
+    WorkersOption,
+    run_flow,
+)
+from inflight.cli.session import Session
 from inflight.errors import SettingsError, StorageError
 
 if TYPE_CHECKING:
@@ -18,12 +26,6 @@ if TYPE_CHECKING:
     from inflight.catalog import Workspace
     from inflight.mission import Mission
     from inflight.tasks.pipelines import Report
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    verb(app, "compare")(compare)
-    verb(app, "release")(release)
 
 
 def compare(
@@ -55,7 +57,7 @@ def compare_span(
     comparison: str = "main",
     output: Path | None = None,
 ) -> Report:
-    """Compare and write the page, into the workspace's reports unless `output` says otherwise.
+    """Compare and write the page, into the workspace's reports unless `output` is given.
 
     A workspace that can only be read gets no page unless `output` names a place for it.
 
@@ -68,16 +70,21 @@ def compare_span(
     from inflight.tasks.analysis import compare as measure
 
     mission = workspace.mission()
-    require_comparison(mission, comparison)
+    _require_comparison(mission, comparison)
     span = DaySpan.model_validate({"start": start, "end": end}).as_text()
     name = "-".join(["compare", comparison, *filter(None, span)])
-    page = page_path(output) if output else _page_path_if_writable(workspace.reports / name)
+    try:
+        page: Path | None = _page_path(output or workspace.reports / name)
+    except StorageError:
+        if output:
+            raise
+        page = None
     catalog = session.open_catalog()
     with session.progress() as progress:
         return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
 
 
-def page_path(path: Path) -> Path:
+def _page_path(path: Path) -> Path:
     """Return the path of a page, whose folder is made when it is not there."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,14 +97,7 @@ def page_path(path: Path) -> Path:
     return path if path.suffix == ".html" else path.with_name(f"{path.name}.html")
 
 
-def _page_path_if_writable(path: Path) -> Path | None:
-    try:
-        return page_path(path)
-    except StorageError:
-        return None
-
-
-def require_comparison(mission: Mission, comparison: str) -> None:
+def _require_comparison(mission: Mission, comparison: str) -> None:
     """Raise SettingsError unless the mission has a comparison of this name."""
     if comparison not in mission.comparisons:
         raise SettingsError(
@@ -106,7 +106,7 @@ def require_comparison(mission: Mission, comparison: str) -> None:
         )
 
 
-def print_summary(console: Console, report: Report) -> None:
+def _print_summary(console: Console, report: Report) -> None:
     """Print what a person reads of a report."""
     for line in report.summary():
         console.print(line.text, style=line.style or None, soft_wrap=True, markup=False)
@@ -114,7 +114,7 @@ def print_summary(console: Console, report: Report) -> None:
 
 def print_comparison(console: Console, report: Report) -> None:
     """Print how well products agree before and after, where they still fail, and the page."""
-    print_summary(console, report)
+    _print_summary(console, report)
     page = report.path or "none, because the workspace cannot be written; --output names another place"
     console.print(f"  page: {page}", soft_wrap=True)
 
@@ -130,3 +130,121 @@ def release(
     """Freeze what is published and copy it out with manifest and notes."""
     parameters = {"version": version, "notes": notes, "destination": destination}
     session.finish(run_flow(session, "release", parameters, workers=None, prefect=not no_prefect))
+
+
+def chain(
+    session: Session,
+    *,
+    comparison: ComparisonOption = "main",
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write the page with every figure here.", show_default=False)
+    ] = None,
+    cross_talk: Annotated[
+        str,
+        typer.Option(
+            "--cross-talk",
+            metavar="PARAMETER",
+            help="Tell what this one does to all others when it is ignored.",
+            show_default=False,
+        ),
+    ] = "",
+) -> None:
+    """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, excess scatter.
+
+    Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided.
+    """
+    from inflight.tasks.pipelines import tables_report
+
+    workspace = session.open_workspace()
+    mission, catalog = workspace.mission(), session.open_catalog()
+    _require_comparison(mission, comparison)
+    page = _page_path(html) if html else None
+    report = tables_report(catalog, mission, comparison, page, cross_talk)
+    fields = report.as_json()
+
+    def show(console: Console) -> None:
+        _print_summary(console, report)
+        where = fields["path"] or "none; --html FILE writes it with every figure"
+        console.print(f"  page: {where}", soft_wrap=True, markup=False)
+
+    session.emit(fields, show)
+
+
+def report(
+    session: Session,
+    *,
+    start: StartOption = None,
+    end: EndOption = None,
+    comparison: Annotated[
+        str | None, typer.Option(help="What is compared with what (default: main).", show_default=False)
+    ] = None,
+    output: Annotated[Path | None, typer.Option(help="Where the page goes (default: reports/)")] = None,
+    show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False,
+    workers: WorkersOption = None,
+) -> None:
+    """Show on one page what is missing from the model: where it fails, which effect, how the error falls.
+
+    Without a span it is that of the last 'inflight diagnose'; what was measured is not read again.
+    """
+    from inflight.flows import DaySpan, lazy_client
+    from inflight.tasks.analysis import DiagnoseSettings, last_diagnosis, require_sampled
+    from inflight.tasks.analysis import report as write_report
+
+    workspace = session.open_workspace()
+    mission = workspace.mission()
+    name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
+    span = DaySpan.model_validate({"start": start, "end": end}).as_text()
+    require_sampled(mission, name)
+    last: Mapping[str, Any] = (last_diagnosis(workspace, name) or {}).get("asked") or {}
+    settings = DiagnoseSettings.model_validate(last.get("settings") or {"comparison": name})
+    if not any(span):
+        span = last.get("start"), last.get("end")
+    page = _page_path(output or workspace.reports / "-".join(["report", name, *filter(None, span)]))
+    with session.progress() as progress, lazy_client(workers) as client:
+        written = write_report(
+            session.open_catalog(), mission, page, *span, settings, client=client, progress=progress
+        )
+    fields = written.as_json()
+
+    def show_report(console: Console) -> None:
+        console.print(fields["verdict"], style="bold", markup=False)
+        console.print(f"  {fields['sentence']}", soft_wrap=True, markup=False)
+        console.print(f"  page: {fields['path']}", soft_wrap=True, markup=False)
+
+    session.emit(fields, show_report)
+    if show:
+        import webbrowser
+
+        webbrowser.open(written.path.resolve().as_uri())
+
+
+def explore(
+    session: Session,
+    *,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of this machine (default: a free one).")
+    ] = 0,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print where the page is, open no browser.")
+    ] = False,
+    workers: WorkersOption = None,
+) -> None:
+    """Explore the workspace in the browser: model against measurement, the missing effect, tables.
+
+    Serves this machine alone until Ctrl-C.
+    """
+    workspace = session.open_workspace()
+    workspace.mission()
+    from inflight.explorer import Server
+
+    server = Server(workspace, port, workers)
+
+    def ready(url: str) -> None:
+        fields = {"command": "explore", "url": url, "workspace": str(workspace.root)}
+        session.emit(fields, lambda console: console.print(f"{url}  (Ctrl-C ends it)", soft_wrap=True))
+        if not (no_browser or session.json):
+            import webbrowser
+
+            webbrowser.open(url)
+
+    server.run(ready)

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,8 @@ from inflight.tasks import Progress, as_settings_error, error_fields, location_o
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
     from inflight.catalog import Catalog, Workspace
     from inflight.tasks import RunReport
@@ -50,7 +52,7 @@ class Session:
     Parameters
     ----------
     workspace : Path
-        The folder to work in, not yet looked at.
+        The folder to work in; it is not read yet.
     json, debug : bool
         The options of the same names.
     """
@@ -77,7 +79,8 @@ class Session:
         from rich.console import Console
 
         # Into a file or a pipe, lines stay whole: a path folded over three lines is found by no search.
-        return Console(highlight=False, width=None if _has_width() else PIPED_WIDTH)
+        has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
+        return Console(highlight=False, width=None if has_width else PIPED_WIDTH)
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
@@ -138,18 +141,46 @@ class Session:
         from rich.text import Text
 
         place = location_of(fields)
-        told = Text(f"{place}: " if place else "", style="red")
-        told.append(fields["message"], style="red")
-        Console(stderr=True, highlight=False, soft_wrap=True).print(told)
+        console = Console(stderr=True, highlight=False, soft_wrap=True)
+        console.print(Text(f"{place}: {fields['message']}" if place else fields["message"], style="red"))
         if fields.get("remedy"):
-            Console(stderr=True, highlight=False, soft_wrap=True).print(
-                Text(f"What to do: {fields['remedy']}")
-            )
+            console.print(Text(f"What to do: {fields['remedy']}"))
 
 
-def _has_width() -> bool:
-    """Tell whether somebody states how wide a line may be: a terminal, or ``COLUMNS``."""
-    return sys.stdout.isatty() or "COLUMNS" in os.environ
+def text_table(
+    columns: Sequence[str],
+    rows: Iterable[Iterable[str | Text]],
+    *,
+    right: Sequence[str] = (),
+    folded: Sequence[str] | None = None,
+) -> Table:
+    """Return a table without lines; cells are shown as they are, without markup.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Headings.
+    rows : iterable of iterable of str
+        Cells.
+    right : sequence of str
+        Columns set flush right.
+    folded : sequence of str, optional
+        Columns whose cells may be folded over several lines; all when absent.
+    """
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for name in columns:
+        table.add_column(
+            name,
+            justify="right" if name in right else "left",
+            overflow="fold",
+            no_wrap=folded is not None and name not in folded,
+        )
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    return table
 
 
 def exit_code_of(error: Exception) -> int:
@@ -158,15 +189,15 @@ def exit_code_of(error: Exception) -> int:
     return EXIT_USAGE if wrong_usage else EXIT_FAILED
 
 
-def carry_out(session: Session, work: Callable[[], None]) -> None:
+def run_verb(session: Session, work: Callable[[], None]) -> None:
     """Run a verb; turn whatever it raises into a message and an exit code.
 
-    An `InflightError` is told as it is. Anything else is a defect of the software: it is told as
-    one, without the traceback unless ``--debug`` asks for it. After Ctrl-C any error is the
-    interruption: the embedded server and the Dask processes hear it, too, and may be gone first.
+    An `InflightError` is printed as it is. Anything else is a defect of the software and reported as
+    one, with the traceback when ``--debug`` asks for it. After Ctrl-C any error counts as the
+    interruption: the embedded server and the Dask processes receive it, too, and may end first.
     """
     interrupted = threading.Event()
-    with _hearing_interruption(interrupted):
+    with _noting_interruption(interrupted):
         try:
             work()
         except (typer.Exit, typer.Abort, typer.TyperException):
@@ -182,17 +213,17 @@ def carry_out(session: Session, work: Callable[[], None]) -> None:
 
 
 @contextmanager
-def _hearing_interruption(interrupted: threading.Event) -> Iterator[None]:
-    """Remember that Ctrl-C was pressed, whatever becomes of the exception it raises."""
+def _noting_interruption(interrupted: threading.Event) -> Iterator[None]:
+    """Set the event when Ctrl-C is pressed, whatever becomes of the exception it raises."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def hear(number: int, frame: FrameType | None) -> None:
+    def note(number: int, frame: FrameType | None) -> None:
         interrupted.set()
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGINT, hear)
+    before = signal.signal(signal.SIGINT, note)
     try:
         yield
     finally:
@@ -225,7 +256,7 @@ def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callabl
         ) -> None:
             before: Session = context.obj or Session()
             session = Session(workspace or before.workspace, json or before.json, debug or before.debug)
-            carry_out(session, lambda: function(session, **arguments))
+            run_verb(session, lambda: function(session, **arguments))
 
         parameters = [_parameter("context", typer.Context), *own, *_COMMON]
         parameters = [item.replace(kind=inspect.Parameter.KEYWORD_ONLY) for item in parameters]

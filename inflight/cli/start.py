@@ -1,38 +1,40 @@
-"""Verbs that begin a workspace: ``new`` and ``simulate``."""
+"""Verbs that begin a workspace: ``new``, ``simulate`` and ``demo``, a simulated month through every step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import shutil
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Session, verb
+from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
+from inflight.cli.results import compare_span, print_comparison
+from inflight.cli.session import Session
 from inflight.errors import SettingsError
-from inflight.tasks import Progress
+from inflight.tasks import Progress, RunReport, print_report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog import Workspace
-    from inflight.simulate import MissionSettings
 
 
 #: The shipped mission that the simulator flies.
 SIMULATED_MISSION = "champ"
 #: The same with a second fluxgate: made with `new`, before it is simulated.
-WITH_SECOND = "champ-two-fluxgates"
+SECOND_FLUXGATE_MISSION = "champ-two-fluxgates"
 #: Missions of spinning spacecraft that are simulated.
-SPINNING = ("themis", "imp8", "helios")
-#: The one with two sensors on a boom and nothing else to hold them against.
-TWO_SENSORS = "venus-express"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    verb(app, "new")(new)
-    verb(app, "simulate")(simulate)
+SPINNING_MISSIONS = ("themis", "imp8", "helios")
+#: The one with two sensors on a boom and no other reference.
+TWO_SENSOR_MISSION = "venus-express"
+#: Where the demo goes when no workspace is named.
+DEMO_FOLDER = Path("demo")
+DEMO_START = "2005-01-01"
 
 
 def new(
@@ -44,18 +46,27 @@ def new(
 ) -> None:
     """Make a workspace for a mission."""
     from inflight.catalog import Workspace
-    from inflight.tasks import RunReport
 
     if mission is None:
-        return _list_missions(session)
+        _list_missions(session)
+        return
     if folder is None:
         raise SettingsError(
             "the folder to make is missing", remedy=f"write: inflight new {mission} {Path(mission).stem}"
         )
     workspace = Workspace.create(folder, mission)
     report = RunReport("new", outputs=[str(workspace.mission_file)])
-    session.emit(report.as_json(), lambda console: _print_made(console, workspace))
-    return None
+
+    def show(console: Console) -> None:
+        for line in (
+            f"{workspace.root} is ready.",
+            f"  mission   {workspace.mission_file}",
+            f"  data      {workspace.data}  (delivered files go here, or say ingest FOLDER)",
+            f"\nNext: inflight ingest --workspace {workspace.root}",
+        ):
+            console.print(line, soft_wrap=True)
+
+    session.emit(report.as_json(), show)
 
 
 def _list_missions(session: Session) -> None:
@@ -78,16 +89,6 @@ def _list_missions(session: Session) -> None:
     session.emit({"command": "new", "missions": items}, show)
 
 
-def _print_made(console: Console, workspace: Workspace) -> None:
-    for line in (
-        f"{workspace.root} is ready.",
-        f"  mission   {workspace.mission_file}",
-        f"  data      {workspace.data}  (delivered files go here, or say ingest FOLDER)",
-        f"\nNext: inflight ingest --workspace {workspace.root}",
-    ):
-        console.print(line, soft_wrap=True)
-
-
 def simulate(
     session: Session,
     *,
@@ -105,18 +106,24 @@ def simulate(
     spinning spacecraft, and one of venus-express those of two sensors on one boom.
     """
     from inflight.catalog import Workspace
-    from inflight.tasks import RunReport
     from inflight.tasks.archive import SECOND_FLUXGATE
 
     workspace = Workspace(session.workspace)
     if not workspace.mission_file.exists():
         workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
-    _require_simulated(workspace)
+    mission, instruments = workspace.mission().mission, workspace.mission().instruments
+    simulated = (SIMULATED_MISSION, SECOND_FLUXGATE_MISSION, *SPINNING_MISSIONS, TWO_SENSOR_MISSION)
+    if mission not in simulated:
+        # Simulated files must not come among the measurements of another mission.
+        names = ", ".join(map(repr, simulated))
+        raise SettingsError(
+            f"{workspace.root} holds mission {mission!r}; only {names} are simulated",
+            remedy="name a new folder with --workspace",
+        )
     settings = {"start": start, "days": days, "seed": seed, "hide": hide or (), "without": without or ()}
-    mission = workspace.mission().mission
-    if SECOND_FLUXGATE in workspace.mission().instruments:
+    if SECOND_FLUXGATE in instruments:
         settings |= {"second_fluxgate": True}
-    if mission in SPINNING:
+    if mission in SPINNING_MISSIONS:
         settings |= {"craft": mission}
     with session.progress() as progress:
         written = write_deliveries(
@@ -131,17 +138,6 @@ def simulate(
     session.finish(report)
 
 
-def _require_simulated(workspace: Workspace) -> None:
-    """Refuse to put simulated files among the measurements of another mission."""
-    named = workspace.mission().mission
-    known = (SIMULATED_MISSION, WITH_SECOND, *SPINNING, TWO_SENSORS)
-    if named not in known:
-        raise SettingsError(
-            f"{workspace.root} holds mission {named!r}; only {', '.join(map(repr, known))} are simulated",
-            remedy="name a new folder with --workspace",
-        )
-
-
 def write_deliveries(
     folder: Path,
     settings: Mapping[str, Any],
@@ -152,29 +148,90 @@ def write_deliveries(
 ) -> list[Path]:
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
     from inflight.flows import available_cores
+    from inflight.tasks import archive
 
-    kind, write_files = _simulator(mission)
-    return write_files(
-        kind.model_validate(settings),
-        folder,
-        progress=lambda done, total: progress("simulate", done, total),
-        workers=workers or available_cores(),
-    )
+    def show(done: int, total: int) -> None:
+        progress("simulate", done, total)
 
-
-def _simulator(mission: str) -> tuple[type[MissionSettings], Callable[..., list[Path]]]:
-    """Return the settings of a simulated mission, and what writes its days."""
-    if mission in SPINNING:
+    options: dict[str, Any] = {"progress": show, "workers": workers or available_cores()}
+    if mission in SPINNING_MISSIONS:
         from inflight.simulate.spinning import SpinningSettings
-        from inflight.tasks.archive import simulate_spinning
 
-        return SpinningSettings, simulate_spinning
-    if mission == TWO_SENSORS:
+        return archive.simulate_spinning(SpinningSettings.model_validate(settings), folder, **options)
+    if mission == TWO_SENSOR_MISSION:
         from inflight.simulate.dual import DualSettings
-        from inflight.tasks.archive import simulate_dual
 
-        return DualSettings, simulate_dual
+        return archive.simulate_dual(DualSettings.model_validate(settings), folder, **options)
     from inflight.simulate import SimulationSettings
-    from inflight.tasks.archive import simulate as simulate_champ
 
-    return SimulationSettings, simulate_champ
+    return archive.simulate(SimulationSettings.model_validate(settings), folder, **options)
+
+
+def demo(
+    session: Session,
+    *,
+    days: Annotated[int, typer.Option(min=1, help="Days to simulate.")] = 30,
+    seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+) -> None:
+    """Simulate a month of a CHAMP-like mission and take it through the whole chain."""
+    from inflight.catalog import Workspace
+
+    begun = time.monotonic()
+    folder = DEMO_FOLDER if session.workspace == Path() else session.workspace
+    session = Session(folder, session.json, session.debug)
+    exists = Workspace(folder).mission_file.exists()
+    workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
+
+    def announce(text: str) -> None:
+        if not session.json:
+            session.console.print(text, style="bold")
+
+    announce(f"1 of 4  simulating {days} days of day files in {workspace.data}")
+    settings = {"start": DEMO_START, "days": days, "seed": seed}
+    with session.progress() as progress:
+        write_deliveries(workspace.data, settings, workers=workers, progress=progress)
+    reports = []
+    for number, name, doing in (
+        (2, "ingest", "reading them into the archive"),
+        (3, "reprocess", "calibrating every day and writing level-2 products"),
+    ):
+        announce(f"{number} of 4  {doing}")
+        reports.append(run_flow(session, name, {}, workers=workers, prefect=not no_prefect))
+        if not session.json:
+            print_report(reports[-1], session.console)
+    announce("4 of 4  comparing the vector instrument with the scalar one")
+    compared = compare_span(session, workspace)
+    seconds = time.monotonic() - begun
+    fields = compared.as_json()
+    page = workspace.relative(fields["path"])
+    added = {"residual": fields["residual"], "path": page, "seconds": round(seconds, 1)}
+    total = reports[0].followed_by(reports[1], "demo")
+    total = replace(total, outputs=[*total.outputs, page], extra=total.extra | added)
+
+    def show(console: Console) -> None:
+        print_comparison(console, compared)
+        _print_next(console, workspace, seconds)
+
+    session.emit(total.as_json(), show)
+    if total.exit_code:
+        raise typer.Exit(total.exit_code)
+
+
+def _print_next(console: Console, workspace: Workspace, seconds: float) -> None:
+    """Print what a newcomer may type after the demo."""
+    root = workspace.root
+    # A newcomer who came by `make demo` has not activated the environment.
+    program = "inflight" if shutil.which("inflight") else sys.argv[0]
+    console.print(f"\nDone in {seconds:.0f} s. Products, tables and archive are in the catalog of {root}.")
+    console.print("What to type next:")
+    for command, purpose in (
+        (f"{program} catalog list -w {root}", "what there is"),
+        (f"{program} catalog show l2/field -w {root}", "day by day"),
+        (f"{program} compare -w {root} --open", "the page with the plots"),
+        (f"{program} diagnose -w {root}", "which physical effect is missing"),
+        (f"{program} reprocess -w {root}", "again: finds nothing to do"),
+        (f"{program} new template my-mission", "begin with measurements of your own"),
+    ):
+        console.print(f"  {command:<56} {purpose}", soft_wrap=True)

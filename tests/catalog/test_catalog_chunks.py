@@ -7,7 +7,7 @@ import zarr
 from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import Delta
 
-from inflight.catalog.chunks import COMPRESSION_LEVEL, COMPRESSOR, ChunkWriter
+from inflight.catalog.segments import COMPRESSION_LEVEL, COMPRESSOR, ChunkWriter
 from inflight.errors import IntegrityError
 
 

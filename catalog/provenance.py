@@ -1,19 +1,26 @@
-"""Models, contexts and delivered files: what the numbers of a workspace rest on."""
+"""Provenance: models, contexts and delivered files, and what was made from what.
+
+A *context* pins mission, model version and tables of a run. *Lineage* is a set of edges between ids such as
+``day:12``, ``table:4``, ``file:<sha256>``, ``context:<sha256>`` and ``model:<name>@<version>``.
+"""
 
 from __future__ import annotations
 
 import datetime as dt
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, NamedTuple
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
-from inflight.catalog.lineage import Edge, add_edges
-from inflight.catalog.records import ContextRecord, FileRecord, ModelRecord, sha256_text
-from inflight.catalog.schema import ContextRow, FileRow, ModelRow
+from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, sha256_text
+from inflight.catalog.schema import ContextRow, DayRow, EdgeRow, FileRow, ModelRow, TableRow
 from inflight.catalog.validity import require_tables
 from inflight.errors import CatalogError
+
+#: Databases bound the number of values in one statement.
+_BATCH: Final = 500
 
 
 def save_model(
@@ -66,17 +73,8 @@ def model_text(session: Session, name: str | None, version: int | None) -> tuple
 
 def model_records(session: Session) -> list[ModelRecord]:
     """Return the history of all models, oldest first."""
-    return [
-        ModelRecord(
-            name=row.name,
-            version=row.version,
-            parent=row.parent,
-            message=row.message,
-            sha256=row.sha256,
-            created=row.created,
-        )
-        for row in session.scalars(select(ModelRow).order_by(ModelRow.id))
-    ]
+    rows = session.scalars(select(ModelRow).order_by(ModelRow.id))
+    return [row.as_record(ModelRecord) for row in rows]
 
 
 def save_context(
@@ -107,7 +105,7 @@ def context_record(session: Session, context: str) -> ContextRecord:
     row = session.get(ContextRow, context)
     if row is None:
         raise CatalogError(f"context {context[:12]!r} is not in the catalog", remedy="save it first")
-    return ContextRecord(row.id, row.mission_text, row.model_name, row.model_version, row.tables)
+    return row.as_record(ContextRecord)
 
 
 def record_file(session: Session, run_id: str, record: FileRecord) -> None:
@@ -129,16 +127,81 @@ def file_records(session: Session, instrument: str) -> dict[str, FileRecord]:
     rows = session.scalars(
         select(FileRow).where(FileRow.instrument == instrument, FileRow.taken).order_by(FileRow.id)
     )
-    return {
-        row.path: FileRecord(
-            instrument=row.instrument,
-            path=row.path,
-            sha256=row.sha256,
-            size=row.size,
-            mtime_ns=row.mtime_ns,
-            days=tuple(row.days),
-            report=row.report,
-            run=row.run_id,
-        )
-        for row in rows
+    return {row.path: row.as_record(FileRecord, days=tuple(row.days), run=row.run_id) for row in rows}
+
+
+class Edge(NamedTuple):
+    """`child` was made from `parent`."""
+
+    parent: str
+    child: str
+
+
+def parent_ids(parents: Iterable[Day | str]) -> list[str]:
+    """Return lineage ids of parents given as days or as ids."""
+    return [parent.id if isinstance(parent, Day) else str(parent) for parent in parents]
+
+
+def add_edges(session: Session, edges: Iterable[Edge]) -> None:
+    """Record edges; those already there are left."""
+    new = dict.fromkeys(Edge(*edge) for edge in edges)
+    children = list(dict.fromkeys(edge.child for edge in new))
+    known = set(_edges(session, EdgeRow.child, children))
+    session.add_all(EdgeRow(parent=edge.parent, child=edge.child) for edge in new if edge not in known)
+
+
+def walk(session: Session, ids: Iterable[str], *, up: bool) -> list[Edge]:
+    """Return all edges reachable from `ids` towards their parents (`up`) or children, nearest first."""
+    found: dict[Edge, None] = {}
+    frontier = list(dict.fromkeys(ids))
+    seen = set(frontier)
+    while frontier:
+        edges = _edges(session, EdgeRow.child if up else EdgeRow.parent, frontier)
+        found |= dict.fromkeys(edges)
+        frontier = list(dict.fromkeys((edge.parent if up else edge.child) for edge in edges))
+        frontier = [item for item in frontier if item not in seen]
+        seen.update(frontier)
+    return list(found)
+
+
+def unknown_ids(session: Session, ids: Iterable[str]) -> list[str]:
+    """Return the lineage ids that name nothing in the catalog."""
+    by_kind: dict[str, list[str]] = {}
+    for item in dict.fromkeys(ids):
+        by_kind.setdefault(item.partition(":")[0], []).append(item)
+    return sorted(
+        item for kind, items in by_kind.items() for item in set(items) - _known(session, kind, items)
+    )
+
+
+def _known(session: Session, kind: str, items: list[str]) -> set[str]:
+    columns: dict[str, Any] = {
+        "day": DayRow.id,
+        "table": TableRow.id,
+        "file": FileRow.sha256,
+        "context": ContextRow.id,
     }
+    if kind == "model":
+        return {
+            f"model:{name}@{version}"
+            for name, version in session.execute(select(ModelRow.name, ModelRow.version))
+        }
+    if kind not in columns:
+        return set()
+    column, numbers = columns[kind], kind in {"day", "table"}
+    values = [item.partition(":")[2] for item in items]
+    keys: list[Any] = [int(value) for value in values if value.isdigit()] if numbers else values
+    known: set[str] = set()
+    for first in range(0, len(keys), _BATCH):
+        batch = keys[first : first + _BATCH]
+        known |= {f"{kind}:{value}" for value in session.scalars(select(column).where(column.in_(batch)))}
+    return known
+
+
+def _edges(session: Session, column: Any, ids: list[str]) -> list[Edge]:
+    edges: list[Edge] = []
+    for first in range(0, len(ids), _BATCH):
+        condition: ColumnElement[bool] = column.in_(ids[first : first + _BATCH])
+        rows = session.execute(select(EdgeRow.parent, EdgeRow.child).where(condition))
+        edges += [Edge(parent, child) for parent, child in rows]
+    return edges

@@ -9,21 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.pipeline import EndOption, StartOption
-from inflight.cli.session import Session, verb
+from inflight.cli.session import Session, text_table, verb
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from inflight.catalog import Catalog, Day
 
 catalog = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verbs of this module."""
-    app.add_typer(catalog, name="catalog")
 
 
 @verb(catalog, "list")
@@ -60,7 +56,14 @@ def show_dataset(
     columns, items = _items_of(found, name, slice(start, end))
 
     def show(console: Console) -> None:
-        console.print(_table(columns, [_with_notes(item) for item in items[:SHOWN_DAYS]]))
+        # A day without a message shows what its report states.
+        shown = [
+            item
+            if item.get("message") or "report" not in item
+            else item | {"message": _summary_of_report(item["report"])}
+            for item in items[:SHOWN_DAYS]
+        ]
+        console.print(_table(columns, shown))
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
 
@@ -92,27 +95,22 @@ def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], 
     return ("day", "state", "version", "coverage", "count", "cause", "message"), days
 
 
-def _with_notes(item: dict[str, Any]) -> dict[str, Any]:
-    """Return a day with what its report tells in the place of a message; anything else as it is."""
-    return item if item.get("message") or "report" not in item else item | {"message": _noted(item["report"])}
-
-
-def _noted(report: Mapping[str, Any]) -> str:
-    """Return what a day tells: samples that are missing, gaps, rows that were dropped, or raw fields."""
-    told = []
+def _summary_of_report(report: Mapping[str, Any]) -> str:
+    """Return what a day's report states: missing samples, gaps, dropped rows, or a field not corrected."""
+    parts = []
     if report.get("applied") == "no":
-        told.append(f"left as measured: {report.get('reason', '')}")
+        parts.append(f"left as measured: {report.get('reason', '')}")
     for name, channel in report.get("channels", {}).items():
         if channel.get("gaps"):
             start, _, most = max(channel["gaps"], key=lambda gap: gap[2])
-            told.append(
+            parts.append(
                 f"{name}: {channel['gap_samples']} of {channel['expected']} samples missing in "
                 f"{channel['gap_count']} gaps, most {most} from {start[11:19]}"
             )
-    told += [
+    parts += [
         f"{count} {why.replace('_', ' ')} dropped" for why, count in (report.get("dropped") or {}).items()
     ]
-    return "; ".join(told)
+    return "; ".join(parts)
 
 
 @verb(catalog, "verify")
@@ -157,23 +155,23 @@ def repair(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be let go.")] = False,
 ) -> None:
     """Take damaged stores out of use, so that ingest and reprocess make their days and tables again."""
-    items = [_plain_fields(told) for told in session.open_catalog().repair(dry_run=dry_run)]
+    items = [_plain_fields(repaired) for repaired in session.open_catalog().repair(dry_run=dry_run)]
 
     def show(console: Console) -> None:
         if not items:
             console.print("every published store is whole: nothing to repair")
             return
-        rows = [item | {"files": item["files"][0], "days": _span_text(item["days"])} for item in items]
+        rows = []
+        for item in items:
+            days = item["days"]
+            span = f"{days[0]} to {days[-1]} ({len(days)})" if days else ""
+            rows.append(item | {"files": item["files"][0], "days": span})
         console.print(_table(("item", "path", "files", "days"), rows))
         console.print(
             "Next: inflight ingest, then inflight reprocess" if not dry_run else "nothing was changed"
         )
 
     session.emit({"command": "catalog repair", "dry_run": dry_run, "items": items}, show)
-
-
-def _span_text(days: tuple[str, ...]) -> str:
-    return f"{days[0]} to {days[-1]} ({len(days)})" if days else ""
 
 
 @verb(catalog, "gaps")
@@ -185,12 +183,24 @@ def gaps(
     end: EndOption = None,
 ) -> None:
     """List the days that are missing or failed, with the cause the catalog knows."""
+    from inflight.time import day_range
+
     found = session.open_catalog()
     span = slice(start, end)
     if name is not None:
         _require_known(found, name)
     names = [name] if name else [item["dataset"] for item in found.inventory()]
-    items = [item for dataset in names for item in _gaps_of(found, dataset, span)]
+    items = []
+    for dataset in names:
+        # From the first to the last day of a dataset.
+        days = {day.day: day for day in found.days(dataset, span)}
+        for date in day_range(min(days), max(days) + 1) if days else ():
+            day = days.get(date)
+            if day is None:
+                absent = {"dataset": dataset, "day": str(date), "state": "absent", "cause": "", "message": ""}
+                items.append(absent)
+            elif day.state != "published":
+                items.append({"dataset": dataset, **_day_fields(day)})
 
     def show(console: Console) -> None:
         if items:
@@ -201,23 +211,6 @@ def gaps(
     session.emit({"command": "catalog gaps", "items": items, "faults": []}, show)
 
 
-def _gaps_of(found: Catalog, name: str, span: slice) -> list[dict[str, Any]]:
-    """Return the days of a dataset, from its first to its last, that have no published revision."""
-    from inflight.time import day_range
-
-    days = {day.day: day for day in found.days(name, span)}
-    if not days:
-        return []
-    listed = []
-    for day in day_range(min(days), max(days) + 1):
-        known = days.get(day)
-        if known is None:
-            listed.append({"dataset": name, "day": str(day), "state": "absent", "cause": "", "message": ""})
-        elif known.state != "published":
-            listed.append({"dataset": name, **_day_fields(known)})
-    return listed
-
-
 def _day_fields(day: Day) -> dict[str, Any]:
     return _plain_fields(day) | {"day": str(day.day)}
 
@@ -225,14 +218,13 @@ def _day_fields(day: Day) -> dict[str, Any]:
 def _table_fields(record: Any) -> dict[str, Any]:
     from inflight.time import to_utc
 
+    def utc(tt2000: int) -> str:
+        return str(to_utc(tt2000).astype("datetime64[s]"))
+
     fields = _plain_fields(record)
-    fields |= {"start": _utc(to_utc(record.start)), "end": _utc(to_utc(record.end))}
-    spans = [f"{_utc(to_utc(start))} to {_utc(to_utc(end))}" for _, start, end in record.certified]
+    fields |= {"start": utc(record.start), "end": utc(record.end)}
+    spans = [f"{utc(start)} to {utc(end)}" for _, start, end in record.certified]
     return fields | {"valid": ", ".join(spans) or "not certified"}
-
-
-def _utc(stamp: Any) -> str:
-    return str(stamp.astype("datetime64[s]"))
 
 
 def _plain_fields(record: Any) -> dict[str, Any]:
@@ -241,18 +233,9 @@ def _plain_fields(record: Any) -> dict[str, Any]:
     return {item.name: getattr(record, item.name) for item in dataclasses.fields(record)}
 
 
-def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Any:
-    from rich.table import Table
+def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Table:
+    def cell(value: Any) -> str:
+        return f"{value:.3f}" if isinstance(value, float) else "" if value is None else str(value)
 
-    table = Table(box=None, pad_edge=False)
-    for name in columns:
-        table.add_column(name.replace("_", " "), overflow="fold")
-    for item in items:
-        table.add_row(*(_cell(item.get(name, "")) for name in columns))
-    return table
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3f}"
-    return "" if value is None else str(value)
+    rows = ([cell(item.get(name, "")) for name in columns] for item in items)
+    return text_table([name.replace("_", " ") for name in columns], rows)
