@@ -105,8 +105,8 @@ class Distribution:
         known = self.done & np.isfinite(self.left)
         return float(np.sqrt(np.mean(self.left[known] ** 2))) if known.any() else float("nan")
 
-    def told(self) -> str:
-        """Say how much was distributed."""
+    def summary(self) -> str:
+        """Return as a sentence how much was distributed."""
         share = float(np.mean(self.done))
         return (
             f"{self.rms:.3f} nT rms of the residual were distributed along the field on "
@@ -125,7 +125,7 @@ class Distribution:
                 "units": ("parameter", np.array(["nT", "nT", "1", "1"])),
             },
             coords={"parameter": names},
-            attrs={"period_s": self.period, "told": self.told()},
+            attrs={"period_s": self.period, "told": self.summary()},
         )
 
     def _sigmas(self) -> tuple[float, float]:

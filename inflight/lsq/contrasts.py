@@ -56,17 +56,17 @@ class RobustFit:
     Attributes
     ----------
     value, covariance : ndarray, shape (column,), (column, column)
-    left : ndarray, shape (row,)
+    residual : ndarray, shape (row,)
         Values less the fit.
     robust_weight : ndarray, shape (row,)
-        1 for a value that counts wholly, 0 for one that does not.
+        1 for a value of full weight, 0 for one that is left out.
     scatter : float
         Robust standard deviation of the values beyond their stated errors.
     """
 
     value: Floats
     covariance: Floats
-    left: Floats
+    residual: Floats
     robust_weight: Floats
     scatter: float
 
@@ -95,19 +95,19 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
         sigma2 = variance + extra
         root = np.sqrt(robust_weight / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
-        left = value - unit @ found
-        usual = robust_sigma(left)
+        residual = value - unit @ found
+        usual = robust_sigma(residual)
         extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
-        standardised = left / np.sqrt(variance + extra)
+        standardised = residual / np.sqrt(variance + extra)
         robust_weight = biweight(standardised)
     slope = biweight_slope(standardised) / (variance + extra)
     weight = robust_weight / (variance + extra)
     slopes = _at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit)
     bread = gram_inverse(slopes, SOLVER.eigen_cut)
-    scores = unit * (weight * left)[:, None]
+    scores = unit * (weight * residual)[:, None]
     covariance = sandwich(bread, long_run_covariance(scores, functions))
     return RobustFit(
-        found / size, covariance / np.outer(size, size), left, robust_weight, float(np.sqrt(extra))
+        found / size, covariance / np.outer(size, size), residual, robust_weight, float(np.sqrt(extra))
     )
 
 
@@ -249,9 +249,9 @@ def robust_contrast(
     for _ in range(3):
         if contrast is None:
             return None
-        left = contrast.residual(values[kept])
-        limit = CONTRASTS.outlier * robust_sigma(left)
-        far = np.abs(left) > max(limit, 1e-12)
+        residual = contrast.residual(values[kept])
+        limit = CONTRASTS.outlier * robust_sigma(residual)
+        far = np.abs(residual) > max(limit, 1e-12)
         if not far.any():
             break
         kept = kept.copy()
@@ -259,9 +259,9 @@ def robust_contrast(
         contrast = Contrast.of(drift[kept], shape[kept])
     if contrast is None:
         return None
-    left = contrast.residual(values[kept])
-    freedom = max(left.size - drift.shape[1] - 1, 1)
-    return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))
+    residual = contrast.residual(values[kept])
+    freedom = max(residual.size - drift.shape[1] - 1, 1)
+    return contrast, kept, float(np.sqrt(np.sum(residual**2) / freedom))
 
 
 @dataclass(frozen=True)

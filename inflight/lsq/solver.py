@@ -51,6 +51,8 @@ class SolverSettings:
         Factor by which priors are widened when the question is what the data alone determine; assumed.
     variance_passes : int
         Passes of residual variance and known directions at most; they settle in three or four.
+    cluster_variance_passes : int
+        Passes of the residual variance of a fit of clusters; assumed.
     smallest_variance : float
         nT^2. Readings are never better than their rounding; assumed.
     fewest_clusters : int
@@ -65,6 +67,7 @@ class SolverSettings:
     determined: float = 0.5
     wide: float = 1e3
     variance_passes: int = 10
+    cluster_variance_passes: int = 3
     smallest_variance: float = 1e-12
     fewest_clusters: int = 5
 

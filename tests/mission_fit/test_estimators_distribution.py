@@ -50,7 +50,7 @@ def test_no_power_is_left_below_the_edge_of_the_band():
 def test_the_size_is_never_hidden():
     found = distribute(FIELD, 0.4 * wave(5580), STAMPS)
     assert found.rms == pytest.approx(0.4 / np.sqrt(2), rel=0.02)
-    assert "0.28" in found.told()
+    assert "0.28" in found.summary()
     table = found.table()
     assert float(table["value"].sel(parameter="rms_distributed")) == pytest.approx(found.rms)
     assert set(table["units"].values) == {"nT", "1"}
