@@ -113,7 +113,9 @@ def fitted(term: str = "", dropped: str = "", equations: bool = False):
         nine = np.concatenate([np.ravel(one) for one in told.values()])
         attributes = {"comparison": "main", "model": "", "filter": "raw"}
         own, samples = with_nine_parameters(model, nine), samples_of(made)
-        blocks.append(wide_and_auxiliary_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes)[0])
+        blocks.append(
+            wide_and_auxiliary_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes)[0]
+        )
     whole, _ = equations_of_days(blocks)
     return (whole, model) if equations else fit_mission(whole, model, "constant")
 
