@@ -121,7 +121,7 @@ def along_field(blocks: list[CoilBlock], channel: str, reference: float) -> tupl
     weight = np.zeros(7)
     weight[:3] = (field / np.linalg.norm(field)) ** 2
     sigma = float(np.sqrt(weight @ fit.fit.covariance @ weight))
-    return 1e6 * float(weight @ fit.fit.value), 1e6 * sigma, fit.told().split("; ")[-1]
+    return 1e6 * float(weight @ fit.fit.value), 1e6 * sigma, fit.summary().split("; ")[-1]
 
 
 def middle(blocks: list[CoilBlock], channel: str) -> tuple[float, float]:
@@ -152,7 +152,7 @@ def main() -> None:
         if moving:
             equations = concat_equations([coil_equations(one, {}, mean) for one in blocks])
             choice = compare_temperatures(equations, moving, each=_EACH, prior=(1e-3, 1e-12, 3600.0))
-            print(f"  held out: {choice.told()}")
+            print(f"  held out: {choice.summary()}")
             print("  " + ", ".join(f"{one.channel} {one.score:.5f} nT" for one in choice.rivals))
 
 

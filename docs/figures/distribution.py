@@ -28,7 +28,9 @@ def distribution_figure(found: Distribution, hours: Floats) -> figure:
     )
     size = max(1, hours.size // _POINTS)
     whole = hours.size // size * size
-    bins = (np.where(found.done, one, np.nan)[:whole].reshape(-1, size) for one in (found.left, found.slow))
+    bins = (
+        np.where(found.valid, one, np.nan)[:whole].reshape(-1, size) for one in (found.remaining, found.slow)
+    )
     left, slow = (np.ma.masked_invalid(one) for one in bins)
     at = hours[:whole].reshape(-1, size).mean(axis=1)
     low, high = (one.filled(np.nan) for one in (left.min(axis=1), left.max(axis=1)))
@@ -47,7 +49,10 @@ def left_spectrum_figure(found: Distribution) -> figure:
     plot = plain_figure(
         "Residual before and after", "period (s)", "nT / sqrt(Hz)", x_axis_type="log", y_axis_type="log"
     )
-    whole = np.where(found.done, found.left + found.slow, 0.0), np.where(found.done, found.left, 0.0)
+    whole = (
+        np.where(found.valid, found.remaining + found.slow, 0.0),
+        np.where(found.valid, found.remaining, 0.0),
+    )
     for series, colour, label in zip(whole, (BEFORE, AFTER), ("before", "after"), strict=True):
         segment = min(_SEGMENT, series.size)
         frequency, density = signal.welch(np.nan_to_num(series), fs=1.0 / found.cadence, nperseg=segment)

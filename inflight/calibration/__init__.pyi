@@ -7,7 +7,7 @@ from .normal_equations import (
     field_columns,
     nine_columns,
 )
-from .product import FILTER_PERIOD_S, Distribution, day_parameters, distribute, level2
+from .product import FILTER_PERIOD_S, Distribution, day_parameters, distribute_residual, level2
 from .published import fit_difference, fit_squares, to_sensor_angles
 from .scalar import (
     PARAMETER_GROUPS,
@@ -48,7 +48,7 @@ __all__ = [
     "concat_equations",
     "day_parameters",
     "describe_directions",
-    "distribute",
+    "distribute_residual",
     "empty_block",
     "field_columns",
     "fit_block",

@@ -23,7 +23,7 @@ from inflight.arrays import Floats
 from inflight.calibration.scalar import (
     PARAMETER_SCALE,
     PARAMETER_UNITS,
-    SUB_BLOCKS,
+    SCALAR,
     BlockFit,
     Reference,
     kernel_parameters,
@@ -57,7 +57,7 @@ class RobustRowSettings:
     passes : int
         Passes of the robust weights; they settle in three or four.
     wide : float
-        Scaled prior sigma with which the scores of sub-blocks are steadied: wider than anything fitted.
+        Scaled prior sigma with which the scatter of sub-blocks' scores is made: wider than anything fitted.
     """
 
     passes: int = 6
@@ -114,7 +114,7 @@ class NormalEquations(GramArrays):
             reference=np.append(reference.value, 0.0)[None],
             linearised_at=np.append(fit.linearised_at, 0.0)[None],
             scatter=scatter[None],
-            sub_blocks=SUB_BLOCKS,
+            sub_blocks=SCALAR.sub_blocks,
             attributes=attributes,
         )
 
@@ -241,7 +241,7 @@ def _one_block(
     )
 
 
-#: Nine parameters of a perfect sensor: scale factors, angles (deg), offsets (nT).
+#: Nine parameters of an ideal sensor: scale factors, angles (deg), offsets (nT).
 IDEAL_SENSOR = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 3)
 
 #: Names of the nine columns, in order, and their units.
@@ -272,9 +272,9 @@ def nine_columns(field: Floats, value: Floats = IDEAL_SENSOR) -> dict[str, Float
     matrix = np.array([[k[0], k[3], k[4]], [0.0, k[1], k[5]], [0.0, 0.0, k[2]]])
     reading = np.linalg.solve(matrix, field.T)
     x, y, z = direction_of(field).T
-    turn = -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
+    slope = -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
     scale = [x * reading[0], y * reading[1], z * reading[2]]
-    angles = [x * reading[1] * turn[0], x * reading[2] * turn[1], y * reading[2] * turn[2]]
+    angles = [x * reading[1] * slope[0], x * reading[2] * slope[1], y * reading[2] * slope[2]]
     offsets = list(-matrix.T @ np.stack([x, y, z]))
     return dict(zip(NINE, [*scale, *angles, *offsets], strict=True))
 
@@ -345,42 +345,32 @@ def block_equations(
         )
     rows, weight = rows[use], given[use]
     if robust:
-        weight = weight * _biweight(rows, weight)
-    parts = np.array_split(rows * np.sqrt(weight)[:, None], min(SUB_BLOCKS, len(rows)))
+        # Tukey's weights about the rows' own fit.
+        found = np.ones(len(rows))
+        for _ in range(ROBUST_ROWS.passes):
+            gram = (rows * (weight * found)[:, None]).T @ rows
+            change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER.weak_cut)
+            residual_at_fit = rows[:, -1] + rows[:, :-1] @ change
+            found = biweight(residual_at_fit / robust_sigma(residual_at_fit, floor=1e-9))
+        weight = weight * found
+    parts = np.array_split(rows * np.sqrt(weight)[:, None], min(SCALAR.sub_blocks, len(rows)))
     grams = np.array([part.T @ part for part in parts])
-    return _assembled(grams, float(weight.sum()), names, scale, span, dict(attributes or {}))
-
-
-def _biweight(rows: Floats, weight: Floats) -> Floats:
-    """Weights of rows [columns | residual] about their own fit; (row,) in [0, 1]."""
-    found = np.ones(len(rows))
-    for _ in range(ROBUST_ROWS.passes):
-        gram = (rows * (weight * found)[:, None]).T @ rows
-        change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER.weak_cut)
-        rest = rows[:, -1] + rows[:, :-1] @ change
-        found = biweight(rest / robust_sigma(rest, floor=1e-9))
-    return found
-
-
-def _assembled(
-    grams: Floats, count: float, names: list[str], scale: Floats, span: tuple[int, int], attrs: dict[str, Any]
-) -> NormalEquations:
     total = grams.sum(axis=0)
     change = -solve_scaled(total[:-1, :-1], total[:-1, -1], SOLVER.weak_cut)
     scatter = np.zeros_like(total)
     scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, ROBUST_ROWS.wide))
-    still = np.zeros((1, len(names)))
+    reference = np.zeros((1, len(names)))
     return _one_block(
         names,
         total,
         span,
-        count,
+        float(weight.sum()),
         scale,
-        reference=still,
-        linearised_at=still,
+        reference=reference,
+        linearised_at=reference,
         scatter=scatter[None],
         sub_blocks=len(grams),
-        attributes=attrs,
+        attributes=dict(attributes or {}),
     )
 
 

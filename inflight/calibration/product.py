@@ -2,20 +2,23 @@
 
 Takes aligned samples, a model and a calibration table; makes the Dataset of a day's product.
 
-What is left of the residual may be given to the vector as a term of its own, last of all (Yin 2010,
-eq. 3.7): ``B' = (1 - dB'/|B|) B`` with dB' the residual low-passed at a period of 80 s. It makes vector
-and scalar agree on slow scales whatever the cause, and so hides errors: its size is part of the product.
+The remaining residual may be subtracted from the vector as a term of its own, last of all (Yin 2010,
+eq. 3.7, `distribute_residual`): ``B' = (1 - dB'/|B|) B`` with dB' the residual low-passed at a period of
+80 s. It makes vector and scalar agree on slow scales whatever the cause, and so hides errors: its size is
+part of the product.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import cast
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
-from scipy import interpolate, linalg, signal
+from scipy import interpolate, linalg, signal, special
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import Reference, sensor_reading, usable_samples
@@ -34,6 +37,8 @@ class ClosureSettings:
 
     Attributes
     ----------
+    order : int
+        Order of the difference that the filter keeps small: it passes ``1 / (1 + (f/fc)^6)``.
     fewest_samples : int
         Samples a period at least; assumed.
     most_samples : int
@@ -46,6 +51,7 @@ class ClosureSettings:
         Samples this near the end of a stretch, in periods, are an edge; assumed.
     """
 
+    order: int = 3
     fewest_samples: int = 8
     most_samples: int = 100
     shortest: float = 2.0
@@ -59,9 +65,6 @@ CLOSURE = ClosureSettings()
 #: Period at which the filter passes half of the amplitude, s.
 FILTER_PERIOD_S = 80.0
 
-#: Order of the difference that the filter holds small: it passes 1 / (1 + (f/fc)^6).
-ORDER = 3
-
 
 @dataclass(frozen=True)
 class Distribution:
@@ -70,16 +73,16 @@ class Distribution:
     Attributes
     ----------
     correction : ndarray, shape (time, 3)
-        Term to subtract from the vector, nT; 0 where it was not done.
+        Term to subtract from the vector, nT; 0 where it is not valid.
     slow : ndarray, shape (time,)
-        dB', nT; NaN where it was not done.
+        dB', nT; NaN where it is not valid.
     sigma : ndarray, shape (time,)
         Standard deviation of dB' by the residual's own fast noise, nT.
-    left : ndarray, shape (time,)
+    remaining : ndarray, shape (time,)
         dB - dB', the residual of B', nT.
     edge : ndarray of bool, shape (time,)
-        Within two periods of the end of a stretch: the filter leans to one side there.
-    done : ndarray of bool, shape (time,)
+        Within two periods of the end of a stretch: the filter is one-sided there.
+    valid : ndarray of bool, shape (time,)
         False in stretches shorter than two periods, and in gaps.
     period, cadence : float
         s.
@@ -88,26 +91,26 @@ class Distribution:
     correction: Floats
     slow: Floats
     sigma: Floats
-    left: Floats
+    remaining: Floats
     edge: np.ndarray
-    done: np.ndarray
+    valid: np.ndarray
     period: float
     cadence: float
 
     @property
     def rms(self) -> float:
         """Rms of the term along the field, nT: how much it hides."""
-        return float(np.sqrt(np.mean(self.slow[self.done] ** 2))) if self.done.any() else float("nan")
+        return float(np.sqrt(np.mean(self.slow[self.valid] ** 2))) if self.valid.any() else float("nan")
 
     @property
     def rms_remaining(self) -> float:
         """Rms residual of B', nT."""
-        known = self.done & np.isfinite(self.left)
-        return float(np.sqrt(np.mean(self.left[known] ** 2))) if known.any() else float("nan")
+        known = self.valid & np.isfinite(self.remaining)
+        return float(np.sqrt(np.mean(self.remaining[known] ** 2))) if known.any() else float("nan")
 
-    def told(self) -> str:
-        """Say how much was distributed."""
-        share = float(np.mean(self.done))
+    def summary(self) -> str:
+        """Return as a sentence how much was distributed."""
+        share = float(np.mean(self.valid))
         return (
             f"{self.rms:.3f} nT rms of the residual were distributed along the field on "
             f"{100 * share:.1f} % of the samples; {self.rms_remaining:.3f} nT are left, "
@@ -117,25 +120,23 @@ class Distribution:
     def table(self) -> xr.Dataset:
         """Return the sizes: dim parameter."""
         names = ["rms_distributed", "rms_left", "share_done", "share_edge"]
-        values = [self.rms, self.rms_remaining, float(self.done.mean()), float(self.edge.mean())]
+        # What filtered noise alone leaves of chance: one value a period, and one a sample.
+        count = int(self.valid.sum())
+        slow, fast = max(count * self.cadence / self.period, 1.0), max(count, 1)
+        sigma = [self.rms / np.sqrt(2 * slow), self.rms_remaining / np.sqrt(2 * fast), 0.0, 0.0]
+        values = [self.rms, self.rms_remaining, float(self.valid.mean()), float(self.edge.mean())]
         return xr.Dataset(
             {
                 "value": ("parameter", np.array(values)),
-                "sigma": ("parameter", np.array([*self._sigmas(), 0.0, 0.0])),
+                "sigma": ("parameter", np.array(sigma)),
                 "units": ("parameter", np.array(["nT", "nT", "1", "1"])),
             },
             coords={"parameter": names},
-            attrs={"period_s": self.period, "told": self.told()},
+            attrs={"period_s": self.period, "told": self.summary()},
         )
 
-    def _sigmas(self) -> tuple[float, float]:
-        """Return standard deviations of the two rms: what filtered noise alone leaves of chance."""
-        slow = int(self.done.sum()) * self.cadence / self.period
-        fast = int(self.done.sum())
-        return self.rms / np.sqrt(2 * max(slow, 1.0)), self.rms_remaining / np.sqrt(2 * max(fast, 1))
 
-
-def distribute(
+def distribute_residual(
     field: Floats,
     residual: Floats,
     tt2000: Int64,
@@ -157,7 +158,7 @@ def distribute(
     tt2000 : ndarray of int64, shape (time,)
         Rising; at equal steps but for gaps.
     good : ndarray of bool, shape (time,), optional
-        Samples the filter may use; others get its value, and keep their own rest.
+        Samples the filter may use; the others get its value, too.
     period : float
         s, where half of the amplitude is passed.
 
@@ -183,14 +184,14 @@ def distribute(
         if (place[last] - place[first]) * cadence < CLOSURE.shortest * period:
             continue
         span = slice(first, last + 1)
-        slow[span], sigma[span] = _filtered(place[span], residual[span], use[span], period / cadence)
+        slow[span], sigma[span] = _low_pass(place[span], residual[span], use[span], period / cadence)
         near = np.minimum(place[span] - place[first], place[last] - place[span]) * cadence
         edge[span] = near < CLOSURE.edge * period
     strength = np.linalg.norm(field, axis=1)
-    done = np.isfinite(slow) & np.isfinite(strength) & (strength > 0)
-    term = np.where(done, np.divide(slow, strength, out=np.zeros_like(slow), where=done), 0.0)
-    correction = np.where(done[:, None], term[:, None] * np.nan_to_num(field), 0.0)
-    return Distribution(correction, slow, sigma, residual - slow, edge, done, period, cadence)
+    valid = np.isfinite(slow) & np.isfinite(strength) & (strength > 0)
+    share = np.divide(slow, strength, out=np.zeros_like(slow), where=valid)
+    correction = np.where(valid[:, None], share[:, None] * np.nan_to_num(field), 0.0)
+    return Distribution(correction, slow, sigma, residual - slow, edge, valid, period, cadence)
 
 
 def _stretches(place: Int64, use: np.ndarray, longest: float) -> list[tuple[int, int]]:
@@ -203,7 +204,7 @@ def _stretches(place: Int64, use: np.ndarray, longest: float) -> list[tuple[int,
     return [(int(index[first]), int(index[last])) for first, last in zip(firsts, lasts, strict=True)]
 
 
-def _filtered(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:
+def _low_pass(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:
     """Return the slow part of a stretch and its standard deviation; (time,). `period` is in steps."""
     bins = max(1, int(period // CLOSURE.most_samples))
     count = int(place[-1] - place[0]) // bins + 1
@@ -212,10 +213,10 @@ def _filtered(place: Int64, residual: Floats, use: np.ndarray, period: float) ->
     total = np.bincount(cell[use], weights=residual[use], minlength=count).astype(np.float64)
     smooth = whittaker(total, weight, period / bins, bins)
     centre = np.arange(count) * bins + 0.5 * (bins - 1)
-    at = (place - place[0]).astype(np.float64)
-    slow = smooth[cell] if bins == 1 else np.asarray(interpolate.CubicSpline(centre, smooth)(at))
+    steps = (place - place[0]).astype(np.float64)
+    slow = smooth[cell] if bins == 1 else np.asarray(interpolate.CubicSpline(centre, smooth)(steps))
     white = float(np.std((residual - slow)[use]))
-    ends = np.minimum(at, at[-1] - at) / bins
+    ends = np.minimum(steps, steps[-1] - steps) / bins
     gain = edge_gain(round(period / bins))
     noise = white * gain[np.minimum(ends.astype(np.int64), gain.size - 1)] / np.sqrt(bins)
     return slow, noise
@@ -233,12 +234,12 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
     full : float
         Weight of a step without a gap.
     """
-    size = weight.size
-    stiffness = full / (2.0 * np.sin(np.pi / period)) ** (2 * ORDER)
-    stencil = np.array([(-1.0) ** k for k in range(ORDER + 1)]) * [1, 3, 3, 1]
-    band = np.zeros((ORDER + 1, size))
-    rows = size - ORDER
-    for i in range(ORDER + 1):
+    order, size = CLOSURE.order, weight.size
+    stiffness = full / (2.0 * np.sin(np.pi / period)) ** (2 * order)
+    stencil = (-1.0) ** np.arange(order + 1) * special.binom(order, np.arange(order + 1))
+    band = np.zeros((order + 1, size))
+    rows = size - order
+    for i in range(order + 1):
         for j in range(i + 1):
             # Row i - j below the diagonal, column j of every difference that reaches it.
             band[i - j, j : j + rows] += stiffness * stencil[i] * stencil[j]
@@ -250,19 +251,18 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
 def edge_gain(period: int) -> Floats:
     """Return the standard deviation of filtered unit white noise at so many steps from an end; (step,)."""
     size = 6 * period
-    unit = np.eye(size)
-    columns = np.stack([whittaker(one, np.ones(size), period) for one in unit], axis=1)
+    columns = np.stack([whittaker(impulse, np.ones(size), period) for impulse in np.eye(size)], axis=1)
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
 def filter_gain(period: Floats, at: float = FILTER_PERIOD_S, cadence: float = 1.0) -> Floats:
     """Return the part of the amplitude that the filter passes at periods, s (same shape)."""
     ratio = np.sin(np.pi * cadence / np.asarray(period)) / np.sin(np.pi * cadence / at)
-    return np.asarray(1.0 / (1.0 + ratio ** (2 * ORDER)))
+    return np.asarray(1.0 / (1.0 + ratio ** (2 * CLOSURE.order)))
 
 
 def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
-    """Return the rms of the residual of B' between two periods (s), nT, from whole done stretches.
+    """Return the rms of the residual of B' between two periods (s), nT, from whole valid stretches.
 
     Raises
     ------
@@ -270,13 +270,15 @@ def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
         When no stretch is twice as long as the longer period.
     """
     long, short = max(band), min(band)
-    known = found.done & np.isfinite(found.left)
+    known = found.valid & np.isfinite(found.remaining)
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
     powers, sizes = [], []
     for first, last in zip(bounds[::2], bounds[1::2], strict=True):
         if (last - first) * found.cadence < 2 * long:
             continue
-        frequency, density = signal.periodogram(found.left[first:last], fs=1 / found.cadence, window="hann")
+        frequency, density = signal.periodogram(
+            found.remaining[first:last], fs=1 / found.cadence, window="hann"
+        )
         inside = (frequency >= 1 / long) & (frequency <= 1 / short)
         powers.append(float(density[inside].sum() * frequency[1]))
         sizes.append(last - first)
@@ -288,10 +290,11 @@ def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
+_Flags = npt.NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
-class Parameters:
+class DayParameters:
     """The nine parameters that hold for a day, and how sure they are; physical units."""
 
     value: Floats
@@ -303,7 +306,7 @@ class Parameters:
 def level2(
     model: Model,
     samples: xr.Dataset,
-    parameters: Parameters,
+    parameters: DayParameters,
     raw: Model,
     widening: Floats | None = None,
     distribute: bool | None = None,
@@ -317,15 +320,15 @@ def level2(
     samples : xarray.Dataset
         Aligned raw samples: `vector`, `scalar`, channels; `attitude` (time, quaternion) and
         `position` (time, axis) when they exist.
-    parameters : Parameters
+    parameters : DayParameters
         For uncertainties and flags.
     raw : Model
         The pre-flight model, for the residual before calibration.
     widening : ndarray, shape (time, axis), optional
         What missing channels add to the variance, nT^2, sensor axes: see `inflight.model.substitution`.
     distribute : bool, optional
-        The slow part of the residual, laid along the field (Yin 2010, eq. 3.7): True takes it out, False
-        only tells it, None leaves it out. It hides what the model does not know; its size is in the product.
+        The slow part of the residual along the field (Yin 2010, eq. 3.7): True subtracts it, False only
+        states it, None leaves it out. It hides what the model lacks; its size is in the product.
 
     Returns
     -------
@@ -338,86 +341,68 @@ def level2(
         channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
-    found = model.corrected(samples)
-    light = cast("xr.Dataset", found)
-    field, scalar = (np.asarray(found[name].values) for name in ("field", "scalar"))
-    residual = field_strength(light) - scalar
+    corrected = cast("xr.Dataset", model.corrected(samples))
+    field, scalar = (np.asarray(corrected[name].values) for name in ("field", "scalar"))
+    residual = field_strength(corrected) - scalar
     reading = sensor_reading(model, samples)
-    flag = _quality(samples, reading, field, scalar, residual, parameters)
-    spread = _distribution(field, residual, samples, flag) if distribute is not None else None
-    if spread is not None and distribute:
-        field = field - spread.correction
+    flag = _quality_flag(samples, reading, field, scalar, residual, parameters)
+    distribution = None
+    if distribute is not None:
+        good = (flag & np.uint32(UNUSABLE | Flag.OUTLIER)) == 0
+        with suppress(SamplesError):  # samples may be too slow for the filter
+            distribution = distribute_residual(field, residual, np.asarray(samples["tt2000"].values), good)
+    if distribution is not None and distribute:
+        field = field - distribution.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
     body = rotate(field, np.asarray(sensor.orientation))
-    before, sigma = raw.residual(samples)[:, 0], _widened(_uncertainty(reading, parameters), widening)
+    before, sigma = raw.residual(samples)[:, 0], _uncertainty(reading, parameters)
+    if widening is not None:
+        sigma = np.sqrt(sigma**2 + widening)
     variables: _Variables = {
-        "field_sensor": (_VECTOR, field, _told("calibrated field", "sensor")),
-        "field_spacecraft": (_VECTOR, body, _told("calibrated field", "spacecraft")),
-        "scalar": (_SCALAR, scalar, _told("calibrated field strength of the scalar sensor")),
-        "residual": (_SCALAR, residual, _told("|B_vector| - F after calibration")),
-        "residual_preflight": (_SCALAR, before, _told("|B_vector| - F with the pre-flight model")),
-        "uncertainty": (_VECTOR, sigma, _told("one sigma", "sensor")),
+        "field_sensor": (_VECTOR, field, _attributes("calibrated field", "sensor")),
+        "field_spacecraft": (_VECTOR, body, _attributes("calibrated field", "spacecraft")),
+        "scalar": (_SCALAR, scalar, _attributes("calibrated field strength of the scalar sensor")),
+        "residual": (_SCALAR, residual, _attributes("|B_vector| - F after calibration")),
+        "residual_preflight": (_SCALAR, before, _attributes("|B_vector| - F with the pre-flight model")),
+        "uncertainty": (_VECTOR, sigma, _attributes("one sigma", "sensor")),
     }
-    variables |= _corrections(model, light, spread, distribute)
-    flag = _geometry(variables, samples, body, flag)
-    return _product(variables, flag, samples, model.comparison)
-
-
-def _corrections(
-    model: Model, corrected: xr.Dataset, spread: Distribution | None, distribute: bool | None
-) -> _Variables:
-    """Return what was taken out of the readings, effect by effect, and what distributes the residual."""
-    out: _Variables = {}
     for name, term in model.correction_terms(corrected).items():
-        told = _told(f"taken out of the reading: {name}", "sensor" if term.ndim == 2 else "")
-        out[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, told)
-    if spread is not None:
-        told = _told("slow part of the residual along the field (Yin 2010, eq. 3.7)", "sensor")
-        told |= {"applied": "yes" if distribute else "no", "period_s": spread.period, "rms_nT": spread.rms}
-        out["correction_distribution"] = (_VECTOR, spread.correction, told)
-    return out
-
-
-def _product(
-    variables: _Variables,
-    flag: np.ndarray[tuple[int], np.dtype[np.uint32]],
-    samples: xr.Dataset,
-    comparison: str,
-) -> xr.Dataset:
+        dims, frame = (_VECTOR, "sensor") if term.ndim == 2 else (_SCALAR, "")
+        attributes = _attributes(f"taken out of the reading: {name}", frame)
+        variables[f"correction_{name}"] = (dims, term, attributes)
+    if distribution is not None:
+        attributes = _attributes("slow part of the residual along the field (Yin 2010, eq. 3.7)", "sensor")
+        attributes["applied"] = "yes" if distribute else "no"
+        attributes |= {"period_s": distribution.period, "rms_nT": distribution.rms}
+        variables["correction_distribution"] = (_VECTOR, distribution.correction, attributes)
+    flag = _add_geometry(variables, samples, body, flag)
     masks, names = flag_meanings()
-    told = {"flag_masks": masks, "flag_meanings": names}
     stamps = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return xr.Dataset(
-        {**variables, "flag": (_SCALAR, flag, told), "tt2000": stamps},
+        {
+            **variables,
+            "flag": (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names}),
+            "tt2000": stamps,
+        },
         coords={"axis": ["x", "y", "z"]},
-        attrs={"comparison": comparison},
+        attrs={"comparison": model.comparison},
     )
 
 
-def _distribution(
-    field: Floats, residual: Floats, samples: xr.Dataset, flag: np.ndarray[tuple[int], np.dtype[np.uint32]]
-) -> Distribution | None:
-    """Return what (3.7) would take out; None where samples are too slow for its filter."""
-    good = (flag & np.uint32(UNUSABLE | Flag.OUTLIER)) == 0
-    try:
-        return distribute(field, residual, np.asarray(samples["tt2000"].values), good)
-    except SamplesError:
-        return None
+def _attributes(long_name: str, frame: str = "") -> dict[str, object]:
+    attributes: dict[str, object] = {"units": "nT", "long_name": long_name}
+    return attributes | {"frame": frame} if frame else attributes
 
 
-def _told(what: str, frame: str = "") -> dict[str, object]:
-    told: dict[str, object] = {"units": "nT", "long_name": what}
-    return told | {"frame": frame} if frame else told
-
-
-def _quality(
+def _quality_flag(
     samples: xr.Dataset,
     reading: Floats,
     field: Floats,
     scalar: Floats,
     residual: Floats,
-    known: Parameters,
-) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
+    known: DayParameters,
+) -> _Flags:
+    """Return the samples' flags with those of missing channels, outliers and parameters from a prior."""
     flag = samples["flag"].values.astype(np.uint32)
     missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
     lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(field.sum(axis=1)) & np.isfinite(scalar))
@@ -434,7 +419,7 @@ def _quality(
     return flag
 
 
-def _uncertainty(reading: Floats, known: Parameters) -> Floats:
+def _uncertainty(reading: Floats, known: DayParameters) -> Floats:
     """Propagate the parameters' covariance and the residual's noise; (time, axis) nT, sensor axes.
 
     B = K (E - E0): a row of K and the offsets enter each component.
@@ -443,15 +428,15 @@ def _uncertainty(reading: Floats, known: Parameters) -> Floats:
     slope = -np.sin(np.deg2rad(known.value[3:6])) * np.pi / 180.0
     k = known.value[:3]
     e = reading - known.value[6:]
-    one = np.ones(len(e))
+    ones = np.ones(len(e))
     # (parameters of the row, their derivatives): x has scale, two angles and three offsets.
     rows = (
         (
             [0, 3, 4, 6, 7, 8],
-            [e[:, 0], slope[0] * e[:, 1], slope[1] * e[:, 2], -k[0] * one, -cos[0] * one, -cos[1] * one],
+            [e[:, 0], slope[0] * e[:, 1], slope[1] * e[:, 2], -k[0] * ones, -cos[0] * ones, -cos[1] * ones],
         ),
-        ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * one, -cos[2] * one]),
-        ([2, 8], [e[:, 2], -k[2] * one]),
+        ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * ones, -cos[2] * ones]),
+        ([2, 8], [e[:, 2], -k[2] * ones]),
     )
     out = np.empty_like(e)
     for axis, (index, parts) in enumerate(rows):
@@ -461,17 +446,8 @@ def _uncertainty(reading: Floats, known: Parameters) -> Floats:
     return np.sqrt(np.maximum(out, 0.0) + known.noise**2)
 
 
-def _widened(sigma: Floats, variance: Floats | None) -> Floats:
-    return sigma if variance is None else np.sqrt(sigma**2 + variance)
-
-
-def _geometry(
-    variables: _Variables,
-    samples: xr.Dataset,
-    body: Floats,
-    flag: np.ndarray[tuple[int], np.dtype[np.uint32]],
-) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
-    """Add NEC axes, latitude and longitude as far as attitude and position are there."""
+def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag: _Flags) -> _Flags:
+    """Add NEC axes, latitude and longitude where attitude and position are known; return the flags."""
     position = None
     if "position" in samples:
         position = np.asarray(samples["position"].values, dtype=np.float64)
@@ -483,13 +459,15 @@ def _geometry(
     attitude = np.asarray(samples["attitude"].values, dtype=np.float64)
     frame = str(samples["attitude"].attrs.get("frame", ""))
     nec = to_nec(body, attitude, position, frame)
-    variables["field_nec"] = (_VECTOR, nec, _told("calibrated field", "nec"))
+    variables["field_nec"] = (_VECTOR, nec, _attributes("calibrated field", "nec"))
     lost = np.uint32(Flag.NO_ATTITUDE) * ~np.isfinite(nec.sum(axis=1))
     return np.asarray(flag | lost.astype(np.uint32), dtype=np.uint32)
 
 
-def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Parameters:
-    """Return what a calibration table says of an instant.
+def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> DayParameters:
+    """Return the nine parameters of a calibration table at an instant.
+
+    The noise is that of the interval, or the median of the others' where its own data do not determine it.
 
     Raises
     ------
@@ -506,16 +484,13 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Para
         parameter=reference.columns, other=reference.columns
     )
     free = reference.sigma > 0
-    return Parameters(
+    noise, known = float(row["after"]), table["after"].values
+    known = known[np.isfinite(known)]
+    if not np.isfinite(noise) and known.size:
+        noise = float(np.median(known))
+    return DayParameters(
         np.asarray(row["value"].values, dtype=np.float64),
         np.asarray(row["covariance"].values, dtype=np.float64),
         bool(np.all(row["determined"].values[free])),
-        _noise(table, row),
+        noise,
     )
-
-
-def _noise(table: xr.Dataset, row: xr.Dataset) -> float:
-    """Return the noise that holds; the median of the others' where an interval's own data tell none."""
-    after = table["after"].values
-    own, known = float(row["after"]), after[np.isfinite(after)]
-    return own if np.isfinite(own) or not known.size else float(np.median(known))

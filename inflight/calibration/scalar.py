@@ -52,6 +52,16 @@ class ScalarSettings:
         measured.
     sub_block_s : float
         Seconds of a sub-block of a day: 72 a day; assumed.
+    sub_blocks : int
+        Sub-blocks of a day, for the covariance: 20 minutes each.
+    fewest_sub_blocks : int
+        Fewest sub-blocks of a shorter block: more would be too short to show correlation over minutes;
+        assumed.
+    bartlett : int
+        Residuals are taken as correlated over this many sub-blocks; assumed.
+    nonlinear_nT : float
+        The equations are linearised at the reference itself when the linearisation error of the fit is
+        larger, nT; assumed.
     most_passes : int
         Passes at most; assumed.
     edge_pass : int
@@ -74,6 +84,10 @@ class ScalarSettings:
 
     rows: int = 2048
     sub_block_s: float = 1200.0
+    sub_blocks: int = 72
+    fewest_sub_blocks: int = 12
+    bartlett: int = 3
+    nonlinear_nT: float = 1e-4  # noqa: N815 (a unit)
     most_passes: int = 25
     edge_pass: int = 5
     edge_rise: float = 1.5
@@ -162,7 +176,7 @@ def _fill(
 def gram_at(
     theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats
 ) -> Floats:  # pragma: no cover
-    """Return the Gram matrix linearised at `theta` with weights ``root^2`` found elsewhere; (10, 10) nT^2."""
+    """Return the Gram matrix linearised at `theta` with given weights ``root^2``; (10, 10) nT^2."""
     out = np.zeros((WIDTH, WIDTH))
     rows = np.empty((_ROWS, WIDTH))
     for at in range(0, f.size, _ROWS):
@@ -286,7 +300,7 @@ def reference_of(model: Model, tt2000: int) -> Reference:
     """Return values and prior sigmas of the nine parameters at a time; those no block fits get sigma 0.
 
     A parameter that is free but constant, or a function of time, is refined over the whole span (see
-    `inflight.diagnosis`); a block's own fit leaves it alone.
+    `inflight.diagnosis`); a block's own fit keeps it.
 
     Raises
     ------
@@ -382,10 +396,10 @@ def kernel_scale(value: Floats) -> Floats:
 
 
 def linearisation_error(value: Floats, reference: Floats, strength: float) -> float:
-    """Return by how much the residual bends between two sets of parameters; nT.
+    """Return the linearisation error of the residual between two sets of parameters; nT.
 
     A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B; a
-    change of all scale factors alike is along the field and bends nothing.
+    change of all scale factors alike is along the field and has none.
 
     Parameters
     ----------
@@ -398,20 +412,6 @@ def linearisation_error(value: Floats, reference: Floats, strength: float) -> fl
     change[:3] -= change[:3].mean()
     across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
     return across**2 / (2.0 * strength)
-
-
-#: Sub-blocks of a block, for the covariance: 20 minutes of a day.
-SUB_BLOCKS = 72
-
-#: Fewest sub-blocks of a shorter block: more would be too short to show correlation over minutes.
-FEWEST_SUB_BLOCKS = 12
-
-
-#: Residuals are taken as correlated over this many sub-blocks.
-BARTLETT = 3
-
-#: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
-LINEARISATION_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -462,7 +462,7 @@ class BlockFit:
 
 def sub_block_count(seconds: float) -> int:
     """Return into how many sub-blocks so many seconds of used samples are cut: one for 20 minutes."""
-    return int(np.clip(seconds / SCALAR.sub_block_s, FEWEST_SUB_BLOCKS, SUB_BLOCKS))
+    return int(np.clip(seconds / SCALAR.sub_block_s, SCALAR.fewest_sub_blocks, SCALAR.sub_blocks))
 
 
 def fit_block(
@@ -472,7 +472,7 @@ def fit_block(
     good: npt.NDArray[np.bool_],
     reference: Reference,
     prior: Reference | None = None,
-    sub_blocks: int = SUB_BLOCKS,
+    sub_blocks: int = SCALAR.sub_blocks,
 ) -> BlockFit:
     """Fit nine parameters to one block.
 
@@ -503,18 +503,13 @@ def fit_block(
     data = _Data.of(reading, additive, scalar, good, sub_blocks)
     value, passes = reference.value, 0
     for part in (data.thinned(), data):
-        for turn in range(SCALAR.most_passes):
-            least = SOLVER.min_information * SCALAR.edge_rise ** max(0, turn - SCALAR.edge_pass)
+        for step in range(SCALAR.most_passes):
+            least = SOLVER.min_information * SCALAR.edge_rise ** max(0, step - SCALAR.edge_pass)
             found = _pass(part, value, prior, passes > 0, least)
-            moved, value, passes = found.value - value, found.value, passes + 1
-            settled = np.all(
-                np.abs(moved) <= SCALAR.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
-            )
-            if (
-                passes > 1
-                and settled
-                and linearisation_error(value, value - moved, data.strength) <= LINEARISATION_TOLERANCE
-            ):
+            before, value, passes = value, found.value, passes + 1
+            largest = SCALAR.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
+            settled = passes > 1 and np.all(np.abs(value - before) <= largest)
+            if settled and linearisation_error(value, before, data.strength) <= SCALAR.nonlinear_nT:
                 break
         else:
             raise CalibrationError(
@@ -524,7 +519,7 @@ def fit_block(
 
 
 def empty_block(reference: Reference, prior: Reference) -> BlockFit:
-    """Return the fit of a block that says nothing: everything stays at its prior, and nothing is added up."""
+    """Return the fit of a block without data: every parameter stays at its prior, and the sums are 0."""
     nan, parameters = float("nan"), prior.value.size
     gram, scatter = np.zeros((parameters + 1, parameters + 1)), np.zeros((parameters, parameters))
     centre, spread = (prior.value - reference.value) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
@@ -586,8 +581,8 @@ class _Data:
         """Robust standard deviation of the residual, from some evenly spread samples; nT."""
         step = max(1, self.f.size // SCALAR.scale_samples)
         s = self.s[::step] if self.s.shape[0] > 1 else self.s
-        some = residuals(kernel_parameters(value), self.e[::step], s, self.f[::step])
-        return robust_sigma(some, floor=1e-6)
+        residual = residuals(kernel_parameters(value), self.e[::step], s, self.f[::step])
+        return robust_sigma(residual, floor=1e-6)
 
 
 @dataclass(frozen=True)
@@ -624,7 +619,7 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: fl
     centre, spread = (prior.value - value) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
     step, covariance, least = posterior(gram, count, centre, spread)
     if least < SCALAR.plain:
-        # Weak directions need their true weight, or the iteration runs along them for nothing.
+        # Weak directions need their true weight, or the iteration moves along them without end.
         solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread, edge)
         step, covariance, bread = solution.value, solution.covariance, 1.0
     sigmas = np.sqrt(np.diag(covariance)) * PARAMETER_SCALE
@@ -634,13 +629,13 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: fl
 def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats:
     """Return the long-run scatter of the sub-blocks' scores after a change; (9, 9), scaled.
 
-    Bartlett's kernel over `BARTLETT` sub-blocks (Newey and West 1987). The scores of a fit sum to
-    nearly zero, which makes the plain estimate too small; the factor that makes it right for white
+    Bartlett's kernel over `ScalarSettings.bartlett` sub-blocks (Newey and West 1987). The scores of a fit
+    sum to nearly zero, which makes the plain estimate too small; the factor that makes it right for white
     residuals follows from the sub-blocks' own Gram matrices.
     """
     matrices = blocks[:, :-1, :-1]
     scores = blocks[:, :-1, -1] + matrices @ change
-    kernel = bartlett_kernel(len(blocks), BARTLETT)
+    kernel = bartlett_kernel(len(blocks), SCALAR.bartlett)
     scatter = scores.T @ kernel @ scores
     total = matrices.sum(axis=0)
     covariance = posterior_covariance(total, prior_sigma)
@@ -664,16 +659,20 @@ def _finish(
     solution = solve(gram, scatter, found.count, centre, spread)
     value = found.here + (solution.value + (found.bread - 1.0) * near) * PARAMETER_SCALE
     value = np.where(solution.moved, value, prior.value)
-    # Fits that are sure of every parameter lie close together, so that their own linearisations agree;
-    # others run along what they do not know, and need a common one.
-    sure = bool(np.all(solution.determined | (prior.sigma <= 0)))
-    if sure or linearisation_error(value, reference.value, data.strength) <= LINEARISATION_TOLERANCE:
-        gram, linearised_at = (
-            shift_reference(gram, (reference.value - found.here) / PARAMETER_SCALE),
-            found.here,
-        )
+    # Fits that determine every parameter lie close together, so that their own linearisations agree;
+    # others move far along what they do not determine, and need a common one.
+    determined = bool(np.all(solution.determined | (prior.sigma <= 0)))
+    error = linearisation_error(value, reference.value, data.strength)
+    if determined or error <= SCALAR.nonlinear_nT:
+        gram = shift_reference(gram, (reference.value - found.here) / PARAMETER_SCALE)
+        linearised_at = found.here
     else:
-        gram, linearised_at = _gram_at(reference.value, data, found), reference.value
+        # With the weights of the last pass.
+        r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
+        root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
+        theta, scale = kernel_parameters(reference.value), kernel_scale(reference.value)
+        gram = np.asarray(gram_at(theta, data.e, data.s, data.f, root, scale))
+        linearised_at = reference.value
     covariance = solution.covariance * np.outer(PARAMETER_SCALE, PARAMETER_SCALE)
     return BlockFit(
         value,
@@ -690,11 +689,3 @@ def _finish(
         after=float(np.sqrt(solution.variance)) / WEIGHTED_RMS,
         passes=passes,
     )
-
-
-def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
-    """Return the Gram matrix linearised at a far reference, with the weights of the last pass."""
-    r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
-    root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
-    theta, scale = kernel_parameters(reference), kernel_scale(reference)
-    return np.asarray(gram_at(theta, data.e, data.s, data.f, root, scale))

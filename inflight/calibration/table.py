@@ -55,6 +55,9 @@ def calibration_table(
     names = reference.columns
     of_rows, each = ("interval",), ("interval", "parameter")
     sigma = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])
+    determined, moved = (
+        np.array([getattr(row.solution, name) for row in rows]) for name in ("determined", "moved")
+    )
     scalars = {
         "count": [row.count for row in rows],
         "before": [row.before for row in rows],
@@ -66,11 +69,11 @@ def calibration_table(
             "value": (each, np.array([row.value for row in rows])),
             "sigma": (each, sigma),
             "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
-            "determined": (each, np.array([row.solution.determined for row in rows])),
+            "determined": (each, determined),
             "retained": (each, np.array([row.solution.retained for row in rows])),
             "source": (
                 each,
-                np.array([_sources(row.solution) for row in rows]),
+                np.where(determined, 2, np.where(moved, 1, 0)).astype(np.int8),
                 {"flag_meanings": " ".join(SOURCES)},
             ),
             "prior": ("parameter", reference.value),
@@ -87,12 +90,8 @@ def calibration_table(
     )
 
 
-def _sources(solution: Solution) -> np.ndarray[tuple[int], np.dtype[np.int8]]:
-    return np.where(solution.determined, 2, np.where(solution.moved, 1, 0)).astype(np.int8)
-
-
 def describe_directions(solution: Solution, names: Sequence[str], smallest: float = 0.2) -> list[str]:
-    """Say in words which combinations the data determine, largest information first.
+    """Return as text which combinations the data determine, largest information first.
 
     Parameters
     ----------
@@ -185,8 +184,16 @@ def table_jumps(table: xr.Dataset, strength: float = STRENGTH, directions: Float
     if len(value) < 2:
         raise CalibrationError("one interval has no boundary", remedy="use a table of two or more")
     mean, rms = _steps(value[:-1], value[1:], strength, directions)
-    slope = _slopes(value[0], strength, directions)
-    variance = np.einsum("i,tij,j->t", slope, _covariances(table, order), slope)
+    # The change of the mean strength for one unit of each parameter.
+    small = np.array([1e-6] * 3 + [1e-3] * 3 + [1e-1] * 3)
+    changed = value[0] + np.diag(small)
+    slope = _steps(np.broadcast_to(value[0], changed.shape), changed, strength, directions)[0] / small
+    if "covariance" in table:
+        covariance = table["covariance"].values[:, order][:, :, order]
+    else:
+        own = table["sigma"].values[:, order] if "sigma" in table else np.zeros(value.shape)
+        covariance = np.einsum("ti,ij->tij", own**2, np.eye(9))
+    variance = np.einsum("i,tij,j->t", slope, covariance, slope)
     sigma = np.sqrt(variance[1:] + variance[:-1])
     return Jumps(np.asarray(table["start"].values[1:], dtype=np.int64), mean, rms, sigma, strength)
 
@@ -215,8 +222,10 @@ def nine_columns(names: list[str]) -> list[int]:
     ------
     CalibrationError
     """
-    wanted = [f".{part}[{axis}]" for part, axes in zip(PARAMETER_GROUPS, _AXES, strict=True) for axis in axes]
-    found = [[index for index, name in enumerate(names) if name.endswith(end)] for end in wanted]
+    endings = [
+        f".{part}[{axis}]" for part, axes in zip(PARAMETER_GROUPS, _AXES, strict=True) for axis in axes
+    ]
+    found = [[index for index, name in enumerate(names) if name.endswith(end)] for end in endings]
     if any(len(one) != 1 for one in found):
         raise CalibrationError(
             f"{len(names)} parameters, not the nine of a vector sensor", remedy="give a calibration table"
@@ -234,31 +243,13 @@ def _strengths(value: Floats, field: Floats) -> Floats:
     return np.asarray(np.linalg.norm(np.einsum("tij,tdj->tdi", k, free), axis=2))
 
 
-def _directions(directions: Floats | None) -> tuple[Floats, Floats]:
-    if directions is None:
-        return sphere()
-    return directions, np.full(len(directions), 1.0 / len(directions))
-
-
 def _steps(
     before: Floats, after: Floats, strength: float, directions: Floats | None
 ) -> tuple[Floats, Floats]:
-    unit, share = _directions(directions)
+    """Return mean and rms over directions of the step of |B| between parameters (time, 9); (time,) nT."""
+    if directions is None:
+        unit, share = sphere()
+    else:
+        unit, share = directions, np.full(len(directions), 1.0 / len(directions))
     step = _strengths(after, strength * unit) - _strengths(before, strength * unit)
     return step @ share, np.sqrt(step**2 @ share)
-
-
-def _slopes(value: Floats, strength: float, directions: Floats | None) -> Floats:
-    """Return the change of the mean strength for one unit of each parameter; (9,)."""
-    small = np.array([1e-6] * 3 + [1e-3] * 3 + [1e-1] * 3)
-    changed = value + np.diag(small)
-    mean, _ = _steps(np.broadcast_to(value, changed.shape), changed, strength, directions)
-    return np.asarray(mean / small)
-
-
-def _covariances(table: xr.Dataset, order: list[int]) -> Floats:
-    if "covariance" in table:
-        return np.asarray(table["covariance"].values[:, order][:, :, order])
-    if "sigma" in table:
-        return np.asarray(np.einsum("ti,ij->tij", table["sigma"].values[:, order] ** 2, np.eye(9)))
-    return np.zeros((table.sizes["interval"], 9, 9))

@@ -59,13 +59,12 @@ class EffectSource:
         return _made[key]
 
     def _make(self) -> dict[str, type[Effect]]:
+        """Run the file, and check the classes of effects it defines."""
         module = self._run()
+        own = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Effect)]
         kinds = [
-            kind
-            for kind in vars(module).values()
-            if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__
+            kind for kind in own if kind.__module__ == module.__name__ and not kind.__name__.startswith("_")
         ]
-        kinds = [kind for kind in kinds if not kind.__name__.startswith("_")]
         if not kinds:
             raise ModelError(
                 "the file defines no effect",
@@ -78,6 +77,7 @@ class EffectSource:
         return {kind.label(): kind for kind in kinds}
 
     def _run(self) -> ModuleType:
+        """Run the file as a module of its own; an error names the line of the file it came through."""
         name = f"inflight_effects_{hashlib.sha256(self.path.encode()).hexdigest()[:8]}_{self.sha}"
         module = ModuleType(name)
         module.__file__ = self.path
@@ -93,8 +93,10 @@ class EffectSource:
             ) from None
         except Exception as error:
             sys.modules.pop(name)
+            frames = traceback.extract_tb(error.__traceback__)
+            lines = [frame.lineno for frame in frames if frame.filename == self.path and frame.lineno]
             raise ModelError(
-                f"line {_line_in(error, self.path)}: {type(error).__name__}: {error}",
+                f"line {lines[-1] if lines else '?'}: {type(error).__name__}: {error}",
                 file=self.path,
                 remedy="the file must run without an error when it is imported",
             ) from error
@@ -128,12 +130,6 @@ def require_sound_class(kind: type[Effect], file: str) -> None:
             file=file,
             remedy="choose another name: every effect has that one already",
         )
-
-
-def _line_in(error: Exception, path: str) -> int | str:
-    """Return the last line of a file that an error came through."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == path]
-    return lines[-1] if lines and lines[-1] is not None else "?"
 
 
 def own_effects(sources: Iterable[EffectSource]) -> dict[str, type[Effect]]:

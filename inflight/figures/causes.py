@@ -62,7 +62,7 @@ def scale_curves_figure(fit: CoilFit, temperatures: Floats) -> figure:
     temperatures : ndarray, shape (place,)
         degC, rising: the range that was seen.
     """
-    title = f"Scale factors with {fit.channel}: {fit.told().split('; ')[-1]}"
+    title = f"Scale factors with {fit.channel}: {fit.summary().split('; ')[-1]}"
     plot = plain_figure(title, "temperature (degC)", "ppm", width=560)
     change = temperatures - fit.reference
     for axis, (name, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):

@@ -301,7 +301,7 @@ def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor
     parameters : list of str
         At most three; all shown in `unit`, which is `factor` times their own.
     """
-    title = "trend" if fit.origin is None else fit.origin.told()
+    title = "trend" if fit.origin is None else fit.origin.summary()
     plot = plain_figure(f"Continuous parameters: {title}", "MJD (2000-01-01)", unit, width=560)
     times = np.linspace(*fit.span, _POINTS).astype(np.int64)
     value, sigma = fit.at(times)

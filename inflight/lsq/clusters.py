@@ -116,12 +116,17 @@ def solve_clusters(
     total, count = filled.sum(axis=0), float(rows.sum())
     sigma = np.full(width, np.inf) if prior_sigma is None else np.asarray(prior_sigma, dtype=np.float64)
     precision = 1.0 / sigma**2
-    variance = _row_variance(total, precision, count)
+    # The variance of a row about the fit; a prior's part in it is small.
+    variance = float(total[-1, -1]) / max(count, 1.0)
+    for _ in range(SOLVER.cluster_variance_passes):
+        fit = _solve_determined(total[None], variance * precision)[0]
+        # The observation is the last column, and the fit is subtracted from it.
+        variance = residual_sum(total, -fit) / max(count - fit.size, 1.0)
+    # Rounding can make the square of a perfect fit 0.
+    variance = max(variance, np.finfo(np.float64).tiny)
     value = _solve_determined(total[None], variance * precision)[0]
     without = _solve_determined(total - filled, variance * precision)
-    # How many estimated sigmas hold what one true sigma does.
-    student = float(student_t.ppf(_ONE_SIGMA, clusters - 1))
-    noise = student**2 * jackknife_covariance(without, about=value)
+    noise = student_sigma(clusters) ** 2 * jackknife_covariance(without, about=value)
     matrix = total[:-1, :-1]
     covariance = posterior_covariance(matrix, sigma, variance)
     alone = np.sqrt(np.diag(posterior_covariance(matrix, sigma * SOLVER.wide, variance)))
@@ -136,6 +141,11 @@ def solve_clusters(
     )
 
 
+def student_sigma(clusters: int) -> float:
+    """Return how many estimated standard deviations of so many clusters hold 68 %, as one true one does."""
+    return float(student_t.ppf(_ONE_SIGMA, clusters - 1))
+
+
 def mean_of_clusters(value: Floats, weight: Floats, cluster: npt.NDArray[np.int64]) -> tuple[float, float]:
     """Return the weighted mean of values and its standard deviation by the scatter between clusters.
 
@@ -148,17 +158,6 @@ def mean_of_clusters(value: Floats, weight: Floats, cluster: npt.NDArray[np.int6
     """
     fit = solve_clusters(*grams_by_cluster(np.ones((value.size, 1)), value, weight, cluster), fewest=2)
     return float(fit.value[0]), float(fit.sigma[0])
-
-
-def _row_variance(total: Floats, precision: Floats, count: float) -> float:
-    """Return the variance of a row about the fit; a prior's part in it is small."""
-    variance = float(total[-1, -1]) / max(count, 1.0)
-    for _ in range(3):
-        value = _solve_determined(total[None], variance * precision)[0]
-        # The observation is the last column and the fit is taken off it.
-        variance = residual_sum(total, -value) / max(count - value.size, 1.0)
-    # Rounding can make the square of a perfect fit 0.
-    return max(variance, np.finfo(np.float64).tiny)
 
 
 def _solve_determined(gram: Floats, precision: Floats) -> Floats:

@@ -35,6 +35,10 @@ class ContrastSettings:
     ----------
     passes : int
         Passes of the biweights; assumed.
+    least_slope : float
+        Part of the weights' sum that the slopes of the influence sum to at least; assumed.
+    outlier_passes : int
+        Passes of leaving outliers of a contrast out; assumed.
     outlier : float
         Samples so many robust sigmas off the fitted drift and step are left out; assumed.
     nothing : float
@@ -42,6 +46,8 @@ class ContrastSettings:
     """
 
     passes: int = 12
+    least_slope: float = 0.3
+    outlier_passes: int = 3
     outlier: float = 6.0
     nothing: float = 1e-24
 
@@ -56,17 +62,17 @@ class RobustFit:
     Attributes
     ----------
     value, covariance : ndarray, shape (column,), (column, column)
-    left : ndarray, shape (row,)
+    residual : ndarray, shape (row,)
         Values less the fit.
     robust_weight : ndarray, shape (row,)
-        1 for a value that counts wholly, 0 for one that does not.
+        1 for a value of full weight, 0 for one that is left out.
     scatter : float
         Robust standard deviation of the values beyond their stated errors.
     """
 
     value: Floats
     covariance: Floats
-    left: Floats
+    residual: Floats
     robust_weight: Floats
     scatter: float
 
@@ -95,26 +101,23 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
         sigma2 = variance + extra
         root = np.sqrt(robust_weight / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
-        left = value - unit @ found
-        usual = robust_sigma(left)
+        residual = value - unit @ found
+        usual = robust_sigma(residual)
         extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
-        standardised = left / np.sqrt(variance + extra)
+        standardised = residual / np.sqrt(variance + extra)
         robust_weight = biweight(standardised)
     slope = biweight_slope(standardised) / (variance + extra)
     weight = robust_weight / (variance + extra)
-    slopes = _at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit)
+    slopes, weights = (unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit
+    # Where outliers make the sum of slopes small, a part of that of the weights takes its place.
+    if not np.trace(slopes) / max(float(np.trace(weights)), 1e-300) > CONTRASTS.least_slope:
+        slopes = CONTRASTS.least_slope * weights
     bread = gram_inverse(slopes, SOLVER.eigen_cut)
-    scores = unit * (weight * left)[:, None]
+    scores = unit * (weight * residual)[:, None]
     covariance = sandwich(bread, long_run_covariance(scores, functions))
     return RobustFit(
-        found / size, covariance / np.outer(size, size), left, robust_weight, float(np.sqrt(extra))
+        found / size, covariance / np.outer(size, size), residual, robust_weight, float(np.sqrt(extra))
     )
-
-
-def _at_least(slopes: Floats, weights: Floats) -> Floats:
-    """Return the sum of slopes, or a part of that of the weights where outliers make it small."""
-    share = float(np.trace(slopes) / max(np.trace(weights), 1e-300))
-    return slopes if share > 0.3 else 0.3 * weights
 
 
 Mask = npt.NDArray[np.bool_]
@@ -156,7 +159,14 @@ class Series:
             values = np.where(samples["weight"].values > 0, values, np.nan)
         field = np.asarray(samples["field"].values, dtype=np.float64)
         direction = direction_of(field)
-        found = [to_amperes(_one_current(samples[name])) for name in names]
+        for name in names:
+            if samples[name].ndim != 1:
+                raise SamplesError(
+                    f"has dims {samples[name].dims}, one current expected",
+                    channel=name,
+                    remedy="take one axis",
+                )
+        found = [to_amperes(samples[name]) for name in names]
         places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
         return cls(
             np.asarray(samples["tt2000"].values, dtype=np.int64),
@@ -173,15 +183,6 @@ class Series:
         return slice(*(int(i) for i in np.searchsorted(self.stamps, [start, end])))
 
 
-def _one_current(series: xr.DataArray) -> xr.DataArray:
-    """Return the channel, which must be one number a time."""
-    if series.ndim != 1:
-        raise SamplesError(
-            f"has dims {series.dims}, one current expected", channel=str(series.name), remedy="take one axis"
-        )
-    return series
-
-
 def to_amperes(series: xr.DataArray) -> tuple[Floats, str]:
     """Return a channel (time, ...) in A where it is a current, else as it is, and its unit."""
     unit = str(series.attrs.get("units", "1"))
@@ -194,7 +195,7 @@ def to_amperes(series: xr.DataArray) -> tuple[Floats, str]:
 
 @dataclass(frozen=True)
 class Contrast:
-    """Weights over some samples that are blind to drift and give 1 for the shape."""
+    """Weights over some samples: their sum is 0 for any drift and 1 for the shape."""
 
     weight: Floats
     drift: Floats
@@ -212,9 +213,9 @@ class Contrast:
         return cls(own / power, drift, basis, shape)
 
     def residual(self, values: Floats) -> Floats:
-        """Return what drift and shape leave of values; (time,)."""
-        left = self._without_shape(values)
-        return np.asarray(left - (self.basis @ left) @ self.basis)
+        """Return values less drift and shape; (time,)."""
+        rest = self._without_shape(values)
+        return np.asarray(rest - (self.basis @ rest) @ self.basis)
 
     def common(self, values: Floats) -> Floats:
         """Return the coefficients of the drift in values; (part,)."""
@@ -246,12 +247,12 @@ def robust_contrast(
     """Return the contrast without outliers, the samples kept, and the noise of one."""
     kept = usable
     contrast = Contrast.of(drift[kept], shape[kept])
-    for _ in range(3):
+    for _ in range(CONTRASTS.outlier_passes):
         if contrast is None:
             return None
-        left = contrast.residual(values[kept])
-        limit = CONTRASTS.outlier * robust_sigma(left)
-        far = np.abs(left) > max(limit, 1e-12)
+        residual = contrast.residual(values[kept])
+        limit = CONTRASTS.outlier * robust_sigma(residual)
+        far = np.abs(residual) > max(limit, 1e-12)
         if not far.any():
             break
         kept = kept.copy()
@@ -259,9 +260,9 @@ def robust_contrast(
         contrast = Contrast.of(drift[kept], shape[kept])
     if contrast is None:
         return None
-    left = contrast.residual(values[kept])
-    freedom = max(left.size - drift.shape[1] - 1, 1)
-    return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))
+    residual = contrast.residual(values[kept])
+    freedom = max(residual.size - drift.shape[1] - 1, 1)
+    return contrast, kept, float(np.sqrt(np.sum(residual**2) / freedom))
 
 
 @dataclass(frozen=True)
@@ -277,7 +278,7 @@ class WindowMeans:
     coverage : ndarray, shape (day,)
         The same as a part of what a window without gaps would have, in [0, 1].
     lean : ndarray, shape (day,)
-        How far the mean time of what is there lies from the middle, days.
+        Mean time of the window's days less its middle, days.
     """
 
     mean: Floats

@@ -227,7 +227,7 @@ class GramBlocks(Protocol):
         precision: Floats | None = None,
         dtype: npt.DTypeLike = np.float64,
     ) -> Self:
-        """Return what is left of every column after some are fitted anew in each interval."""
+        """Return the residual of every column after some are fitted anew in each interval."""
 
     def marginalised_border(
         self,
@@ -522,9 +522,6 @@ class GramArrays:
     def select(self, names: Sequence[str]) -> Self:
         """Return some columns, with all residuals behind them; the others stay at their reference."""
         kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
-        return self._of_columns(kept)
-
-    def _of_columns(self, kept: Indices) -> Self:
         grid = (slice(None), kept[:, None], kept[None, :])
         along = dict.fromkeys(("column", "other"), kept)
         return self._with(
@@ -856,12 +853,12 @@ def _in_order(pieces: Sequence[Floats], order: Indices) -> Floats:
     return out
 
 
-#: Variables of `full_dataset`, beside which a store may hold more.
+#: Variables of `full_dataset`; a store may hold more.
 _OWN = ("gram", "scatter", "reference", "linearised_at", "start", "end", "count", "scale")
 
 
 def full_dataset(blocks: GramArrays) -> xr.Dataset:
-    """Return blocks as a Dataset of whole matrices with names; a parameter's own variables stay beside it.
+    """Return blocks as a Dataset of whole matrices with names; further variables of the blocks stay in it.
 
     Returns
     -------
@@ -871,10 +868,10 @@ def full_dataset(blocks: GramArrays) -> xr.Dataset:
         TT2000; `count` (block) sum of weights; `scale` (column); what else the blocks carry.
     """
     row, each = ("block", "column", "other"), ("block", "column")
-    nought = {"sub_blocks": blocks.sub_blocks} if blocks.sub_blocks else {}
+    sub_blocks = {"sub_blocks": blocks.sub_blocks} if blocks.sub_blocks else {}
     found: dict[str, Any] = {"gram": (row, blocks.gram, {"units": "nT2"})}
     if blocks.scatter is not None:
-        found["scatter"] = (row, blocks.scatter, {"units": "nT4", **nought})
+        found["scatter"] = (row, blocks.scatter, {"units": "nT4", **sub_blocks})
     if blocks.reference is not None:
         found["reference"] = (each, blocks.reference)
     if blocks.linearised_at is not None:
@@ -922,7 +919,7 @@ Owners = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Gram matrices of blocks and how much each block says.
+    """Gram matrices of blocks and the weight of each.
 
     Attributes
     ----------
@@ -945,7 +942,7 @@ class BlockSums:
         Parameters
         ----------
         values : ndarray, shape (block, function)
-            What the owner's column is multiplied with.
+            Factor of the owner's column.
         owners : ndarray of int, shape (function,)
             Column of the matrices each function belongs to.
 
@@ -954,21 +951,20 @@ class BlockSums:
         ndarray, shape (function + 1, function + 1)
             The residual last.
         """
-        every = np.append(owners, self.plain.shape[0] - 1)
-        still = np.append(values[0], 1.0)
-        out = self.plain[np.ix_(every, every)] * np.outer(still, still)
-        moving = np.flatnonzero(np.ptp(values, axis=0) > 0)
-        heavy = self.weight[:, None] * values
-        for owner in np.unique(owners[moving]):
-            mine = moving[owners[moving] == owner]
-            row = heavy[:, mine].T @ self.gram[:, owner, :]
-            out[mine, :] = row[:, every] * still
-            out[:, mine] = out[mine, :].T
-        for one in np.unique(owners[moving]):
-            for other in np.unique(owners[moving]):
-                mine, theirs = (moving[owners[moving] == owner] for owner in (one, other))
-                own = self.gram[:, one, other, None] * values[:, theirs]
-                out[np.ix_(mine, theirs)] = heavy[:, mine].T @ own
+        with_residual = np.append(owners, self.plain.shape[0] - 1)
+        constant = np.append(values[0], 1.0)
+        out = self.plain[np.ix_(with_residual, with_residual)] * np.outer(constant, constant)
+        varying = np.flatnonzero(np.ptp(values, axis=0) > 0)
+        functions = {int(owner): varying[owners[varying] == owner] for owner in np.unique(owners[varying])}
+        weighted = self.weight[:, None] * values
+        for owner, rows in functions.items():
+            products = weighted[:, rows].T @ self.gram[:, owner, :]
+            out[rows, :] = products[:, with_residual] * constant
+            out[:, rows] = out[rows, :].T
+        for owner, rows in functions.items():
+            for other, columns in functions.items():
+                products = self.gram[:, owner, other, None] * values[:, columns]
+                out[np.ix_(rows, columns)] = weighted[:, rows].T @ products
         return np.asarray(out)
 
     def scores(self, values: Floats, owners: Owners, parameters: Floats) -> Floats:
@@ -981,6 +977,6 @@ class BlockSums:
         parameters : ndarray, shape (block, column)
             Scaled changes from the reference.
         """
-        turned = np.concatenate([parameters, np.ones((len(parameters), 1))], axis=1)
-        slopes = np.matmul(self.gram, turned[:, :, None])[:, :, 0]
+        change = np.concatenate([parameters, np.ones((len(parameters), 1))], axis=1)
+        slopes = np.matmul(self.gram, change[:, :, None])[:, :, 0]
         return np.asarray(self.weight[:, None] * slopes[:, owners] * values)

@@ -51,6 +51,8 @@ class SolverSettings:
         Factor by which priors are widened when the question is what the data alone determine; assumed.
     variance_passes : int
         Passes of residual variance and known directions at most; they settle in three or four.
+    cluster_variance_passes : int
+        Passes of the residual variance of a fit of clusters; assumed.
     smallest_variance : float
         nT^2. Readings are never better than their rounding; assumed.
     fewest_clusters : int
@@ -65,6 +67,7 @@ class SolverSettings:
     determined: float = 0.5
     wide: float = 1e3
     variance_passes: int = 10
+    cluster_variance_passes: int = 3
     smallest_variance: float = 1e-12
     fewest_clusters: int = 5
 
@@ -341,7 +344,7 @@ def solve(
     gram : ndarray, shape (parameter + 1, parameter + 1)
         Weighted Gram matrix of [X | y], scaled columns, nT^2.
     scatter : ndarray, shape (parameter, parameter)
-        Long-run scatter of the scores ``X^T y``, which knows how far residuals are correlated.
+        Long-run scatter of the scores ``X^T y``, which contains the correlation of the residuals.
     count : float
         Sum of the weights.
     prior, prior_sigma : ndarray, shape (parameter,)
@@ -416,6 +419,7 @@ class _Directions:
 def _directions(
     matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats, least: float
 ) -> _Directions:
+    """Return the directions of the information `matrix`, with the noise of the scores' scatter along them."""
     unit = np.outer(prior_sigma, prior_sigma)
     white, vectors = _information(matrix, prior_sigma)
     white = white / variance
@@ -431,11 +435,12 @@ def _directions(
 
 
 def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
-    """Return the maximum of the posterior; directions the prior knows better stay."""
+    """Return the maximum of the posterior; directions that the prior determines better stay."""
     score = -(found.vectors.T @ (prior_sigma * slope))
     step = np.where(found.known, score / found.variance / found.inflation / (1.0 + found.information), 0.0)
     return np.asarray(prior + prior_sigma * (found.vectors @ step))
 
 
 def _variance(gram: Floats, change: Floats, count: float) -> float:
+    """Return the variance of the residual after a scaled change, nT^2."""
     return max(residual_sum(gram, change) / max(count - change.size, 1.0), SOLVER.smallest_variance)

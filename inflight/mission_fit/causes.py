@@ -12,7 +12,8 @@ Takes the days' wide equations, their auxiliary columns and the continuous fit; 
 - cross-talk: what one unit of an ignored cause does to everything else. With the nine alone, a cause goes
   into them as far as they can imitate it (`nine_parameter_cross_talk`; Yin 2010, section 4.2). With
   everything fitted together (`joint_cross_talk`), C the covariance, leaving out a parameter j of size c
-  moves parameter i by ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
+  moves parameter i by
+  ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations
-from inflight.effects import AXES, DayNight, DayNightSeries
+from inflight.effects import DayNight, DayNightSeries
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     RESIDUAL,
@@ -34,15 +35,14 @@ from inflight.lsq import (
     correlation_of,
     fit_white,
     jackknife,
-    mean_of_clusters,
     posterior_covariance,
     retained_fraction,
 )
 from inflight.mission_fit.continuous import MissionFit, daily_parameters, fit_with_auxiliary, shift_columns
 from inflight.mission_fit.crosstalk import DISPLAY_UNITS, CrossTalkTable, IgnoredCause, cross_talk
 from inflight.mission_fit.daily_equations import (
-    free_terms,
     holds_day_night,
+    prior_sigma_of,
     reference_of,
     temperature_entry,
     with_auxiliary_columns,
@@ -54,10 +54,9 @@ from inflight.mission_fit.temperature import (
     PRIOR,
     CoilFit,
     TemperatureChoice,
-    TemperatureRival,
     coefficients_of,
+    coil_columns_of,
 )
-from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model
 
 
@@ -69,6 +68,8 @@ class CauseSettings:
     ----------
     passes : int
         Passes of the lag; it settles in two, three where the coefficients were not known.
+    settled : float
+        Of a lag, in its sigmas; assumed.
     lag_unit_s : float
         One unit of the lag's column, s; assumed.
     follows : float
@@ -85,6 +86,7 @@ class CauseSettings:
     """
 
     passes: int = 4
+    settled: float = 1e-2
     lag_unit_s: float = 10.0
     follows: float = 3.0
     folds: int = 5
@@ -98,7 +100,7 @@ CAUSES = CauseSettings()
 
 def fit_coil_lag(
     equations: NormalEquations,
-    strips: Sequence[xr.Dataset | None],
+    auxiliary: Sequence[xr.Dataset | None],
     found: MissionFit,
     model: Model,
     lag: float,
@@ -109,9 +111,9 @@ def fit_coil_lag(
     ----------
     equations : NormalEquations
         Wide ones of the days.
-    strips : sequence of Dataset or None
+    auxiliary : sequence of Dataset or None
         As `inflight.mission_fit.daily_equations.split_auxiliary` makes them, one a day.
-    found : Continuous
+    found : MissionFit
         The fit of all days; its trends and the weights of its days hold.
     model : Model
         The one the equations were made with: its sigmas are what is known of the coefficients. Of the lag
@@ -136,23 +138,36 @@ def fit_coil_lag(
             remedy="give linear and quadratic of one a sigma",
         )
     channel = entry.effect.channels[0]
-    rates = [f"{channel}.{kind}[{axis}]" for kind in KINDS[2:] for axis in AXES]
-    wide = with_auxiliary_columns(equations, strips, rates)
-    own = [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
-    sigma = np.append([one for term in free_terms(model) for one in term.sigma], PRIOR[2])
-    value, change = _values_of(found.fit, own), 0.0
+    rates, own = coil_columns_of(channel, KINDS[2:]), coil_columns_of(entry.name, KINDS[:2])
+    wide = with_auxiliary_columns(equations, auxiliary, rates)
+    sigma = np.append(prior_sigma_of(model), PRIOR[2])
+    fit, change = found.fit, 0.0
     for _ in range(CAUSES.passes):
-        before = change
-        turned = _with_lag(wide, rates, own, value, change)
-        fit = fit_with_auxiliary(turned, equations, found, sigma)
-        value, change = _values_of(fit, own), float(fit.value[-1])
-        if abs(change - before) <= 1e-2 * fit.sigma[-1]:
+        value, before = np.array([fit.value[fit.index(name)][0] for name in own]), change
+        linear = _with_lag(wide, rates, own, value, change)
+        fit = fit_with_auxiliary(linear, equations, found, sigma)
+        change = float(fit.value[-1])
+        if abs(change - before) <= CAUSES.settled * fit.sigma[-1]:
             break
-    return _as_coil(fit, turned, own, channel, reference_of(entry), lag)
-
-
-def _values_of(fit: TrendFit, names: Sequence[str]) -> Floats:
-    return np.array([fit.value[fit.place(name)][0] for name in names])
+    places = [fit.index(name).start for name in (*own, "lag")]
+    columns = [linear.columns.index(name) for name in (*own, "lag")]
+    whole = fit.value[places] + np.append(np.zeros(len(own)), lag)
+    determined = fit.determined[places].copy()
+    follows = np.abs(whole[:3]) > CAUSES.follows * fit.sigma[places][:3]
+    determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
+    return CoilFit(
+        channel,
+        reference_of(entry),
+        ClusteredFit(
+            whole,
+            fit.covariance[np.ix_(places, places)],
+            retained_fraction(linear.total[:-1, :-1])[columns],
+            determined,
+            fit.rms**2,
+            len(linear),
+            float(linear.count.sum()),
+        ),
+    )
 
 
 def _with_lag(
@@ -165,51 +180,27 @@ def _with_lag(
     ``R c1``, and what is constant, ``d1 R (c0 - c1)``, belongs to y.
     """
     names, scale = equations.columns, equations.scale
-    from_rates = [names.index(name) for name in rates]
-    to = [names.index(name) for name in own]
-    kept = [place for place in range(len(names)) if place not in set(from_rates)]
-    turn = np.zeros((len(kept) + 2, len(scale)))
-    turn[np.arange(len(kept)), kept] = 1.0
-    for rate, column in zip(from_rates, to, strict=True):
-        turn[kept.index(column), rate] = change * scale[column] / scale[rate]
-    turn[-2, from_rates] = CAUSES.lag_unit_s * value / scale[from_rates]
-    turn[-1, -1] = 1.0
+    of_rate = [names.index(name) for name in rates]
+    of_coefficient = [names.index(name) for name in own]
+    kept = [place for place in range(len(names)) if place not in set(of_rate)]
+    weights = np.zeros((len(kept) + 2, len(scale)))
+    weights[np.arange(len(kept)), kept] = 1.0
+    for rate, column in zip(of_rate, of_coefficient, strict=True):
+        weights[kept.index(column), rate] = change * scale[column] / scale[rate]
+    weights[-2, of_rate] = CAUSES.lag_unit_s * value / scale[of_rate]
+    weights[-1, -1] = 1.0
     common = equations.reference
     assert common is not None
-    each = np.broadcast_to(turn, (len(common), *turn.shape)).copy()
-    each[:, -1, from_rates] = change * (common[:, to] - value) / scale[from_rates]
+    each = np.broadcast_to(weights, (len(common), *weights.shape)).copy()
+    each[:, -1, of_rate] = change * (common[:, of_coefficient] - value) / scale[of_rate]
     reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
-    new = np.concatenate([scale[kept], [CAUSES.lag_unit_s, 1.0]])
-    return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, new, reference)
-
-
-def _as_coil(
-    fit: TrendFit, equations: NormalEquations, own: Sequence[str], channel: str, reference: float, lag: float
-) -> CoilFit:
-    places = [fit.place(name).start for name in (*own, "lag")]
-    columns = [equations.columns.index(name) for name in (*own, "lag")]
-    value = fit.value[places] + np.append(np.zeros(len(own)), lag)
-    determined = fit.determined[places].copy()
-    follows = np.abs(value[:3]) > CAUSES.follows * fit.sigma[places][:3]
-    determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
-    return CoilFit(
-        channel,
-        reference,
-        ClusteredFit(
-            value,
-            fit.covariance[np.ix_(places, places)],
-            retained_fraction(equations.total[:-1, :-1])[columns],
-            determined,
-            fit.rms**2,
-            len(equations),
-            float(equations.count.sum()),
-        ),
-    )
+    units = np.concatenate([scale[kept], [CAUSES.lag_unit_s, 1.0]])
+    return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, units, reference)
 
 
 def compare_temperatures_jointly(
     equations: NormalEquations,
-    strips: Sequence[xr.Dataset | None],
+    auxiliary: Sequence[xr.Dataset | None],
     found: MissionFit,
     model: Model,
     channels: Sequence[str],
@@ -217,14 +208,14 @@ def compare_temperatures_jointly(
     """Judge temperatures, and none, by what they leave of parts of the span that were not fitted.
 
     The nine parameters are each day's own, alike for all rivals; whatever else the model lets data move is
-    fitted anew beside each rival. Of no coefficient anything is known beforehand.
+    fitted anew with each rival. The coefficients have a prior of 0 (`PRIOR`).
 
     Parameters
     ----------
-    equations, strips, found, model
+    equations, auxiliary, found, model
         As `fit_coil_lag`.
     channels : sequence of str
-        With all their columns: the model's own, and those beside it.
+        With all their columns: the model's own, and auxiliary ones.
 
     Raises
     ------
@@ -233,20 +224,22 @@ def compare_temperatures_jointly(
     """
     entry = temperature_entry(model)
     own = "" if entry is None else entry.effect.channels[0]
-    held = [] if entry is None else [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
+    held = [] if entry is None else coil_columns_of(entry.name, KINDS[:2])
     columns = {
-        name: (held if name == own else _named(name, KINDS[:2])) + _named(name, KINDS[2:])
+        name: (held if name == own else coil_columns_of(name, KINDS[:2])) + coil_columns_of(name, KINDS[2:])
         for name in channels
     }
-    beside = [one for names in columns.values() for one in names if one not in held]
-    wide = with_auxiliary_columns(equations, strips, beside)
-    names = wide.columns
-    at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=SOLVER.weak_cut, least_kept=0.0)
-    others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
-    known = dict(
-        zip(equations.columns, [one for term in free_terms(model) for one in term.sigma], strict=True)
-    )
-    count = wide.count
+    added = [column for names in columns.values() for column in names if column not in held]
+    wide = with_auxiliary_columns(equations, auxiliary, added)
+    # The residual is that of the fit of all days, without the temperature coefficients of the model.
+    fitted = dict(zip(found.fit.trends, found.fit.at(wide.middle)[0].T, strict=True))
+    nought = np.zeros(len(wide))
+    values = [nought if name in held else fitted.get(name, nought) for name in wide.columns]
+    nine = wide.columns[:9]
+    rest = wide.at(np.stack(values, axis=1)).marginalise(nine, cut=SOLVER.weak_cut, least_kept=0.0)
+    others = [name for name in equations.columns[9:] if name not in held]
+    known = dict(zip(equations.columns, prior_sigma_of(model).tolist(), strict=True))
+    prior = np.array([known[name] for name in others])
     squares: dict[str, Floats] = {}
     sections = np.array_split(np.arange(len(wide)), min(CAUSES.sections, len(wide)))
     if len(sections) < 2 * CAUSES.folds:
@@ -254,27 +247,13 @@ def compare_temperatures_jointly(
             f"{len(sections)} days for {CAUSES.folds} parts to hold out",
             remedy=f"use {2 * CAUSES.folds} days or more",
         )
-    rows = np.array([count[part].sum() for part in sections])
-    prior = np.array([known[names[place]] for place in others])
+    rows = np.array([wide.count[part].sum() for part in sections])
     for name in (NONE, *channels):
-        mine = columns.get(name, [])
-        gram = at.select([*(names[place] for place in others), *mine]).in_units
+        own_columns = columns.get(name, [])
+        gram = rest.select([*others, *own_columns]).in_units
         merged = np.array([gram[part].sum(axis=0) for part in sections])
-        squares[name] = _held_out(merged, rows, prior, bool(mine)) / rows
-    return _chosen(squares, rows)
-
-
-def _named(channel: str, kinds: Sequence[str]) -> list[str]:
-    return [f"{channel}.{kind}[{axis}]" for kind in kinds for axis in AXES]
-
-
-def _at_the_fit(wide: NormalEquations, found: MissionFit, held: Sequence[str]) -> NormalEquations:
-    """Return the equations with the residual at the fit of all days, without the coefficients held."""
-    fit, middle = found.fit, wide.middle
-    common = dict(zip(fit.trends, fit.at(middle)[0].T, strict=True))
-    nought = np.zeros(len(middle))
-    each = [nought if name in held else common.get(name, nought) for name in wide.columns]
-    return wide.at(np.stack(each, axis=1))
+        squares[name] = _held_out(merged, rows, prior, bool(own_columns)) / rows
+    return TemperatureChoice.of_squares(squares, rows)
 
 
 def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
@@ -282,36 +261,25 @@ def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> F
     out = np.empty(len(gram))
     for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
-        at = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
-        out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
+        change = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
+        out[part] = np.einsum("i,bij,j->b", change, gram[part], change)
     return out
 
 
 def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
-    """Return the answers of all columns: others', and the twelve of one temperature with its lag."""
+    """Return the values of all columns: the others', and the twelve of one temperature with its lag."""
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
     for _ in range(CAUSES.passes):
-        turn = np.zeros((len(gram), sigma.size + 1))
-        turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
+        basis = np.zeros((len(gram), sigma.size + 1))
+        basis[:count, :count], basis[-1, -1] = np.eye(count), 1.0
         if temperature:
-            answers, slopes = coefficients_of(unknown)
-            turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
-        inner = turn.T @ gram @ turn
-        value, _ = fit_white(inner, rows, sigma)
+            coefficients, slopes = coefficients_of(unknown)
+            basis[count:-1, count:-1], basis[count:-1, -1] = slopes, coefficients - slopes @ unknown
+        value, _ = fit_white(basis.T @ gram @ basis, rows, sigma)
         unknown = value[count:]
     return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
-
-
-def _chosen(squares: dict[str, Floats], rows: Floats) -> TemperatureChoice:
-    whole = {name: float(np.average(one, weights=rows)) for name, one in squares.items()}
-    best = min(whole, key=lambda name: whole[name])
-    rivals = []
-    for name in sorted(whole, key=lambda name: whole[name]):
-        behind, sigma = mean_of_clusters(squares[name] - squares[best], rows, np.arange(len(rows)))
-        rivals.append(TemperatureRival(name, float(np.sqrt(whole[name])), behind, sigma))
-    return TemperatureChoice(tuple(rivals))
 
 
 #: What is known of the fields beforehand, nT.
@@ -323,12 +291,12 @@ _PRIOR = {
 
 @dataclass(frozen=True)
 class JointDayNight:
-    """A field of day and night beside all else.
+    """A field of day and night, fitted together with everything else.
 
     Attributes
     ----------
     field : DayNightField
-    found : Continuous
+    found : MissionFit
         The fit with it.
     equations : NormalEquations
         With its columns, of the days whose orbit is known.
@@ -345,39 +313,39 @@ class JointDayNight:
 
 def fit_day_night_jointly(
     equations: NormalEquations,
-    strips: Sequence[xr.Dataset | None],
+    auxiliary: Sequence[xr.Dataset | None],
     found: MissionFit,
     model: Model,
     form: str = SWITCHED,
 ) -> JointDayNight:
-    """Fit the field in one of its forms, `SWITCHED` or `SERIES`, beside everything of the model.
+    """Fit the field in one of its forms, `SWITCHED` or `SERIES`, together with everything of the model.
 
     Parameters
     ----------
-    equations, strips, found, model
+    equations, auxiliary, found, model
         As `inflight.mission_fit.causes.fit_coil_lag`.
     form : str
 
     Raises
     ------
     CalibrationError
-        When no day knows its orbit, the model has such a field itself, or nothing of it is told.
+        When no day knows its orbit, the model has such a field itself, or none of it is determined.
     """
     if holds_day_night(model):
         raise CalibrationError(
             "the model has a field of day and night itself: the table 'trend' tells it",
             remedy="leave it out of the model to have it fitted beside",
         )
-    names = sorted({str(one) for strip in strips if strip is not None for one in strip["beside"].values})
-    names = [name for name in names if name.startswith(form)]
+    known = {str(name) for part in auxiliary if part is not None for name in part["beside"].values}
+    names = sorted(name for name in known if name.startswith(form))
     if not names:
         raise CalibrationError(
             "the mission delivers no positions", remedy="state a channel of kind 'position'"
         )
-    wide = with_auxiliary_columns(equations, strips, names)
-    sigma = np.array([one for term in free_terms(model) for one in term.sigma] + [_PRIOR[form]] * len(names))
+    wide = with_auxiliary_columns(equations, auxiliary, names)
+    sigma = np.append(prior_sigma_of(model), [_PRIOR[form]] * len(names))
     fit = fit_with_auxiliary(wide, equations, found, sigma)
-    places = np.array([fit.place(name).start for name in names])
+    places = np.array([fit.index(name).start for name in names])
     columns = np.array([wide.columns.index(name) for name in names])
     retained = retained_fraction(wide.total[:-1, :-1])[columns]
     determined = fit.determined[places] & (retained > LEAST_RETAINED)
@@ -423,9 +391,9 @@ def ignored_causes(columns: Sequence[str], units: Mapping[str, str], model: Mode
     columns : sequence of str
         Of the equations.
     units : mapping of str to str
-        Of columns; nT where none is told.
+        Of columns; nT where none is given.
     model : Model
-        Tells which cause is a bias of the scalar sensor.
+        Its effects say which cause is a bias of the scalar sensor.
     """
     biases = {f"{entry.name}.bias" for entry in model.effects if entry.effect.name == "scalar_bias"}
     found = []
@@ -444,7 +412,7 @@ def nine_parameter_cross_talk(
     Parameters
     ----------
     equations : NormalEquations
-        Of days, the model's columns and any beside them.
+        Of days, the model's columns and any auxiliary ones.
     units, model
         As `ignored_causes`.
     """
@@ -455,8 +423,8 @@ def nine_parameter_cross_talk(
             "the model has nothing but the nine parameters that data may move",
             remedy="give an effect a sigma in the model's file",
         )
-    told = dict(zip(nine, (NINE_UNITS[name] for name in NINE), strict=True))
-    return cross_talk(equations.filled, causes, nine, told)
+    own_units = dict(zip(nine, (NINE_UNITS[name] for name in NINE), strict=True))
+    return cross_talk(equations.filled, causes, nine, own_units)
 
 
 def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model: Model) -> xr.Dataset:
@@ -483,9 +451,8 @@ def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model
     filled = equations.filled
     if not len(filled):
         raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
-    sigma = np.array([one for term in free_terms(model) for one in term.sigma])
     scale = filled.scale[:-1]
-    prior, names = sigma / scale, filled.columns
+    prior, names = prior_sigma_of(model) / scale, filled.columns
     causes = ignored_causes(names, units, model)
     shown = [DISPLAY_UNITS.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
     factor = scale * np.array([one for one, _ in shown])
@@ -494,12 +461,11 @@ def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model
     parts = np.array_split(np.arange(len(filled)), min(CAUSES.parts, len(filled)))
     whole = _covariance(total, count, prior)
     value = _shifts(whole) * np.outer(size, factor)
+    error = np.full_like(value, np.nan)
     if len(parts) > 1:
         rest = zip(filled.sums(parts), (float(filled.count[part].sum()) for part in parts), strict=True)
-        others = np.array([_shifts(_covariance(total - one, count - rows, prior)) for one, rows in rest])
-        error = jackknife(others) * np.outer(size, factor)
-    else:
-        error = np.full_like(value, np.nan)
+        without = np.array([_shifts(_covariance(total - one, count - rows, prior)) for one, rows in rest])
+        error = jackknife(without) * np.outer(size, factor)
     both = ("ignored", "parameter")
     return xr.Dataset(
         {

@@ -25,11 +25,16 @@ from inflight.calibration import (
     reference_of,
     vector_sensor_of,
 )
-from inflight.errors import CalibrationError
 from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, SOLVER, gram_inverse, retained_fraction
-from inflight.mission_fit.daily_equations import DayDrift, about_offsets, free_terms, scale_factor_rates
+from inflight.mission_fit.daily_equations import (
+    DayDrift,
+    about_offsets,
+    free_terms,
+    prior_sigma_of,
+    scale_factor_rates,
+)
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
-from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
+from inflight.mission_fit.trends import TrendFit, check_names, fit_trends, make_trend
 from inflight.model import Model
 
 
@@ -58,13 +63,9 @@ class ContinuousSettings:
 CONTINUOUS = ContinuousSettings()
 
 
-#: Trends that are compared, the ones a model's file can hold.
-KINDS = ("constant", "linear", "parabola", "log", "spline")
-
-
 @dataclass(frozen=True)
 class MissionFit:
-    """What all days together say.
+    """The fit of all days together.
 
     Attributes
     ----------
@@ -109,21 +110,21 @@ def fit_mission(
     origin : int, optional
         TT2000 of a logarithm's origin; fitted when absent.
     drift : DayDrift, optional
-        Of these days: what the trend makes of the scale factors within each day is taken out of it.
+        Of these days: what the trend makes of the scale factors within each day is removed.
 
     Raises
     ------
     CalibrationError
         When the days do not suffice for the trend.
     """
-    sigma = np.array([one for term in free_terms(model) for one in term.sigma])
+    sigma = prior_sigma_of(model)
     common = equations.at_one_reference()
     choice = None
     if kind == "auto":
         kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
     fit = _fitted(common, model, sigma, kind, origin)
     if drift is not None:
-        # The first fit tells the rates to a part of what they are; they are small themselves.
+        # The first fit determines the rates well enough: they are small themselves.
         equations = drift.remove_drift(equations, scale_factor_rates(fit, equations))
         fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
     return MissionFit(fit, choice, continuous_model(model, fit), equations)
@@ -133,7 +134,12 @@ def _fitted(
     equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
 ) -> TrendFit:
     """Fit one kind of trend to days at one reference."""
-    names, units, times = _nine(model)[:3], _units(model), equations.middle
+    names, times = _nine(model)[:3], equations.middle
+    units = {
+        name: term.entry.parameters[name[len(term.key) + 1 :].split("[")[0]].parameter.unit
+        for term in free_terms(model)
+        for name in term.columns
+    }
     if kind == "log" and origin is None:
         first = int(times[0])
         start = make_trend("log", times, first - (int(times[-1]) - first) // 4)
@@ -145,17 +151,16 @@ def _fitted(
 def _choose(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
-    """Return the kind of trend that foretells held-out days best; all but the nine stay at a common fit."""
+    """Return the kind of trend that predicts held-out days best; all but the nine stay at a common fit."""
     if len(equations) < CONTINUOUS.folds * CONTINUOUS.fold_days:
         return "linear", None
     wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", equations.middle)), sigma)
-    common = [name for name in equations.columns if name not in names]
-    at = equations.first_reference.copy()
-    for name in common:
-        at[equations.columns.index(name)] = wide.value[wide.place(name)][0]
-    own = equations.columns[:9]
-    small = equations.at(at).select(own)
-    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=CONTINUOUS.folds)
+    reference = equations.first_reference.copy()
+    for place, name in enumerate(equations.columns):
+        if name not in names:
+            reference[place] = wide.value[wide.index(name)][0]
+    nine = equations.at(reference).select(equations.columns[:9])
+    choice = compare_trends(nine, names, sigma[:9], t0=origin, folds=CONTINUOUS.folds)
     return choice.chosen, choice
 
 
@@ -180,8 +185,8 @@ def continuous_table(
     Parameters
     ----------
     equations : NormalEquations
-        The days', those that tell nothing among them, without what drifts within a day.
-    found : Continuous
+        The days', those without data among them, without what drifts within a day.
+    found : MissionFit
     before : Model
         What was known before: the prior.
     noise : ndarray, shape (block,)
@@ -200,10 +205,12 @@ def continuous_table(
     value = fit.values(times)
     slope = fit.slopes(times, names)
     covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.full_covariance, slope, optimize=True)
-    own, after = _left(common, value)
-    known = np.array([fit.determined[fit.place(name)].all() for name in names])
+    # Rms of each day at the nine it was linearised at, and at the fit of all days; nT.
+    count = np.maximum(common.count, 1.0)
+    least = common.marginalise(common.columns[:9], least_kept=0.0).squares[:, -1]
+    own, after = np.sqrt(np.maximum(least, 0.0) / count), np.sqrt(common.squares_at(value) / count)
+    known = np.array([fit.determined[fit.index(name)].all() for name in names])
     each, row = ("interval", "parameter"), ("interval",)
-    count = common.count
     shape = (len(times), len(names))
     return xr.Dataset(
         {
@@ -224,7 +231,7 @@ def continuous_table(
             "end": (row, common.end, {"scale": "TT2000"}),
             "blocks": (row, np.ones(len(times), dtype=np.int64)),
             "directions": (row, np.full(len(times), int(known.sum()), dtype=np.int64)),
-            "count": (row, count),
+            "count": (row, common.count),
             "before": (row, own),
             # What the whole mission's fit leaves beyond the day's own, on top of the samples' noise.
             "after": (row, np.sqrt(noise**2 + np.maximum(after**2 - own**2, 0.0))),
@@ -235,23 +242,8 @@ def continuous_table(
     )
 
 
-def _left(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
-    """Return each block's rms at the nine it was linearised at and at values (block, parameter); nT."""
-    count = np.maximum(equations.count, 1.0)
-    least = equations.marginalise(equations.columns[:9], least_kept=0.0).squares[:, -1]
-    return np.sqrt(np.maximum(least, 0.0) / count), np.sqrt(equations.squares_at(value) / count)
-
-
 def _nine(model: Model) -> list[str]:
     return free_terms(model)[0].columns
-
-
-def _units(model: Model) -> dict[str, str]:
-    return {
-        name: term.entry.parameters[name[len(term.key) + 1 :].split("[")[0]].parameter.unit
-        for term in free_terms(model)
-        for name in term.columns
-    }
 
 
 def fit_with_auxiliary(
@@ -265,13 +257,13 @@ def fit_with_auxiliary(
         The days' equations with more columns, of all days or some.
     equations : NormalEquations
         Those the continuous fit was made from.
-    found : Continuous
+    found : MissionFit
     sigma : ndarray, shape (column,)
         What is known beforehand of each, physical units.
     """
-    of = dict(zip(equations.start.tolist(), found.fit.weight.tolist(), strict=True))
-    weight = np.array([of[one] for one in wide.start.tolist()])
-    trends = {name: one for name, one in found.fit.trends.items() if one.count > 1}
+    weights = dict(zip(equations.start.tolist(), found.fit.weight.tolist(), strict=True))
+    weight = np.array([weights[start] for start in wide.start.tolist()])
+    trends = {name: trend for name, trend in found.fit.trends.items() if trend.count > 1}
     return fit_trends(wide, trends, sigma, weight, found.fit.units)
 
 
@@ -290,13 +282,13 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
 
     The errors are those of what the day's own bins leave. What is correlated for longer than a bin makes
     neighbouring days differ by more than that: a parameter's errors are widened by as much, where there are
-    days enough to tell. The own fit's inflation would be too much: it holds what the continuous fit took out.
+    days enough. The own fit's inflation would be too much: it holds what the continuous fit removed.
 
     Parameters
     ----------
     equations : NormalEquations
         Wide ones of the days.
-    found : Continuous
+    found : MissionFit
         Fitted to them.
     names : sequence of str
         Further columns to solve for, such as ``time_shift.seconds``.
@@ -306,23 +298,29 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     xarray.Dataset
         dims interval, parameter: `value`, `sigma`, `continuous` (what the fit of all days has for the day),
         in `units` (parameter); `determined`; `inflation` (parameter), by which errors were widened;
-        `start`, `end` TT2000 (interval). NaN where a day tells nothing. No prior enters.
+        `start`, `end` TT2000 (interval). NaN where a day does not determine it. No prior enters.
 
     Raises
     ------
     CalibrationError
         When a name is none of the equations' columns.
     """
-    columns = _chosen(equations, names)
-    fit = found.fit
+    check_names(equations, names)
+    nine, fit = equations.columns[:9], found.fit
+    columns = [*nine, *(name for name in names if name not in nine)]
     order = [list(fit.trends).index(name) for name in equations.columns]
     common = fit.values(equations.middle)[:, order]
     places = equations.index(columns)
-    chosen = equations.at(common).select(columns)
-    own = chosen.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
-    solved = [_solved(*one) for one in zip(own, equations.count.tolist(), strict=True)]
-    change, sigma = (np.array([one[part] for one in solved]) * chosen.scale[:-1] for part in (0, 1))
-    inflation = _widening(change / sigma)
+    own = equations.at(common).select(columns)
+    grams = own.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
+    solved = [_solve_day(gram, rows) for gram, rows in zip(grams, equations.count.tolist(), strict=True)]
+    change, sigma = (np.array(part) * own.scale[:-1] for part in zip(*solved, strict=True))
+    # By how much more neighbouring days differ than their errors say.
+    inflation = np.ones(len(columns))
+    for index, standardised in enumerate((change / sigma).T):
+        steps = np.abs(np.diff(standardised[np.isfinite(standardised)])) / np.sqrt(2.0)
+        if steps.size >= CONTINUOUS.fewest:
+            inflation[index] = max(MAD_TO_SIGMA * float(np.median(steps)), 1.0)
     sigma = sigma * inflation
     each = ("interval", "parameter")
     return xr.Dataset(
@@ -341,16 +339,7 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     )
 
 
-def _chosen(equations: NormalEquations, names: Sequence[str]) -> list[str]:
-    nine = equations.columns[:9]
-    if stray := [name for name in names if name not in equations.columns]:
-        raise CalibrationError(
-            f"no parameter {stray[0]!r} among {', '.join(equations.columns)}", remedy="name one of these"
-        )
-    return [*nine, *(name for name in names if name not in nine)]
-
-
-def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
+def _solve_day(gram: Floats, rows: float) -> tuple[Floats, Floats]:
     """Return change and sigma of the columns, scaled; NaN for those that the data do not determine.
 
     `gram` is the Gram matrix of [columns | residual].
@@ -365,13 +354,3 @@ def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
     rest = max(float(gram[-1, -1] + change[kept] @ cross[kept]), 0.0)
     sigma[kept] = np.sqrt(np.diag(inverse) * rest / (rows - kept.size))
     return change, sigma
-
-
-def _widening(pulls: Floats) -> Floats:
-    """Return by how much more neighbouring days differ than their errors say, at least 1; (parameter,)."""
-    out = np.ones(pulls.shape[1])
-    for index, column in enumerate(pulls.T):
-        apart = np.abs(np.diff(column[np.isfinite(column)])) / np.sqrt(2.0)
-        if apart.size >= CONTINUOUS.fewest:
-            out[index] = max(MAD_TO_SIGMA * float(np.median(apart)), 1.0)
-    return out

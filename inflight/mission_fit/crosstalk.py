@@ -20,7 +20,7 @@ from inflight.calibration import NINE, NINE_UNITS, NormalEquations
 from inflight.errors import CalibrationError, SamplesError
 from inflight.lsq import regression_coefficients
 
-#: Units in which people read shifts of the nine: unit of the column -> factor and unit shown.
+#: Units in which shifts of the nine are shown: unit of the column -> factor and shown unit.
 DISPLAY_UNITS = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "nT": (1.0, "nT")}
 
 
@@ -66,7 +66,7 @@ class CrossTalkTable:
         Standard deviation of the shift from block to block, each calibrated by itself; NaN for one block.
     blocks : int
     before, after : ndarray, shape (ignored,)
-        Rms residual the cause makes, and what of it is left when the parameters have answered, nT.
+        Rms residual that the cause makes, and that remains when the parameters are fitted, nT.
     """
 
     ignored: tuple[IgnoredCause, ...]
@@ -81,17 +81,17 @@ class CrossTalkTable:
     @classmethod
     def of_table(cls, table: xr.Dataset, names: Sequence[str] = ()) -> CrossTalkTable:
         """Return the shifts that a table was made of, of some causes by name or of all."""
-        one = table.sel(ignored=list(names)) if names else table
-        rows = zip(*(one[name].values.tolist() for name in ("ignored", "size", "size_units")), strict=True)
+        part = table.sel(ignored=list(names)) if names else table
+        rows = zip(*(part[name].values.tolist() for name in ("ignored", "size", "size_units")), strict=True)
         return cls(
             tuple(IgnoredCause(*row) for row in rows),
-            tuple(map(str, one["parameter"].values)),
-            tuple(map(str, one["units"].values)),
-            one["value"].values,
-            one["scatter"].values,
-            int(one.attrs["blocks"]),
-            one["before"].values,
-            one["after"].values,
+            tuple(map(str, part["parameter"].values)),
+            tuple(map(str, part["units"].values)),
+            part["value"].values,
+            part["scatter"].values,
+            int(part.attrs["blocks"]),
+            part["before"].values,
+            part["after"].values,
         )
 
     @property
@@ -179,22 +179,22 @@ def cross_talk(
     known = NINE_UNITS | dict(units or {})
     shown = [DISPLAY_UNITS.get(known.get(name, ""), (1.0, known.get(name, ""))) for name in fitted]
     # From one scaled unit of the cause to its size, from scaled to shown units of the parameter.
-    turn = scale[own][:, None] * np.array([factor for factor, _ in shown])[:, None] * size / scale[other]
+    factor = scale[own][:, None] * np.array([one for one, _ in shown])[:, None] * size / scale[other]
     count, wide = float(equations.count.sum()), np.concatenate([own, other])
     total = equations.total
-    over = regression_coefficients(total, own, other)
+    slopes = regression_coefficients(total, own, other)
     each = equations.rows(wide, wide)
     places = np.arange(wide.size)
-    single = (regression_coefficients(each, places[: own.size], places[own.size :]) * turn).swapaxes(1, 2)
+    single = (regression_coefficients(each, places[: own.size], places[own.size :]) * factor).swapaxes(1, 2)
     scatter = single.std(axis=0, ddof=1) if len(single) > 1 else np.full(single.shape[1:], np.nan)
     before = np.diag(total)[other]
-    explained = np.einsum("fi,fi->i", over, total[np.ix_(own, other)])
+    explained = np.einsum("fi,fi->i", slopes, total[np.ix_(own, other)])
     unit = (size / scale[other]) ** 2 / count
     return CrossTalkTable(
         tuple(ignored),
         tuple(fitted),
         tuple(unit for _, unit in shown),
-        (over * turn).T,
+        (slopes * factor).T,
         scatter,
         len(equations),
         np.sqrt(before * unit),

@@ -1,15 +1,15 @@
 """Wide equations of a day: the nine parameters and everything else that a model lets data refine.
 
-Takes a day's samples and the model at the day's own fit; makes the Gram matrix of its columns, with those
-of the drift within the day and, in a strip beside it, those of causes that the model does not hold.
+Takes a day's samples and the model at the day's own fit; makes the Gram matrix of its columns, of the drift
+within the day and, apart from it, of auxiliary columns: causes that the model does not hold.
 
 - The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
   which keep every linear statement: the mean residual is the same function of the mean columns.
 - Drift: a scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. Each day
   keeps the products of the columns by which its residual would follow a drift; the fit of all days
-  determines the rate, which is then taken out of the equations without reading a sample (`DayDrift`).
-- Auxiliary columns: temperatures with their lag, and the field of day and night. `split` makes the strip,
-  `with_auxiliary_columns` puts columns of it beside the model's, for all days together.
+  determines the rate, which is then removed from the equations without reading a sample (`DayDrift`).
+- Auxiliary columns: temperatures with their lag, and the field of day and night. `split_auxiliary` keeps
+  their products of a day apart, `with_auxiliary_columns` puts some of them after the model's, for all days.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, gram_of
 from inflight.mission_fit.day_night import series_columns, switched_columns
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.mission_fit.trends import TrendFit
-from inflight.model import Model, ModelEffect
-from inflight.model import ResidualRows as NativeRows
+from inflight.model import Model, ModelEffect, ResidualRows
 from inflight.time import DAY, SECOND, Int64, usual_step
 
 
@@ -52,29 +51,39 @@ class DayEquationSettings:
 
     Attributes
     ----------
+    bin_s : float
+        Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
+    reference : float
+        degC, where a rival temperature's change is 0 when the model states none; assumed.
+    series_order : int
+        Order of the day/night series; a day holds fifteen orbits, all of them alike.
+    rate_step_ns : int
+        Step over which a trend's rate is taken: shorter than what separates a logarithm from its origin.
     usual_differences : float
         Two readings are far apart when they differ by so many usual differences; assumed.
     resolutions : float
         And by so many resolutions; assumed.
     """
 
+    bin_s: float = 10.0
+    reference: float = 20.0
+    series_order: int = 4
+    rate_step_ns: int = DAY // 20
     usual_differences: float = 8.0
     resolutions: float = 4.0
 
 
 DAY_ROWS = DayEquationSettings()
 
+#: Scale factors are the first columns.
+SCALES = 3
 
-#: Degrees Celsius where a rival temperature's change is 0, when the model states none.
-REFERENCE = 20.0
-
-#: Order of the day/night series; a day holds fifteen orbits, all of them alike.
-ORDER = 4
-
-#: Physical size of one unit of a column, by the kind of what it answers to.
+#: Physical size of one unit of an auxiliary column of a temperature, by its kind; of a field, nT.
 _SCALE = dict(zip(KINDS, (1e-6, 1e-8, 1e-6, 1e-8), strict=True))
-
 _FIELD = 0.1
+
+#: Variables of samples that are no channel.
+_NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
 
 
 def temperature_entry(model: Model) -> ModelEffect | None:
@@ -89,17 +98,17 @@ def temperature_entry(model: Model) -> ModelEffect | None:
 
 def reference_of(entry: ModelEffect | None) -> float:
     """Return where the change of a temperature is 0, degC."""
-    return REFERENCE if entry is None else float(entry.parameters["reference"].value[0, 0])
+    return DAY_ROWS.reference if entry is None else float(entry.parameters["reference"].value[0, 0])
 
 
 @dataclass(frozen=True)
 class AuxiliaryColumns:
-    """What is looked at beside a model, for every day of a mission alike.
+    """Columns of causes that the model does not hold, the same for every day of a mission.
 
     Attributes
     ----------
     temperatures : tuple of str
-        Channels, degC. Of the model's own only the answers to its lag are needed.
+        Channels, degC. Of the model's own only the columns of its lag are needed.
     orbit : bool
         Whether the mission delivers positions, from which day and night follow.
     """
@@ -116,24 +125,28 @@ class AuxiliaryColumns:
             Native ones.
         edges : ndarray of int64, shape (bin + 1,)
             TT2000.
-        rows : Rows
+        rows : DesignRows
             On these bins.
         """
-        stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
         field = np.asarray(rows.samples["field"].values)
         centre = edges[:-1] // 2 + edges[1:] // 2
         entry = temperature_entry(model)
         own = "" if entry is None else entry.effect.channels[0]
         found: dict[str, Floats] = {}
         for name in self.temperatures:
-            values = _on_bins(samples, name, stamps, edges)
-            made = coil_columns(name, field, centre, values, 0.0, reference_of(entry))
-            kept = KINDS[2:] if name == own else KINDS
-            found |= {key: one for key, one in made.items() if _kind_of(key) in kept}
+            values = _bridged_means(samples, name, edges)
+            columns = coil_columns(name, field, centre, values, 0.0, reference_of(entry))
+            kinds = KINDS[2:] if name == own else KINDS
+            found |= {key: column for key, column in columns.items() if _kind_of(key) in kinds}
         if self.orbit and not holds_day_night(model):
-            sunlit, phase = _daylight(samples, stamps, edges, centre)
+            sunlit = phase = np.full(centre.size, np.nan)
+            if "position" in samples:
+                means = _bridged_means(samples, "position", edges)
+                position = xr.Variable(samples["position"].dims, means, samples["position"].attrs)
+                geometry = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", centre)}))
+                sunlit, phase = (np.asarray(geometry[name].values) for name in ("sunlit", "sun_phase"))
             along = np.asarray(rows.samples["field_direction"].values)
-            found |= switched_columns(along, sunlit) | series_columns(along, phase, ORDER)
+            found |= switched_columns(along, sunlit) | series_columns(along, phase, DAY_ROWS.series_order)
         return found
 
 
@@ -151,29 +164,26 @@ def _kind_of(name: str) -> str:
     return name.rpartition(".")[2].partition("[")[0]
 
 
-def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Floats:
-    """Return means of a channel on the bins, (bin, ...), its short gaps bridge_gaps."""
-    if name not in samples:
-        return np.full(edges.size - 1, np.nan)
+def _means_on_bins(samples: xr.Dataset, name: str, edges: Int64) -> Floats:
+    """Return means of a channel on the bins; (bin, ...)."""
     values = np.asarray(samples[name].values, dtype=np.float64)
     known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-    return bridge_gaps(bin_means(values, stamps, edges, known)[0])
+    return bin_means(values, np.asarray(samples["tt2000"].values, dtype=np.int64), edges, known)[0]
 
 
-def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -> tuple[Floats, Floats]:
-    """Return which part of the Sun shines, and the phase along the orbit from the point nearest it, deg."""
-    if "position" not in samples:
-        return (np.full(centre.size, np.nan),) * 2
-    place = _on_bins(samples, "position", stamps, edges)
-    position = xr.Variable(samples["position"].dims, place, samples["position"].attrs)
-    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", centre)}))
-    return np.asarray(told["sunlit"].values), np.asarray(told["sun_phase"].values)
+def _bridged_means(samples: xr.Dataset, name: str, edges: Int64) -> Floats:
+    """Return means of a channel on the bins, (bin, ...), short gaps bridged; NaN for one that is missing."""
+    return (
+        bridge_gaps(_means_on_bins(samples, name, edges))
+        if name in samples
+        else np.full(edges.size - 1, np.nan)
+    )
 
 
 def split_auxiliary(
     equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[str, bool]
 ) -> xr.Dataset:
-    """Return the strip of one block's columns that are none of the model's.
+    """Return the auxiliary part of one block's equations: the columns that are none of the model's.
 
     Parameters
     ----------
@@ -181,7 +191,7 @@ def split_auxiliary(
         One block of `NormalEquations`, the model's columns before all others.
     model_columns : sequence of str
     known : mapping of str to bool
-        Whether a column could be formed; the strip of one that could not is 0.
+        Whether a column could be formed; the products of one that could not are 0.
 
     Returns
     -------
@@ -204,52 +214,37 @@ def split_auxiliary(
 
 
 def with_auxiliary_columns(
-    equations: NormalEquations, strips: Sequence[xr.Dataset | None], names: Sequence[str]
+    equations: NormalEquations, auxiliary: Sequence[xr.Dataset | None], names: Sequence[str]
 ) -> NormalEquations:
-    """Return the equations with some columns of the strips beside the model's, of the days that know them.
+    """Return the equations with some auxiliary columns after the model's, of the days that know them.
 
     Parameters
     ----------
     equations : NormalEquations
         Of the days.
-    strips : sequence of Dataset or None
-        As `split` makes them, one a block.
+    auxiliary : sequence of Dataset or None
+        As `split_auxiliary` makes them, one a block.
     names : sequence of str
-        Columns of the strips.
+        Auxiliary columns.
 
     Raises
     ------
     CalibrationError
         When no day knows all of the columns.
     """
-    wanted = list(names)
-    kept = [place for place, strip in enumerate(strips) if strip is not None and _knows(strip, wanted)]
-    if not kept:
+    parts: dict[int, xr.Dataset] = {}
+    for block, part in enumerate(auxiliary):
+        if part is not None and set(names) <= set(part["beside"].values[part["known"].values != 0].tolist()):
+            parts[block] = part.sel(beside=list(names), other=list(names))
+    if not parts:
         raise CalibrationError(
-            f"no day knows the columns of {', '.join(sorted({name.partition('.')[0] for name in wanted}))}",
+            f"no day knows the columns of {', '.join(sorted({name.partition('.')[0] for name in names}))}",
             remedy="see the missing days of the channels, and of the orbit",
         )
-    parts = [strip.sel(beside=wanted, other=wanted) for place in kept if (strip := strips[place]) is not None]
-    across = np.stack([part["cross"].values for part in parts]).swapaxes(1, 2)
-    inner = np.stack([part["own"].values for part in parts])
-    return equations.of_blocks(np.array(kept)).bordered(wanted, parts[0]["scale"].values, across, inner)
-
-
-def _knows(strip: xr.Dataset, names: Sequence[str]) -> bool:
-    have = dict(zip(strip["beside"].values.tolist(), strip["known"].values.tolist(), strict=True))
-    return all(bool(have.get(name, 0)) for name in names)
-
-
-def lag_of(samples: xr.Dataset, name: str) -> float:
-    """Return the lag that a channel was aligned with, s."""
-    return float(samples[name].attrs.get("lag_ns", 0)) / SECOND if name in samples else 0.0
-
-
-#: Scale factors are the first columns.
-SCALES = 3
-
-#: Part of a day over which a trend's rate is taken: shorter than what separates a logarithm from its origin.
-_STEP = DAY // 20
+    across = np.stack([part["cross"].values for part in parts.values()]).swapaxes(1, 2)
+    inner = np.stack([part["own"].values for part in parts.values()])
+    scale = next(iter(parts.values()))["scale"].values
+    return equations.of_blocks(np.array(list(parts))).bordered(list(names), scale, across, inner)
 
 
 @dataclass(frozen=True)
@@ -288,20 +283,12 @@ class DayDrift:
 
 def scale_factor_rates(fit: TrendFit, equations: NormalEquations) -> Floats:
     """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
-    times, out = equations.middle, []
+    times, step, out = equations.middle, DAY_ROWS.rate_step_ns, []
     for name in equations.columns[:SCALES]:
-        trend, value = fit.trends[name], fit.value[fit.place(name)]
-        ends = [trend.basis(times + sign * _STEP, name) @ value for sign in (1, -1)]
-        out.append((ends[0] - ends[1]) * (DAY / (2 * _STEP)))
+        trend, value = fit.trends[name], fit.value[fit.index(name)]
+        later, earlier = (trend.basis(times + shift, name) @ value for shift in (step, -step))
+        out.append((later - earlier) * (DAY / (2 * step)))
     return np.stack(out, axis=1)
-
-
-#: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
-BIN_S = 10.0
-
-
-#: Variables of samples that are no channel.
-_NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
 
 
 def free_terms(model: Model) -> tuple[Term, ...]:
@@ -310,8 +297,8 @@ def free_terms(model: Model) -> tuple[Term, ...]:
     Columns are called as the model calls its values.
     """
     own = vector_sensor_of(model)
-    sigma = [float(one) for part in PARAMETER_GROUPS for one in own.parameters[part].sigma[:, 0]]
-    terms = [Term(own.name, own, PARAMETER_GROUPS, tuple(sigma))]
+    sigma = np.concatenate([own.parameters[group].sigma[:, 0] for group in PARAMETER_GROUPS])
+    terms = [Term(own.name, own, PARAMETER_GROUPS, tuple(sigma.tolist()))]
     for entry in model.effects:
         if entry is not own:
             term = term_of(entry, entry.name, free_only=True)
@@ -319,13 +306,17 @@ def free_terms(model: Model) -> tuple[Term, ...]:
     return tuple(terms)
 
 
+def prior_sigma_of(model: Model) -> Floats:
+    """Return what is known beforehand of the columns of `free_terms`, physical units; (column,)."""
+    return np.array([sigma for term in free_terms(model) for sigma in term.sigma])
+
+
 def with_nine_parameters(model: Model, value: Floats) -> Model:
     """Return the model with nine values (9,), physical units, in its vector sensor."""
     own = vector_sensor_of(model)
-    named = [name for part in PARAMETER_GROUPS for name in own.parameters[part].columns]
-    return about_offsets(
-        model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {})), value[6:]
-    )
+    columns = [name for group in PARAMETER_GROUPS for name in own.parameters[group].columns]
+    values = dict(zip(columns, value.tolist(), strict=True))
+    return about_offsets(model.replace(own.with_columns(values, {})), value[6:])
 
 
 def about_offsets(model: Model, offset: Floats) -> Model:
@@ -337,35 +328,23 @@ def about_offsets(model: Model, offset: Floats) -> Model:
     own = vector_sensor_of(model)
     for entry in model.effects:
         if entry.sensor == own.sensor and "about" in entry.parameters:
-            named = entry.parameters["about"].columns
-            model = model.replace(entry.with_columns(dict(zip(named, offset.tolist(), strict=True)), {}))
+            values = dict(zip(entry.parameters["about"].columns, offset.tolist(), strict=True))
+            model = model.replace(entry.with_columns(values, {}))
     return model
-
-
-def wide_equations(
-    fitted: Model,
-    samples: xr.Dataset,
-    rows: NativeRows,
-    span: tuple[int, int],
-    attributes: dict[str, Any],
-    bin_s: float = BIN_S,
-) -> xr.Dataset:
-    """Return the wide equations of one block; parameters and result as `wide_and_auxiliary_equations`."""
-    return wide_and_auxiliary_equations(fitted, samples, rows, span, attributes, bin_s)[0]
 
 
 def wide_and_auxiliary_equations(
     fitted: Model,
     samples: xr.Dataset,
-    rows: NativeRows,
+    rows: ResidualRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
-    bin_s: float = BIN_S,
+    bin_s: float = DAY_ROWS.bin_s,
     auxiliary: AuxiliaryColumns | None = None,
 ) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the wide equations of one block, and the strip of what is looked at beside the model.
+    """Return the wide equations of one block, and those of its auxiliary columns.
 
-    The equations tell, too, how the residual follows a drift of the scale factors.
+    The equations also hold how the residual follows a drift of the scale factors.
 
     Parameters
     ----------
@@ -381,7 +360,7 @@ def wide_and_auxiliary_equations(
         Comparison, model, cadence_ns and filter, as `NormalEquations` holds them.
     bin_s : float
         Seconds.
-    auxiliary : Beside, optional
+    auxiliary : AuxiliaryColumns, optional
         Causes that are none of the model's.
 
     Returns
@@ -389,67 +368,59 @@ def wide_and_auxiliary_equations(
     equations : Dataset
         One block of `NormalEquations`, without `scatter`: nT^2, columns scaled by the step of their
         parameters; and `drift`, see `inflight.mission_fit.daily_equations.DayDrift`.
-    strip : Dataset or None
+    auxiliary : Dataset or None
         As `inflight.mission_fit.daily_equations.split_auxiliary` makes it; None without causes.
     """
     terms = free_terms(fitted)
     edges = bin_edges(*span, round(bin_s * SECOND))
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
-    for name in sorted(used & set(map(str, samples.variables))):
+    channels = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
+    used = sorted(channels & set(map(str, samples.variables)))
+    for name in used:
         rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
-    binned, _ = coarsen(
-        samples, rows, edges, _channels(samples, used, stamps, edges), sensor_matrices(fitted, sum(span) // 2)
-    )
+    on_bins = {
+        name: xr.Variable(samples[name].dims, _means_on_bins(samples, name, edges), samples[name].attrs)
+        for name in used
+    }
+    binned, _ = coarsen(samples, rows, edges, on_bins, sensor_matrices(fitted, sum(span) // 2))
     columns = np.moveaxis(design_matrix(terms, binned), -1, 0)
     days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
-    drifting = columns[:SCALES] * days[:, None]
-    more = auxiliary.columns(fitted, samples, edges, binned) if auxiliary is not None else {}
-    every = np.moveaxis(np.concatenate([columns, drifting, *_scaled(more)]), 0, -1)
-    block = slice(0, len(binned.weight))
-    gram = gram_of(every, binned.residual[:, :, None], binned.weight, [block])[0]
+    drifts = columns[:SCALES] * days[:, None]
+    causes = auxiliary.columns(fitted, samples, edges, binned) if auxiliary is not None else {}
+    scaled = [np.nan_to_num(one)[None, :, None] * scale_of(name) for name, one in causes.items()]
+    wide = np.moveaxis(np.concatenate([columns, drifts, *scaled]), 0, -1)
+    gram = gram_of(wide, binned.residual[:, :, None], binned.weight, [slice(0, len(binned.weight))])[0]
+    drift = len(columns) + np.arange(SCALES)
     own = np.append(np.arange(len(columns) + SCALES), len(gram) - 1)
-    count = float(binned.weight.sum())
-    whole = _packed(terms, gram[np.ix_(own, own)], count, span, attributes)
-    if not more:
-        return whole, None
-    return whole, _strip(gram, terms, more, binned.weight > 0)
-
-
-def _strip(
-    gram: Floats, terms: Sequence[Term], more: Mapping[str, Floats], seen: npt.NDArray[np.bool_]
-) -> xr.Dataset:
-    """Return the strip of the causes `more` from the Gram matrix of everything; `seen` (bin,)."""
-    known = {name: bool(np.isfinite(one[seen]).all()) for name, one in more.items()}
-    told = [name for term in terms for name in term.columns]
-    kept = np.delete(np.arange(len(gram)), len(told) + np.arange(SCALES))
-    named = [*told, *more, RESIDUAL]
-    scale = [*(size for term in terms for size in term.scale), *map(scale_of, more), 1.0]
-    both = xr.Dataset(
-        {"gram": (("block", "column", "other"), gram[np.ix_(kept, kept)][None]), "scale": ("column", scale)},
-        coords={"column": named, "other": named},
+    equations = _block_dataset(terms, gram[np.ix_(own, own)], float(binned.weight.sum()), span, attributes)
+    if not causes:
+        return equations, None
+    seen = binned.weight > 0
+    known = {name: bool(np.isfinite(one[seen]).all()) for name, one in causes.items()}
+    without_drift = np.delete(np.delete(gram, drift, axis=0), drift, axis=1)
+    model_columns = [name for term in terms for name in term.columns]
+    names = [*model_columns, *causes, RESIDUAL]
+    scale = [*(size for term in terms for size in term.scale), *map(scale_of, causes), 1.0]
+    whole = xr.Dataset(
+        {"gram": (("block", "column", "other"), without_drift[None]), "scale": ("column", scale)},
+        coords={"column": names, "other": names},
     )
-    return split_auxiliary(both, told, known)
-
-
-def _scaled(more: Mapping[str, Floats]) -> list[Floats]:
-    """Return columns beside the model's, each (1, bin, row), those unknown somewhere as 0."""
-    return [np.nan_to_num(one)[None, :, None] * scale_of(name) for name, one in more.items()]
+    return equations, split_auxiliary(whole, model_columns, known)
 
 
 def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> xr.Dataset:
-    """Return the equations of a block that tells nothing; as `wide_equations` makes them."""
+    """Return the equations of a block without data; as `wide_and_auxiliary_equations` makes them."""
     terms = free_terms(model)
     width = sum(len(term.columns) for term in terms) + SCALES + 1
-    return _packed(terms, np.zeros((width, width)), 0.0, span, attributes)
+    return _block_dataset(terms, np.zeros((width, width)), 0.0, span, attributes)
 
 
 def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
     """Return which samples lie between two readings of a slower channel that are far apart; (time,).
 
-    When the channel changed there nobody knows, and a straight line between the readings is wrong in the
-    same way at every step: three amperes that are five seconds off, thirty times a day, bias everything
-    that goes with day and night.
+    When the channel changed between them is not known, and a straight line is wrong in the same way at
+    every step: three amperes that are five seconds off, thirty times a day, bias every effect of day and
+    night.
 
     Parameters
     ----------
@@ -472,33 +443,22 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
         return out
     least = DAY_ROWS.usual_differences * MAD_TO_SIGMA * float(np.median(change[known]))
     far = known & (change > max(least, DAY_ROWS.resolutions * float(channel.attrs.get("resolution") or 0.0)))
-    for place in range(reach + 1):
-        out[place : place + far.size] |= far
+    for shift in range(reach + 1):
+        out[shift : shift + far.size] |= far
     return out
 
 
-def _channels(
-    samples: xr.Dataset, names: set[str], stamps: np.ndarray, edges: np.ndarray
-) -> dict[str, xr.Variable]:
-    """Return channels on the bins: means of what there is."""
-    out = {}
-    for name in sorted(names & set(map(str, samples.variables))):
-        variable = samples[name]
-        values = np.asarray(variable.values, dtype=np.float64)
-        known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-        out[name] = xr.Variable(variable.dims, bin_means(values, stamps, edges, known)[0], variable.attrs)
-    return out
-
-
-def _packed(
+def _block_dataset(
     terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
 ) -> xr.Dataset:
     """Return a block's equations; gram is that of [columns | drifts | residual]."""
     names = [name for term in terms for name in term.columns]
     scale = np.array([*(size for term in terms for size in term.scale), 1.0])
-    value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
+    value = [term.entry.parameters[name].value[:, 0] for term in terms for name in term.parameters]
     own = np.append(np.arange(len(names)), len(gram) - 1)
     drifts = len(names) + np.arange(SCALES)
+    start, end = (np.array([bound], dtype=np.int64) for bound in span)
+    time = {"units": "ns", "scale": "TT2000"}
     return xr.Dataset(
         {
             "gram": (("block", "column", "other"), gram[np.ix_(own, own)][None], {"units": "nT2"}),
@@ -507,16 +467,12 @@ def _packed(
                 gram[np.ix_(drifts, np.append(own, drifts))][None],
                 {"units": "nT2"},
             ),
-            "reference": (("block", "column"), value[None]),
-            "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
-            "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "reference": (("block", "column"), np.concatenate([*value, np.zeros(1)])[None]),
+            "start": ("block", start, time),
+            "end": ("block", end, time),
             "count": ("block", np.array([count])),
             "scale": ("column", scale),
         },
         coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
         attrs=attributes,
     )
-
-
-def _values(term: Term) -> Floats:
-    return np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])

@@ -19,25 +19,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.stats import t as student
 
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
 from inflight.effects import AXES, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters
+from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters, student_sigma
 from inflight.mission_fit.crosstalk import DISPLAY_UNITS
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
 SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
 
-#: A column of which less than this part is left beside all others has no value of its own: what is left
-#: of its rms is then below a hundredth.
+#: A column of which all others leave less than this part has no value of its own: the rms of that part is
+#: then below a hundredth of the column's.
 LEAST_RETAINED = 1e-4
-
-#: Part of a normal distribution below one sigma above its mean.
-_ONE_SIGMA = 0.8413447460685429
 
 _MOST_ORDER = 12
 
@@ -103,7 +99,7 @@ def series_columns(
 
 @dataclass(frozen=True)
 class DayNightField:
-    """A day/night field, as the residual tells it: of the vector sensor less that of the scalar sensor.
+    """A day/night field, as the residual shows it: of the vector sensor less that of the scalar sensor.
 
     Attributes
     ----------
@@ -193,12 +189,12 @@ class DayNightField:
             order = max(int(one.removesuffix("]").partition("[c")[2][1:]) for one in self.columns)
             found["order"], axes = order, order_names(order, sines=False)
         of_effect = DayNightSeries.amplitude if self._is_series else DayNight.vector
-        told = {
+        fitted = {
             one.partition("[")[2].removesuffix("]"): (float(value), float(sigma))
             for one, value, sigma in zip(self.columns, self.value, self.sigma, strict=True)
             if np.isfinite(sigma)
         }
-        both = {axis: told.get(axis, (0.0, float(np.max(of_effect.sigma)))) for axis in axes}
+        both = {axis: fitted.get(axis, (0.0, float(np.max(of_effect.sigma)))) for axis in axes}
         found[parameter] = {
             "time": "constant",
             "unit": "nT",
@@ -233,14 +229,14 @@ class DayNightField:
 def fit_day_night(
     equations: NormalEquations, marginalised: Sequence[str] = NINE, each_block: bool = True
 ) -> DayNightField:
-    """Fit the day/night columns of normal equations beside the nine parameters.
+    """Fit the day/night columns of normal equations together with the nine parameters.
 
     Parameters
     ----------
     equations : NormalEquations
         With the nine columns and those of `switched_columns` or `series_columns`.
     marginalised : sequence of str
-        What is fitted beside them.
+        What is fitted with them.
     each_block : bool
         A calibration of its own for each block (days), or one for all (orbits of a day).
 
@@ -259,7 +255,7 @@ def fit_day_night(
     groups = None if each_block else [range(len(both))]
     rest = both.marginalise(marginalised, groups, cut=SOLVER.weak_cut, least_kept=0.0)
     own = both.index(names)
-    retained, determined = _told(rest.total[:-1, :-1], both.total[own, own])
+    retained, determined = _retained(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():
         raise CalibrationError(
             "no part of the day/night field is told from the nine parameters: is there any night?",
@@ -267,36 +263,30 @@ def fit_day_night(
         )
     free = [name for name, is_determined in zip(names, determined, strict=True) if is_determined]
     parts = rest.select(free) if each_block else both.select([*free, *marginalised])
-    return _packed(names, retained, determined, parts.rows(parts.names), parts.count)
-
-
-def _packed(
-    names: list[str], retained: Floats, determined: Flags, parts: Floats, rows: Floats
-) -> DayNightField:
-    """Solve the blocks' Gram matrices of [free columns | others beside them | residual]."""
-    # Clusters ask for what is observed: the residual is that much and a column takes it away.
-    sign = np.append(np.ones(parts.shape[1] - 1), -1.0)
-    found = solve_clusters(parts * np.outer(sign, sign), rows)
-    count = int(determined.sum())
-    # Few blocks know their own scatter badly: one sigma shall mean 68 % with any number of them.
-    wider = float(student.ppf(_ONE_SIGMA, found.clusters - 1)) ** 2
-    place = np.flatnonzero(determined)
+    # Gram matrices of [free columns | others fitted with them | residual]. The field observed is the
+    # residual with the other sign: a column is what the field adds to the correction.
+    grams, rows = parts.rows(parts.names), parts.count
+    sign = np.append(np.ones(grams.shape[1] - 1), -1.0)
+    found = solve_clusters(grams * np.outer(sign, sign), rows)
+    # Few blocks determine their own scatter badly: one sigma shall mean 68 % with any number of them.
+    widened = student_sigma(found.clusters) ** 2
+    place, count = np.flatnonzero(determined), len(free)
     value, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
     value[place] = found.value[:count]
-    covariance[np.ix_(place, place)] = wider * found.covariance[:count, :count]
+    covariance[np.ix_(place, place)] = widened * found.covariance[:count, :count]
     sigma = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
-    total, many = parts.sum(axis=0), float(rows.sum())
+    total = grams.sum(axis=0)
     alone = marginalise(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
-    answered = np.append(found.value, 1.0)
-    after = answered @ total @ answered
-    before, after = (float(np.sqrt(max(square, 0.0) / many)) for square in (alone, after))
+    change = np.append(found.value, 1.0)
+    squares = (alone, change @ total @ change)
+    before, after = (float(np.sqrt(max(square, 0.0) / float(rows.sum()))) for square in squares)
     return DayNightField(
         tuple(names), value, sigma, covariance, retained, determined, found.clusters, before, after
     )
 
 
-def _told(matrix: Floats, size: Floats) -> tuple[Floats, Flags]:
-    """Return the retained part of each column and whether it is told, worst ones let go one by one."""
+def _retained(matrix: Floats, size: Floats) -> tuple[Floats, Flags]:
+    """Return the retained part of each column and whether it is determined, the worst dropped one by one."""
     retained, determined = np.zeros(size.size), np.ones(size.size, dtype=bool)
     while determined.any():
         free = np.flatnonzero(determined)

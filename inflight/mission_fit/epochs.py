@@ -21,15 +21,30 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.effects import AXES
 from inflight.errors import SamplesError
 from inflight.lsq import ClusteredFit, Mask, Series, grams_by_cluster, robust_contrast, solve_clusters
 from inflight.residual import CurrentSteps
 from inflight.time import SECOND, Int64, day_of
 
-AXES = ("x", "y", "z")
 
-#: Part of the samples wanted on each side of a step for it to count.
-_LEAST_SIDE = 0.5
+@dataclass(frozen=True, kw_only=True)
+class EpochSettings:
+    """Which epochs count, and how their mean curves are resampled.
+
+    Attributes
+    ----------
+    least_side : float
+        Part of the samples needed on each side of a step for it to count; assumed.
+    bootstraps : int
+        Resamplings of days.
+    """
+
+    least_side: float = 0.5
+    bootstraps: int = 400
+
+
+EPOCHS = EpochSettings()
 
 
 @dataclass(frozen=True)
@@ -94,7 +109,7 @@ def extract_epochs(
     channel : str
         The current that steps.
     others : sequence of str
-        Channels whose steps at the same times are measured: what steps together is not told apart.
+        Channels whose steps at the same times are measured: what steps together is not separated.
     windows : Windows, optional
 
     Returns
@@ -143,7 +158,7 @@ def concat_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) -> dict[str, object] | None:
-    """Return the numbers of one epoch, or None where too little is left around it."""
+    """Return the numbers of one epoch, or None where there are too few samples around it."""
     low, high = _own_span(steps, index, windows)
     part = series.part(low, high)
     seconds = (series.stamps[part] - steps.time[index]) / SECOND
@@ -156,22 +171,27 @@ def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) ->
         return None
     contrast, kept, noise = fit
     at = np.arange(part.start, part.stop)[kept]
-    columns = _columns(series, at, contrast.weight)
     row: dict[str, object] = {
         "contrast": float(contrast.weight @ series.residual[at]),
         "sigma": noise * float(np.linalg.norm(contrast.weight)),
-        "column": columns,
+        "column": _columns(series, at, contrast.weight),
         "step": contrast.weight @ series.currents[at],
         "count": int(kept.sum()),
         "time": int(steps.time[index]),
         "start": int(steps.start[index]),
         "end": int(steps.end[index]),
     }
-    row |= _means(series, at, seconds[kept])
-    row |= _places(series, int(np.searchsorted(series.stamps, steps.time[index])))
+    for name, side in (("before", at[seconds[kept] < 0]), ("after", at[seconds[kept] >= 0])):
+        row[name] = series.currents[side].mean(axis=0)
+        row[f"residual_{name}"] = float(series.residual[side].mean())
+        row[f"direction_{name}"] = series.direction[side].mean(axis=0)
+    near = min(int(np.searchsorted(series.stamps, steps.time[index])), series.stamps.size - 1)
+    row |= {name: values[near] for name, values in series.places.items()}
     row["placebo"], row["placebo_column"] = _placebo(series, steps, index, windows)
     flat = series.residual[part] - drift @ contrast.common(series.residual[part][kept])
-    row["curve"], row["current_curve"] = _curves((flat, series.currents[part, 0]), seconds, windows)
+    row["curve"], row["current_curve"] = (
+        _binned_by_lag(values, seconds, windows) for values in (flat, series.currents[part, 0])
+    )
     return row
 
 
@@ -192,7 +212,7 @@ def _margin(steps: CurrentSteps, windows: Windows) -> int:
 
 
 def _drift(series: Series, part: slice, seconds: Floats, windows: Windows) -> Floats:
-    """Return what both sides share: powers of time, and the direction where asked for; (time, part)."""
+    """Return the drift that both sides share: powers of time, and the direction if wanted; (time, part)."""
     span = max(float(np.abs(seconds).max(initial=0.0)), 1e-9)
     powers = (seconds[:, None] / span) ** np.arange(windows.order + 1)
     return np.hstack([powers, series.direction[part]]) if windows.field else powers
@@ -201,7 +221,7 @@ def _drift(series: Series, part: slice, seconds: Floats, windows: Windows) -> Fl
 def _usable(
     series: Series, part: slice, steps: CurrentSteps, index: int, windows: Windows
 ) -> tuple[Mask, Floats]:
-    """Return which samples of a part can be used, and the shape looked for; (time,) each."""
+    """Return which samples of a part can be used, and the shape searched for; (time,) each."""
     stamps = series.stamps[part]
     usable = (
         np.isfinite(series.residual[part])
@@ -217,20 +237,13 @@ def _usable(
 
 
 def _both_sides(used: Floats, seconds: Floats, usable: Mask, windows: Windows) -> bool:
+    """Return whether both sides of a step have samples enough; `used` are the times (s) of usable ones."""
     if windows.shape == "current":
         return bool(used.size > 0.5 * seconds.size and min((used < 0).sum(), (used > 0).sum()) > 2)
-    # The usual spacing of samples tells how many there should be.
-    wanted = max(_LEAST_SIDE * windows.length / _spacing(seconds), 3.0)
-    return bool((used < 0).sum() >= wanted and (used > 0).sum() >= wanted)
-
-
-def _spacing(seconds: Floats) -> float:
-    """Return the median distance of neighbours, s."""
-    steps = np.diff(seconds)
-    if not steps.size:
-        return np.inf
-    # Nearly always all are alike.
-    return float(steps[0]) if np.ptp(steps) == 0.0 else float(np.median(steps))
+    # The usual spacing of samples gives how many there should be.
+    spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else np.inf
+    least = max(EPOCHS.least_side * windows.length / spacing, 3.0)
+    return bool((used < 0).sum() >= least and (used > 0).sum() >= least)
 
 
 def _columns(series: Series, at: Int64, weight: Floats) -> Floats:
@@ -238,24 +251,9 @@ def _columns(series: Series, at: Int64, weight: Floats) -> Floats:
     return np.asarray(np.einsum("t,tk,tj->kj", weight, series.currents[at], series.direction[at]))
 
 
-def _means(series: Series, at: Int64, seconds: Floats) -> dict[str, object]:
-    found: dict[str, object] = {}
-    for name, side in (("before", seconds < 0), ("after", seconds >= 0)):
-        found[name] = series.currents[at[side]].mean(axis=0)
-        found[f"residual_{name}"] = float(series.residual[at[side]].mean())
-        found[f"direction_{name}"] = series.direction[at[side]].mean(axis=0)
-    return found
-
-
-def _places(series: Series, near: int) -> dict[str, object]:
-    index = min(near, series.stamps.size - 1)
-    return {name: values[index] for name, values in series.places.items()}
-
-
 def _placebo(series: Series, steps: CurrentSteps, index: int, windows: Windows) -> tuple[float, Floats]:
     """Return the contrast where the current does not step: one epoch's length later, or else earlier."""
     low, high = _own_span(steps, index, windows)
-    nothing = float("nan"), np.full((len(series.names), 3), np.nan)
     for sign in (1, -1):
         shift = sign * (high - low)
         if np.any((steps.end >= low + shift) & (steps.start < high + shift)):
@@ -275,20 +273,17 @@ def _placebo(series: Series, steps: CurrentSteps, index: int, windows: Windows) 
         if fit is not None:
             at = np.arange(part.start, part.stop)[fit[1]]
             return float(fit[0].weight @ series.residual[at]), _columns(series, at, fit[0].weight)
-    return nothing
+    return float("nan"), np.full((len(series.names), 3), np.nan)
 
 
-def _curves(series: tuple[Floats, Floats], seconds: Floats, windows: Windows) -> tuple[Floats, Floats]:
-    """Return means of two series in the bins of lag; (lag,) each, NaN where there is nothing."""
+def _binned_by_lag(values: Floats, seconds: Floats, windows: Windows) -> Floats:
+    """Return means of a series in the bins of lag; (lag,), NaN where there is nothing."""
     lags = windows.lags
     place = np.floor((seconds - lags[0]) / windows.bin + 0.5).astype(np.int64)
-    curves = []
-    for values in series:
-        good = np.isfinite(values) & (place >= 0) & (place < lags.size)
-        count = np.bincount(place[good], minlength=lags.size)
-        total = np.bincount(place[good], weights=values[good], minlength=lags.size)
-        curves.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-    return curves[0], curves[1]
+    good = np.isfinite(values) & (place >= 0) & (place < lags.size)
+    count = np.bincount(place[good], minlength=lags.size)
+    total = np.bincount(place[good], weights=values[good], minlength=lags.size)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _empty_row(series: Series, windows: Windows) -> dict[str, object]:
@@ -357,9 +352,6 @@ def _dataset(rows: Sequence[dict[str, object]], series: Series, windows: Windows
 #: What is known of a current's field beforehand: nT/A, as for the effect `solar_array`.
 PRIOR = 1.0
 
-#: Resamplings of days.
-_BOOTSTRAPS = 400
-
 
 @dataclass(frozen=True)
 class Confounding:
@@ -395,7 +387,7 @@ class StepFit:
     epochs, days : int
     placebo : float
         Rms of the contrasts where the current does not step, over their white sigma: above 1 the noise
-        is not white or the drift is stiffer than the model; the covariance, from days, knows it.
+        is not white or the drift is stiffer than the model; the covariance, from days, holds it.
     """
 
     currents: tuple[str, ...]
@@ -478,7 +470,10 @@ def fit_step(
         )
     columns = epochs["column"].sel(current=list(names)).values.reshape(epochs.sizes["epoch"], -1)
     fit = fit_contrasts(epochs, columns, prior_sigma=prior_sigma, fewest=fewest)
-    placebo = _placebo_scatter(epochs, names, fit.value)
+    placebo_columns = epochs["placebo_column"].sel(current=list(names)).values.reshape(columns.shape)
+    standardised = (epochs["placebo"].values - placebo_columns @ fit.value) / epochs["sigma"].values
+    good = np.isfinite(standardised)
+    placebo = float(np.sqrt(np.mean(standardised[good] ** 2))) if good.any() else float("nan")
     return StepFit(names, fit, confounding_of(epochs, names), epochs.sizes["epoch"], fit.clusters, placebo)
 
 
@@ -508,13 +503,6 @@ def weights_of(epochs: xr.Dataset) -> Floats:
     return np.asarray(1.0 / np.maximum(sigma, 0.5 * np.median(sigma)) ** 2)
 
 
-def _placebo_scatter(epochs: xr.Dataset, names: Sequence[str], value: Floats) -> float:
-    columns = epochs["placebo_column"].sel(current=list(names)).values.reshape(epochs.sizes["epoch"], -1)
-    pull = (epochs["placebo"].values - columns @ value) / epochs["sigma"].values
-    good = np.isfinite(pull)
-    return float(np.sqrt(np.mean(pull[good] ** 2))) if good.any() else float("nan")
-
-
 def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confounding, ...]:
     """Return how the channels that are not fitted step together with the first that is."""
     main = epochs["step"].sel(current=fitted[0]).values
@@ -522,7 +510,10 @@ def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confoundi
     for name in epochs["current"].values:
         if name in fitted:
             continue
-        other = _real_steps(epochs, str(name))
+        other = epochs["step"].sel(current=name).values
+        # The rounding errors of a channel that is constant are no steps.
+        level = np.abs(epochs["before"].sel(current=name).values)
+        other = np.where(np.abs(other) <= 1e-9 * level, 0.0, other)
         weight = np.where(np.isfinite(other), weights_of(epochs), 0.0)
         other = np.nan_to_num(other)
         own = float(np.sum(weight * main**2))
@@ -531,13 +522,6 @@ def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confoundi
         unit = str(epochs["unit"].sel(current=name).values)
         found.append(Confounding(str(name), unit, correlation, both / own if own > 0 else 0.0))
     return tuple(found)
-
-
-def _real_steps(epochs: xr.Dataset, name: str) -> Floats:
-    """Return the steps of a channel; the rounding errors of one that is constant are none."""
-    step = epochs["step"].sel(current=name).values
-    level = np.abs(epochs["before"].sel(current=name).values)
-    return np.where(np.abs(step) <= 1e-9 * level, 0.0, step)
 
 
 @dataclass(frozen=True)
@@ -549,7 +533,7 @@ class EpochStack:
     lag : ndarray, shape (lag,)
         s after the step.
     residual, low, high : ndarray, shape (lag,)
-        nT for a unit `per`; the band holds 68 % of the resampled means.
+        nT; the band holds 68 % of the resampled means.
     current : ndarray, shape (lag,)
         A, relative to its level before the step.
     epochs, days : int
@@ -580,7 +564,7 @@ class EpochStack:
 
 
 def stack_epochs(
-    epochs: xr.Dataset, value: Floats | None = None, *, seed: int = 0, bootstraps: int = _BOOTSTRAPS
+    epochs: xr.Dataset, value: Floats | None = None, *, seed: int = 0, bootstraps: int = EPOCHS.bootstraps
 ) -> EpochStack:
     """Superpose the curves of the epochs of one direction; days are resampled, not epochs.
 
@@ -627,6 +611,7 @@ def stack_epochs(
 
 
 def _less_before(curves: Floats, lag: Floats) -> Floats:
+    """Return the curves (epoch, lag) less their own mean before the step."""
     known = np.isfinite(curves) & (lag < 0)
     mean = np.where(known, curves, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return np.asarray(curves - mean[:, None])

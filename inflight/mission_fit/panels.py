@@ -11,7 +11,7 @@ stored epochs' ``e_j I``:
 *two_sides*, *three_panels*   the mean of the panels weighted by the light on each, the cosine of the
                Sun's direction from its normal times its area; three panels have the top besides.
 
-Which one holds is asked of days that were not fitted.
+Which one holds is decided on days that were not fitted.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import (
+    AXES,
     PANEL_CYCLE_DAYS,
     PANEL_CYCLE_START_H,
     SIDE_NORMALS,
@@ -34,7 +35,7 @@ from inflight.effects import (
 )
 from inflight.errors import SamplesError
 from inflight.lsq import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
-from inflight.mission_fit.epochs import AXES, PRIOR, fit_contrasts, weights_of
+from inflight.mission_fit.epochs import PRIOR, fit_contrasts, weights_of
 from inflight.time import DAY, utc_text
 
 MODELS = ("constant", "two_panels", "two_sides", "three_panels")
@@ -147,7 +148,7 @@ class PanelModel:
 
     @property
     def ties(self) -> bool:
-        """True when held-out days do not tell it from the best."""
+        """True when held-out days do not separate it from the best."""
         return self.behind <= _TIE * self.behind_sigma
 
 
@@ -263,7 +264,12 @@ def select_panel_model(
         name: held_out(one, epochs["contrast"].values, weight, day, folds, prior_sigma)
         for name, one in columns.items()
     }
-    models = _ranked(fits, squares, day)
+    best = min(squares, key=lambda name: float(squares[name].mean()))
+    ranked = []
+    for name, fit in fits.items():
+        behind, sigma = mean_of_clusters(squares[name] - squares[best], np.ones(day.size), day)
+        ranked.append(PanelModel(name, fit, float(squares[name].mean()), behind, sigma))
+    models = tuple(sorted(ranked, key=lambda model: model.score))
     begin = int(epochs["time"].values[0])
     if local_time is not None:
         begin -= round(float(((PANEL_CYCLE_START_H - local_time[0]) % 24.0) / 24.0 * PANEL_CYCLE_DAYS) * DAY)
@@ -304,7 +310,7 @@ def _model_columns(
     normals: Sequence[Sequence[float]],
     areas: Sequence[float] | None,
 ) -> Mapping[str, Floats]:
-    """Return the columns (epoch, column) of each model there is what it takes for."""
+    """Return the columns (epoch, column) of each model for which the epochs hold what it needs."""
     single = _direction_columns(epochs)
     shares: dict[str, Floats] = {}
     if local_time is not None:
@@ -318,31 +324,20 @@ def _model_columns(
             "epochs know neither local time nor the Sun's direction",
             remedy="give the mission an orbit (and an attitude), and make the epochs anew",
         )
-    spread = {
+    return {"constant": single} | {
         name: (share[:, :, None] * single[:, None, :]).reshape(len(single), -1)
         for name, share in shares.items()
     }
-    return {"constant": single} | spread
-
-
-def _ranked(
-    fits: Mapping[str, ClusteredFit], squares: Mapping[str, Floats], day: npt.NDArray[np.int64]
-) -> tuple[PanelModel, ...]:
-    best = min(squares, key=lambda name: float(squares[name].mean()))
-    models = []
-    for name, fit in fits.items():
-        behind, sigma = mean_of_clusters(squares[name] - squares[best], np.ones(day.size), day)
-        models.append(PanelModel(name, fit, float(squares[name].mean()), behind, sigma))
-    return tuple(sorted(models, key=lambda one: one.score))
 
 
 def _sentence(models: tuple[PanelModel, ...]) -> str:
+    """Return which models predict held-out days best, tie and do worse."""
     best = models[0]
     ties = [one.name for one in models[1:] if one.ties]
     worse = [f"{one.name} by {one.behind / one.behind_sigma:.1f} sigma" for one in models[1:] if not one.ties]
-    told = f"{best.name} predicts held-out days best"
-    told += f", {_listed(ties)} as well within two sigma" if ties else ""
-    return told + (f"; worse {'are' if len(worse) > 1 else 'is'} {_listed(worse)}" if worse else "")
+    text = f"{best.name} predicts held-out days best"
+    text += f", {_listed(ties)} as well within two sigma" if ties else ""
+    return text + (f"; worse {'are' if len(worse) > 1 else 'is'} {_listed(worse)}" if worse else "")
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,9 +1,9 @@
 """Behaviour of daily parameters over a mission (Yin 2010, ch. 4).
 
-Takes daily values and their errors; makes running means that know their gaps (`running_mean`), slow trends,
-steps on event days and on days of the week (`measure_event_steps`), spans of days on which a clock was wrong
-(`find_clock_faults`, from daily estimates of the time shift), and the local time of an orbit's ascending node
-from where samples lie on the orbit.
+Takes daily values and their errors; makes running means that allow for gaps (`running_mean`), slow trends
+(`fit_slope`), steps on event days and on days of the week (`measure_event_steps`, `find_week_pattern`), spans
+of days on which a clock was wrong (`find_clock_faults`, from daily estimates of the time shift), and the
+local time of an orbit's ascending node from where samples lie on the orbit (`node_local_time`).
 """
 
 from __future__ import annotations
@@ -33,44 +33,65 @@ class BehaviourSettings:
 
     Attributes
     ----------
+    coverage : float
+        Least part of a window's days that have a value; assumed.
     lean : float
         Windows by which the mean time of a window's days may lie from its middle: at the ends of a mission
         and beside a long gap a mean is that of another time; assumed.
     fewest : int
         Fewest days of a mean; assumed.
     harmonics : int
-        Harmonics of the window that its mean does not see; assumed.
+        Harmonics of the window's length, which its mean removes; assumed.
+    step_window : int
+        Days before and after an event whose means are compared; assumed.
     least : float
-        Part of a window beside an event that must be there; assumed.
+        Part of them that must be there; assumed.
     fewest_contrasts : int
         Fewest contrasts away from events that the noise of a step is taken from; assumed.
+    step_false_alarm : float
+        Chance of any false step among all that are tested.
+    clip : float
+        Changes of a week are clipped at so many robust standard deviations; assumed.
+    fewest_weeks : int
+        Fewest weeks with all their days; assumed.
     shuffles : int
         Shuffles of the days of the week: chances down to 1/2000.
+    clock_false_alarm : float
+        Chance that a mission without a clock fault is reported to have one.
+    longest_fault : int
+        Longest fault that is searched for, days: a longer one is the usual state; assumed.
     around : int
         Days on either side that determine the usual shift; assumed.
     fewest_days : int
         The fewest of them; assumed.
-    loud : float
+    far : float
         A day so many sigmas off is off by itself; assumed.
     """
 
+    coverage: float = 0.6
     lean: float = 0.05
     fewest: int = 5
     harmonics: int = 3
+    step_window: int = 3
     least: float = 0.6
     fewest_contrasts: int = 20
+    step_false_alarm: float = 0.01
+    clip: float = 8.0
+    fewest_weeks: int = 10
     shuffles: int = 2000
+    clock_false_alarm: float = 0.01
+    longest_fault: int = 30
     around: int = 45
     fewest_days: int = 10
-    loud: float = 6.0
+    far: float = 6.0
 
 
 BEHAVIOUR = BehaviourSettings()
 
+WEEK = 7
 
-#: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
-#: windows: at the ends of a mission and beside a long gap a mean is that of another time.
-COVERAGE = 0.6
+#: By MJD mod 7, counted from Saturday 2000-01-01; Wednesday, 4, is the thesis' reset day.
+WEEKDAYS = ("Saturday", "Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday")
 
 
 @dataclass(frozen=True)
@@ -108,14 +129,14 @@ class RunningMean:
 
 
 def running_mean(
-    mjd: Floats, value: Floats, window: float, *, coverage: float = COVERAGE, unit: str = ""
+    mjd: Floats, value: Floats, window: float, *, coverage: float = BEHAVIOUR.coverage, unit: str = ""
 ) -> RunningMean:
     """Return the mean of the days within half a window on either side, each day alike.
 
-    Days count alike, whatever their sigma, so that a window of one turn of local time (260.5 d) removes
+    Days count alike, whatever their sigma, so that a window of one cycle of local time (260.5 d) removes
     what repeats with it. The uncertainty is that of a mean of correlated days, from the scatter about the
-    running mean, less what repeats with the window, and its memory. The window must lie within the span; gaps
-    inside it may not lean it to one side.
+    running mean less what repeats with the window, and its correlation time. The window must lie within the
+    span; gaps inside it may not shift its mean time.
 
     Parameters
     ----------
@@ -150,40 +171,36 @@ def running_mean(
             f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
             remedy="use a shorter window, or a longer span",
         )
-    left = _without_repeats(mjd, np.where(defined & known, value - mean, np.nan), window)
-    sigma = np.sqrt(_variance_of_day(left, float(np.ptp(mjd)) / window) / np.maximum(count, 1.0))
+    residual = np.where(defined & known, value - mean, np.nan)
+    # What repeats with the window does not enter its mean, whatever its size.
+    rest = np.isfinite(residual)
+    angles = [2 * np.pi * k * mjd / window for k in range(1, BEHAVIOUR.harmonics + 1)]
+    rows = np.stack([wave(angle) for angle in angles for wave in (np.cos, np.sin)], axis=1)
+    if rest.sum() >= 2 * rows.shape[1]:
+        residual = residual - rows @ np.linalg.lstsq(rows[rest], residual[rest])[0]
+    sigma = np.sqrt(_variance_of_day(residual, float(np.ptp(mjd)) / window) / np.maximum(count, 1.0))
     nan = np.nan
     return RunningMean(
         mjd, np.where(defined, mean, nan), np.where(defined, sigma, nan), share, float(window), unit
     )
 
 
-def _without_repeats(mjd: Floats, left: Floats, window: float) -> Floats:
-    """Take out what repeats with the window: it does not enter the window's mean, whatever its size."""
-    known = np.isfinite(left)
-    turns = [2 * np.pi * k * mjd / window for k in range(1, BEHAVIOUR.harmonics + 1)]
-    rows = np.stack([wave(turn) for turn in turns for wave in (np.cos, np.sin)], axis=1)
-    if known.sum() < 2 * rows.shape[1]:
-        return left
-    return np.asarray(left - rows @ np.linalg.lstsq(rows[known], left[known])[0])
+def _variance_of_day(residual: Floats, means: float) -> float:
+    """Return the long-run variance of a day: the variance of a mean of n days is this over n.
 
-
-def _variance_of_day(left: Floats, means: float) -> float:
-    """Return the long-run variance of a day: what n days' mean has is this over n.
-
-    As many independent means were taken out as windows fit into the span.
+    As many independent means were subtracted as windows fit into the span.
     """
-    known = left[np.isfinite(left)]
+    known = residual[np.isfinite(residual)]
     if known.size < BEHAVIOUR.fewest:
         return float("nan")
     spread = robust_sigma(known - np.median(known))
-    held = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
-    return float(long_run_covariance(held[:, None], means)[0, 0]) / known.size
+    clipped = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
+    return float(long_run_covariance(clipped[:, None], means)[0, 0]) / known.size
 
 
 @dataclass(frozen=True)
 class Slope:
-    """A straight line through a daily parameter, with waves of given periods beside it.
+    """A straight line through a daily parameter, fitted with waves of given periods.
 
     Attributes
     ----------
@@ -191,8 +208,8 @@ class Slope:
         Unit a day.
     value, sigma_value : float
         At `mjd`, the mean day.
-    memory : int
-        Steps after which the values have forgotten themselves; the sigma has it.
+    correlation_days : int
+        Correlation time of the residual, in days with a value; it is in the sigma.
     days, outlying : int
     """
 
@@ -201,7 +218,7 @@ class Slope:
     value: float
     sigma_value: float
     mjd: float
-    memory: int
+    correlation_days: int
     days: int
     outlying: int
     unit: str = ""
@@ -215,21 +232,21 @@ class Slope:
                 "units": ("parameter", np.array([f"{self.unit}/d", self.unit])),
             },
             coords={"parameter": ["slope", "value"]},
-            attrs={"mjd": self.mjd, "days": self.days, "memory": self.memory},
+            attrs={"mjd": self.mjd, "days": self.days, "memory": self.correlation_days},
         )
 
 
 def fit_slope(
     mjd: Floats, value: Floats, sigma: Floats, periods: Sequence[float] = (), unit: str = ""
 ) -> Slope:
-    """Fit a straight line robustly; its uncertainty knows the correlation of days.
+    """Fit a straight line robustly; its uncertainty allows for the correlation of days.
 
     Parameters
     ----------
     mjd, value, sigma : ndarray, shape (day,)
         Days, values (NaN in gaps), standard deviations.
     periods : sequence of float
-        Days; waves fitted beside the line, such as those that `parameter_spectrum` resolves.
+        Days; waves fitted with the line, such as those that `parameter_spectrum` resolves.
 
     Raises
     ------
@@ -244,13 +261,9 @@ def fit_slope(
         )
     t, y, own = mjd[use], value[use], sigma[use]
     centre, span = float(t.mean()), max(float(np.ptp(t)), 1.0)
-    turns = [2 * np.pi * (t - centre) / period for period in periods]
-    columns = [
-        (t - centre) / span,
-        np.ones_like(t),
-        *(wave(turn) for turn in turns for wave in (np.cos, np.sin)),
-    ]
-    rows = np.stack(columns, axis=1)
+    angles = [2 * np.pi * (t - centre) / period for period in periods]
+    waves = [wave(angle) for angle in angles for wave in (np.cos, np.sin)]
+    rows = np.stack([(t - centre) / span, np.ones_like(t), *waves], axis=1)
     fit = robust_fit(rows, y, own**2, unknowns)
     errors = np.sqrt(np.diag(fit.covariance))
     return Slope(
@@ -259,24 +272,11 @@ def fit_slope(
         float(fit.value[1]),
         float(errors[1]),
         centre,
-        int(correlation_steps(fit.left[:, None])[0]),
+        int(correlation_steps(fit.residual[:, None])[0]),
         int(use.sum()),
         fit.outlying,
         unit,
     )
-
-
-#: Days before and after an event whose means are compared, and the part of them that must be there.
-WINDOW = 3
-
-#: Chance of any false step among all that are tested.
-STEP_FALSE_ALARM = 0.01
-
-
-WEEK = 7
-
-#: The thesis' reset day: Wednesdays have MJD mod 7 = 4, counted from Saturday 2000-01-01.
-WEEKDAYS = ("Saturday", "Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday")
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ class EventSteps:
     family : ndarray
         The same among all events tested (Holm).
     widened : float
-        How many times larger steps scatter away from events than the stated sigmas say.
+        How many times more steps scatter away from events than by their stated sigmas.
     """
 
     at: Floats
@@ -310,7 +310,7 @@ class EventSteps:
     def found(self) -> np.ndarray:
         """Which events have a step beyond chance; (event,) bool."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.family < STEP_FALSE_ALARM)
+            return np.asarray(self.family < BEHAVIOUR.step_false_alarm)
 
     def table(self) -> xr.Dataset:
         """Return the steps: dim event."""
@@ -329,13 +329,19 @@ class EventSteps:
 
 
 def measure_event_steps(
-    mjd: Floats, value: Floats, sigma: Floats, events: Floats, *, window: int = WINDOW, unit: str = ""
+    mjd: Floats,
+    value: Floats,
+    sigma: Floats,
+    events: Floats,
+    *,
+    window: int = BEHAVIOUR.step_window,
+    unit: str = "",
 ) -> EventSteps:
     """Measure the step of a parameter at each event.
 
     The mean of whole days after the event less that of whole days before; a day that holds the event in
-    itself is left out. What such contrasts scatter by at all other noons, wander included, is their noise,
-    with its heavy tails.
+    itself is left out. The scatter of such contrasts at all other noons, slow changes included, is their
+    noise, with its heavy tails.
 
     Parameters
     ----------
@@ -349,20 +355,25 @@ def measure_event_steps(
     Raises
     ------
     CalibrationError
-        When too few days are left to tell the noise of a step.
+        When too few days are left to determine the noise of a step.
     """
     size, stated = _contrasts(mjd, value, sigma, events, window)
     others = mjd[np.min(np.abs(mjd[:, None] - events[None]), axis=1) > 0.5] if events.size else mjd
     away, away_sigma = _contrasts(mjd, value, sigma, others, window)
-    pulls = (away / away_sigma)[np.isfinite(away)]
-    if pulls.size < BEHAVIOUR.fewest_contrasts:
+    standardised = (away / away_sigma)[np.isfinite(away)]
+    if standardised.size < BEHAVIOUR.fewest_contrasts:
         raise CalibrationError(
-            f"{pulls.size} contrasts away from events, {BEHAVIOUR.fewest_contrasts} are needed",
+            f"{standardised.size} contrasts away from events, {BEHAVIOUR.fewest_contrasts} are needed",
             remedy="use a longer span",
         )
-    widened = robust_sigma(pulls, floor=1.0)
+    widened = robust_sigma(standardised, floor=1.0)
     error = stated * widened
-    chance = 2.0 * stats.t.sf(np.abs(size / error), _tails(pulls))
+    # Student's distribution with the 99 % quantile of the contrasts.
+    ratio = float(np.quantile(np.abs(standardised), 0.99) / np.median(np.abs(standardised)))
+    freedoms = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0, 1000.0])
+    expected = stats.t.ppf(0.995, freedoms) / stats.t.ppf(0.75, freedoms)
+    freedom = float(np.interp(-ratio, -expected, freedoms))
+    chance = 2.0 * stats.t.sf(np.abs(size / error), freedom)
     return EventSteps(events, size, error, chance, holm(chance), widened, unit)
 
 
@@ -384,14 +395,6 @@ def _contrasts(mjd: Floats, value: Floats, sigma: Floats, at: Floats, window: in
         sides.append((part["value"] / full, 1.0 / full))
     (before, early), (after, late) = sides
     return after - before, np.sqrt(early + late)
-
-
-def _tails(pulls: Floats) -> float:
-    """Return the degrees of freedom of Student's distribution whose 99 % quantile the pulls have."""
-    ratio = float(np.quantile(np.abs(pulls), 0.99) / np.median(np.abs(pulls)))
-    freedoms = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0, 1000.0])
-    expected = stats.t.ppf(0.995, freedoms) / stats.t.ppf(0.75, freedoms)
-    return float(np.interp(-ratio, -expected, freedoms))
 
 
 def holm(chance: Floats) -> Floats:
@@ -433,10 +436,10 @@ class WeekPattern:
     @property
     def found(self) -> bool:
         """True when the day stands out beyond chance."""
-        return self.chance < STEP_FALSE_ALARM
+        return self.chance < BEHAVIOUR.step_false_alarm
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return the pattern as a sentence."""
         name = f"{WEEKDAYS[self.day]}s (MJD mod 7 = {self.day})"
         if not self.found:
             return f"no day of the week stands out (largest on {name}, chance {self.chance:.2g})"
@@ -452,7 +455,7 @@ class WeekPattern:
             },
             coords={"weekday": np.arange(WEEK)},
             attrs={
-                "told": self.told(),
+                "told": self.summary(),
                 "chance": self.chance,
                 "step": self.step,
                 "sigma_step": self.sigma_step,
@@ -461,10 +464,10 @@ class WeekPattern:
 
 
 def find_week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> WeekPattern:
-    """Ask whether a parameter steps on one day of the week.
+    """Test whether a parameter steps on one day of the week.
 
     The change across a day is from the day before to the day after, so that a reset at any hour of it is
-    wholly inside; outlying changes are held to eight robust standard deviations.
+    wholly inside; outlying changes are clipped at eight robust standard deviations.
 
     Parameters
     ----------
@@ -487,9 +490,9 @@ def find_week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "")
     skip = int(-day[0]) % WEEK
     weeks = change[skip : skip + (change.size - skip) // WEEK * WEEK].reshape(-1, WEEK)
     weeks = weeks[np.isfinite(weeks).all(axis=1)]
-    if len(weeks) < 10:
+    if len(weeks) < BEHAVIOUR.fewest_weeks:
         raise CalibrationError(f"{len(weeks)} whole weeks, ten are needed", remedy="use a longer span")
-    most = 8.0 * robust_sigma(weeks.ravel())
+    most = BEHAVIOUR.clip * robust_sigma(weeks.ravel())
     squares = np.minimum(weeks**2, most**2)
     mean, sigma = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(weeks))
     draws = np.random.default_rng(seed)
@@ -504,13 +507,6 @@ def find_week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "")
     size = float(np.sqrt(max(excess.mean(), 0.0)))
     error = float(excess.std(ddof=1) / np.sqrt(len(weeks)))
     return WeekPattern(mean, sigma, best, size, float(np.sqrt(size**2 + error) - size), chance, unit)
-
-
-#: Chance that a mission without a fault is told to have one.
-FALSE_ALARM = 0.01
-
-#: Longest fault that is looked for, days: a longer one is the usual state.
-LONGEST = 30
 
 
 @dataclass(frozen=True)
@@ -546,8 +542,8 @@ class ClockFaults:
     mjd: Floats
     limit: float
 
-    def told(self) -> list[str]:
-        """Say each fault in a sentence."""
+    def summary(self) -> list[str]:
+        """Return each fault as a sentence."""
         return [
             f"MJD {one.first} to {one.last}: the time shift is off by {1e3 * one.shift:.2f} +- "
             f"{1e3 * one.sigma:.2f} ms"
@@ -566,15 +562,17 @@ class ClockFaults:
                 "last": ("fault", np.array([one.last for one in rows], dtype=np.int64), {"units": "MJD"}),
                 "z": ("fault", np.array([one.z for one in rows])),
             },
-            attrs={"told": "; ".join(self.told()), "limit": self.limit},
+            attrs={"told": "; ".join(self.summary()), "limit": self.limit},
         )
 
 
-def find_clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = LONGEST) -> ClockFaults:
+def find_clock_faults(
+    mjd: Floats, shift: Floats, sigma: Floats, longest: int = BEHAVIOUR.longest_fault
+) -> ClockFaults:
     """Find spans of days whose time shift stands out from what it is around them.
 
-    Every span of 1 to `longest` days is held against the median of the days around, and its significance
-    against that of all spans of its length; the most significant is taken, its days are left out, and so on,
+    Every span of 1 to `longest` days is compared with the median of the days around, and its significance
+    with that of all spans of its length; the most significant is a fault, its days are left out, and so on,
     while noise would make one like it in one mission of a hundred.
 
     Parameters
@@ -597,77 +595,63 @@ def find_clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = 
             f"{known.size} days have a time shift, {BEHAVIOUR.fewest_days} are needed",
             remedy="use a longer span",
         )
-    limit = float(stats.norm.isf(0.5 * FALSE_ALARM / (known.size * longest)))
+    limit = float(stats.norm.isf(0.5 * BEHAVIOUR.clock_false_alarm / (known.size * longest)))
     t, y, own = mjd[known], shift[known], sigma[known]
     free = np.ones(t.size, dtype=bool)
     faults: list[ClockFault] = []
     while True:
-        usual = _usual(t, y, free)
-        scatter = _scatter(y - usual, own, free)
-        found = _strongest((y - usual) / scatter, t, free, longest)
+        usual = _median_around(t, y, free)
+        # The stated errors, widened to the days' own scatter.
+        residual = y - usual
+        scatter = own * robust_sigma(residual[free] / own[free], floor=1.0)
+        found = _most_significant(residual / scatter, t, free, longest)
         if found is None or abs(found[2]) < limit:
             break
-        days = slice(found[0], found[1] + 1)
-        faults.append(_fault(t[days], (y - usual)[days], scatter[days], found[2]))
+        first, last, z = found
+        days = slice(first, last + 1)
+        weight = 1.0 / scatter[days] ** 2
+        fault_shift = float(np.sum(weight * residual[days]) / weight.sum())
+        error = float(1.0 / np.sqrt(weight.sum()))
+        faults.append(ClockFault(int(np.floor(t[first])), int(np.floor(t[last])), fault_shift, error, z))
         free[days] = False
-    whole = [np.full(mjd.size, np.nan) for _ in range(2)]
-    for series, values in zip(whole, (usual, scatter), strict=True):
-        series[known] = values
-    ordered = tuple(sorted(faults, key=lambda one: one.first))
-    return ClockFaults(ordered, whole[0], whole[1], mjd, limit)
+    of_all_days = np.full((2, mjd.size), np.nan)
+    of_all_days[:, known] = usual, scatter
+    ordered = tuple(sorted(faults, key=lambda fault: fault.first))
+    return ClockFaults(ordered, *of_all_days, mjd, limit)
 
 
-def _usual(days: Floats, value: Floats, free: np.ndarray) -> Floats:
+def _median_around(days: Floats, value: Floats, free: np.ndarray) -> Floats:
     """Return the median of the free days around each; (day,)."""
     base, series = days[free], value[free]
     whole = float(np.median(series))
-    low, high = (
-        np.searchsorted(base, days - BEHAVIOUR.around),
-        np.searchsorted(base, days + BEHAVIOUR.around, side="right"),
-    )
-    return np.array(
-        [
-            np.median(series[a:b]) if b - a >= BEHAVIOUR.fewest_days else whole
-            for a, b in zip(low, high, strict=True)
-        ]
-    )
+    low = np.searchsorted(base, days - BEHAVIOUR.around)
+    high = np.searchsorted(base, days + BEHAVIOUR.around, side="right")
+    spans = zip(low, high, high - low >= BEHAVIOUR.fewest_days, strict=True)
+    return np.array([np.median(series[a:b]) if enough else whole for a, b, enough in spans])
 
 
-def _scatter(left: Floats, own: Floats, free: np.ndarray) -> Floats:
-    """Return the standard deviation of a day about the usual: the stated one, widened to the days' own."""
-    return np.asarray(own * robust_sigma(left[free] / own[free], floor=1.0))
-
-
-def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple[int, int, float] | None:
+def _most_significant(
+    z: Floats, days: Floats, free: np.ndarray, longest: int
+) -> tuple[int, int, float] | None:
     """Return first, last and significance of the most significant span of free days."""
     best: tuple[int, int, float] | None = None
     sums = np.concatenate([[0.0], np.cumsum(np.where(free, z, 0.0))])
     taken = np.concatenate([[0], np.cumsum(~free)])
-    noisy = np.concatenate([[0], np.cumsum(np.abs(z) > BEHAVIOUR.loud)])
+    far = np.concatenate([[0], np.cumsum(np.abs(z) > BEHAVIOUR.far)])
     for length in range(1, min(longest, z.size // 2) + 1):
         score = (sums[length:] - sums[:-length]) / np.sqrt(length)
         whole = (taken[length:] == taken[:-length]) & (
             days[length - 1 :] - days[: z.size - length + 1] < longest
         )
-        # Shifts that wander make long spans scatter more than their days do; spans with a day that is itself
-        # far off tell of no wander.
-        calm = np.abs(score[whole & (noisy[length:] == noisy[:-length])])
-        usual = robust_sigma(calm) if calm.size >= BEHAVIOUR.fewest_days else 1.0
+        # Slow changes of the shift make long spans scatter more than their days do; spans with a day that is
+        # itself far off do not show it.
+        without_far = np.abs(score[whole & (far[length:] == far[:-length])])
+        usual = robust_sigma(without_far) if without_far.size >= BEHAVIOUR.fewest_days else 1.0
         score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):
             best = (at, at + length - 1, float(score[at]))
     return best
-
-
-def _fault(days: Floats, left: Floats, scatter: Floats, z: float) -> ClockFault:
-    weight = 1.0 / scatter**2
-    shift = float(np.sum(weight * left) / weight.sum())
-    first, last = int(np.floor(days[0])), int(np.floor(days[-1]))
-    return ClockFault(first, last, shift, float(1.0 / np.sqrt(weight.sum())), z)
-
-
-_DEGREES_AN_HOUR = 15.0
 
 
 def node_local_time(local_time: Floats, orbit_phase: Floats, latitude: Floats) -> Floats:
@@ -676,7 +660,7 @@ def node_local_time(local_time: Floats, orbit_phase: Floats, latitude: Floats) -
     From the node at an angle u along an orbit inclined by i the longitude has grown by
     ``atan2(cos i sin u, cos u)``: near the poles of a polar orbit by 180 degrees at once. The inclination is
     that which the latitudes show, ``sin(latitude) = sin i sin u``; of a prograde and a retrograde orbit
-    of the same latitudes that one is taken whose node wanders less from each place to the next.
+    of the same latitudes that one is taken whose node changes less from each place to the next.
 
     Parameters
     ----------
@@ -690,16 +674,15 @@ def node_local_time(local_time: Floats, orbit_phase: Floats, latitude: Floats) -
     power = float(np.sum(np.sin(u[known]) ** 2))
     tilt = min(abs(float(np.sum(sine[known] * np.sin(u[known])))) / power, 1.0) if power > 0 else 1.0
     cosine = float(np.sqrt(1.0 - tilt**2))
-    both = [_node(local_time, u, one) for one in (cosine, -cosine)]
-    return min(both, key=_wander)
+    both = []
+    for sign in (1.0, -1.0):
+        away = np.rad2deg(np.arctan2(sign * cosine * np.sin(u), np.cos(u)))
+        # The Earth turns by 15 degrees an hour.
+        both.append(np.asarray((local_time - away / 15.0) % 24.0))
+    return min(both, key=_mean_step)
 
 
-def _node(local_time: Floats, u: Floats, cosine: float) -> Floats:
-    away = np.rad2deg(np.arctan2(cosine * np.sin(u), np.cos(u)))
-    return np.asarray((local_time - away / _DEGREES_AN_HOUR) % 24.0)
-
-
-def _wander(hours: Floats) -> float:
+def _mean_step(hours: Floats) -> float:
     """Return the mean step on the clock's circle from each place to the next, h."""
     known = hours[np.isfinite(hours)]
     steps = (np.diff(known) + 12.0) % 24.0 - 12.0

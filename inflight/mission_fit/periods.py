@@ -1,4 +1,8 @@
-"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4)."""
+"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4).
+
+Takes daily values with gaps and their errors; makes a `ParameterSpectrum`: amplitudes and the noise below
+them (`_Noise`, Whittle's likelihood), the peaks beyond chance, and the waves of periods that are asked for.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,8 @@ class PeriodSettings:
 
     Attributes
     ----------
+    false_alarm : float
+        A peak is reported when chance makes one as high in so small a part of spectra.
     beats : float
         A named period is resolved by a span of so many beats with its neighbours: Rayleigh's criterion.
     oversampling : int
@@ -34,6 +40,7 @@ class PeriodSettings:
         Peaks reported at most; assumed.
     """
 
+    false_alarm: float = 0.01
     beats: float = 1.0
     oversampling: int = 2
     fewest: int = 30
@@ -52,10 +59,6 @@ KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}
 MIN_CYCLES = 1.5
 
 
-#: A peak is told when chance makes one as high in so small a part of spectra.
-FALSE_ALARM = 0.01
-
-
 @dataclass(frozen=True)
 class Peak:
     """A peak of the spectrum beyond chance: period (d), amplitude, its sigma, false-alarm chance, name."""
@@ -69,7 +72,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class NamedPeriod:
-    """A period that was asked for: amplitude, sigma and time of its maximum (MJD), or why it is not told."""
+    """A period that was asked for: amplitude, sigma and time of its maximum (MJD), or why it has none."""
 
     name: str
     period: float
@@ -91,8 +94,8 @@ class ParameterSpectrum:
         Cycles a day; amplitude of a wave of each frequency, unit of the parameter.
     background, level : ndarray, shape (frequency,)
         Rms amplitude of the noise, and that which one spectrum of noise in a hundred exceeds anywhere.
-    memory : float
-        Days after which the wandering part has forgotten itself to 1/e.
+    correlation_days : float
+        Correlation time of the red part of the noise, to 1/e, days.
     span : float
         Days.
     peaks : tuple of Peak
@@ -105,14 +108,14 @@ class ParameterSpectrum:
     amplitude: Floats
     background: Floats
     level: Floats
-    memory: float
+    correlation_days: float
     span: float
     peaks: tuple[Peak, ...]
     named: tuple[NamedPeriod, ...]
     unit: str
 
-    def told(self) -> list[str]:
-        """Say each named period in a sentence."""
+    def summary(self) -> list[str]:
+        """Return each named period as a sentence."""
         return [
             f"{one.name}: {one.amplitude:.3g} +- {one.sigma:.2g} {self.unit}, chance {one.false_alarm:.2g}"
             if one.resolved
@@ -132,7 +135,11 @@ class ParameterSpectrum:
                 "units": ("parameter", np.full(len(self.named), self.unit)),
             },
             coords={"parameter": [one.name for one in self.named]},
-            attrs={"span_days": self.span, "memory_days": self.memory, "told": "; ".join(self.told())},
+            attrs={
+                "span_days": self.span,
+                "memory_days": self.correlation_days,
+                "told": "; ".join(self.summary()),
+            },
         )
 
 
@@ -147,14 +154,14 @@ def parameter_spectrum(
     seed: int = 0,
     unit: str = "",
 ) -> ParameterSpectrum:
-    """Return the spectrum of daily values with gaps, a straight line taken out.
+    """Return the spectrum of daily values with gaps, less a straight line.
 
     Parameters
     ----------
     mjd, value, sigma : ndarray, shape (day,)
         Days, values (NaN in gaps) and standard deviations.
     known : mapping of str to float, optional
-        Periods to tell by name, days; `KNOWN_PERIODS` when absent.
+        Periods to report by name, days; `KNOWN_PERIODS` when absent.
     shortest : float
         Shortest period, days.
     trials : int
@@ -173,31 +180,36 @@ def parameter_spectrum(
             f"{int(use.sum())} days with a value make no spectrum", remedy=f"use {PERIODS.fewest} or more"
         )
     t, y = mjd[use], value[use]
-    weight = 1.0 / (sigma[use] ** 2 + _wander(y, sigma[use]))
+    # The values scatter beyond their own errors by this variance.
+    excess = max(robust_sigma(y - np.median(y)) ** 2 - float(np.median(sigma[use])) ** 2, 0.0)
+    weight = 1.0 / (sigma[use] ** 2 + excess)
     waves = _Waves.of(t, weight, shortest)
     power = waves.power(y[:, None])[0]
     noise = _background(waves, y)
     draws = np.random.default_rng(seed)
     drawn = waves.power(noise.series(waves, draws, trials))
-    highest = np.array([_highest(waves, one, noise) for one in drawn])
+    fitted = [(one, _Noise.fit(waves, one, noise).power(waves.frequency)) for one in drawn]
+    highest = np.array([np.max(one / mean) for one, mean in fitted])
     # The largest of M exponential numbers; M from the median of the trials.
     effective = np.log(2.0) * np.exp(np.median(highest))
     known = KNOWN_PERIODS if known is None else known
     span = float(np.ptp(t))
     named = _named(waves, y, noise, known, span)
-    limit = float(-np.log1p(-((1.0 - FALSE_ALARM) ** (1.0 / effective)))) if effective > 1 else 4.6
+    limit = float(-np.log1p(-((1.0 - PERIODS.false_alarm) ** (1.0 / effective)))) if effective > 1 else 4.6
     back = np.sqrt(2.0 * noise.power(waves.frequency) / weight.sum())
     amplitude = np.sqrt(2.0 * power / weight.sum())
     peaks = _peaks(waves, y, noise, float(effective), known, span)
     return ParameterSpectrum(
-        waves.frequency, amplitude, back, back * np.sqrt(limit), noise.memory, span, peaks, named, unit
+        waves.frequency,
+        amplitude,
+        back,
+        back * np.sqrt(limit),
+        noise.correlation_days,
+        span,
+        peaks,
+        named,
+        unit,
     )
-
-
-def _wander(value: Floats, sigma: Floats) -> float:
-    """Return the variance by which the values scatter beyond their own errors."""
-    spread = robust_sigma(value - np.median(value))
-    return max(spread**2 - float(np.median(sigma)) ** 2, 0.0)
 
 
 @dataclass(frozen=True)
@@ -221,8 +233,8 @@ class _Waves:
         )
         root = np.sqrt(weight)
         line, _ = np.linalg.qr(np.stack([root, root * (days - days.mean())], axis=1))
-        turn = 2 * np.pi * frequency[:, None] * (days - days.mean())
-        cosine, sine = root * np.cos(turn), root * np.sin(turn)
+        angle = 2 * np.pi * frequency[:, None] * (days - days.mean())
+        cosine, sine = root * np.cos(angle), root * np.sin(angle)
         cosine -= (cosine @ line) @ line.T
         sine -= (sine @ line) @ line.T
         cosine /= np.linalg.norm(cosine, axis=1)[:, None]
@@ -237,21 +249,25 @@ class _Waves:
 
 @dataclass(frozen=True)
 class _Noise:
-    """Power of noise: ``white + red / (1 + (2 pi f memory)^2)``; a power is exponential with this mean."""
+    """Power of noise: ``white + red / (1 + (2 pi f tau)^2)``; a power is exponential with this mean.
+
+    `correlation_days` is tau, the correlation time of the red part.
+    """
 
     white: float
     red: float
-    memory: float
+    correlation_days: float
 
     @classmethod
     def fit(cls, waves: _Waves, power: Floats, like: _Noise | None = None) -> _Noise:
         """Whittle's likelihood over frequencies that are no peaks; the search begins at `like`."""
         kept = np.ones(power.size, dtype=bool)
         span = float(np.ptp(waves.days))
-        found, turn = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0), (2 * np.pi * waves.frequency) ** 2
+        found = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0)
+        square = (2 * np.pi * waves.frequency) ** 2
         for _ in range(PERIODS.passes):
             before = kept
-            found = like = cls._likeliest(turn[kept], power[kept], span, like)
+            found = like = cls._most_likely(square[kept], power[kept], span, like)
             peak = power > PERIODS.line * found.power(waves.frequency)
             # A line spreads over its neighbours.
             kept = ~np.convolve(peak, np.ones(2 * PERIODS.oversampling + 1), mode="same").astype(bool)
@@ -260,28 +276,32 @@ class _Noise:
         return found
 
     @classmethod
-    def _likeliest(cls, turn: Floats, power: Floats, span: float, like: _Noise | None) -> _Noise:
+    def _most_likely(cls, square: Floats, power: Floats, span: float, like: _Noise | None) -> _Noise:
+        """Return the noise of the greatest likelihood; `square` is (2 pi f)^2, (frequency,)."""
         slow, fast = power[: max(power.size // 10, 3)].mean(), power[power.size // 2 :].mean()
 
         def cost(logs: Floats) -> tuple[float, Floats]:
-            white, red, memory = np.exp(logs)
-            bent = 1.0 + turn * memory**2
-            mean = white + red / bent
-            pull = 1.0 / mean - power / mean**2
-            ways = (white, red / bent, -2.0 * red * turn * memory**2 / bent**2)
-            return float(np.sum(power / mean + np.log(mean))), np.array([np.sum(pull * way) for way in ways])
+            white, red, tau = np.exp(logs)
+            lorentz = 1.0 + square * tau**2
+            mean = white + red / lorentz
+            by_mean = 1.0 / mean - power / mean**2
+            slopes = (white, red / lorentz, -2.0 * red * square * tau**2 / lorentz**2)
+            gradient = np.array([np.sum(by_mean * slope) for slope in slopes])
+            return float(np.sum(power / mean + np.log(mean))), gradient
 
         start = np.log([max(fast, 1e-12), max(slow, 1e-12), span / 50.0])
         bounds = [(start[0] - 12, start[0] + 3), (start[1] - 12, start[1] + 8), tuple(np.log([0.5, span]))]
         if like is not None:
-            told = np.log(np.maximum([like.white, like.red, like.memory], 1e-300))
-            start = np.clip(told, *np.transpose(bounds))
+            known = np.log(np.maximum([like.white, like.red, like.correlation_days], 1e-300))
+            start = np.clip(known, *np.transpose(bounds))
         found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
         return cls(*(float(one) for one in np.exp(found.x)))
 
     def power(self, frequency: Floats) -> Floats:
         """Return the mean power at frequencies."""
-        return np.asarray(self.white + self.red / (1.0 + (2 * np.pi * frequency * self.memory) ** 2))
+        return np.asarray(
+            self.white + self.red / (1.0 + (2 * np.pi * frequency * self.correlation_days) ** 2)
+        )
 
     def series(self, waves: _Waves, draws: np.random.Generator, count: int) -> Floats:
         """Return series of this noise on the days of the waves; (day, series)."""
@@ -289,12 +309,12 @@ class _Noise:
         white = draws.standard_normal((days.size, count)) * np.sqrt(0.5 * self.white / weight)[:, None]
         # Two-sided density 2 v tau at zero, seen through sums of n weights over the span.
         density = days.size / max(float(np.ptp(days)), 1.0)
-        size = np.sqrt(self.red / (4.0 * weight.mean() * density * self.memory))
-        keep = np.exp(-np.diff(days) / self.memory)
+        size = np.sqrt(self.red / (4.0 * weight.mean() * density * self.correlation_days))
+        correlation = np.exp(-np.diff(days) / self.correlation_days)
         red = np.empty_like(white)
         red[0] = draws.standard_normal(count)
-        steps = draws.standard_normal((days.size - 1, count)) * np.sqrt(1.0 - keep**2)[:, None]
-        for index, part in enumerate(keep):
+        steps = draws.standard_normal((days.size - 1, count)) * np.sqrt(1.0 - correlation**2)[:, None]
+        for index, part in enumerate(correlation):
             red[index + 1] = part * red[index] + steps[index]
         return np.asarray(white + size * red)
 
@@ -306,16 +326,11 @@ def _background(waves: _Waves, y: Floats) -> _Noise:
         lines = _lines(waves, y, noise, float(waves.frequency.size))
         if not lines:
             break
-        left = y - _rows(waves, lines) @ _fit(waves, y, lines)[0]
-        power = waves.power(left[:, None])[0]
+        power = waves.power(_residual(waves, y, lines)[:, None])[0]
         apart = np.min(np.abs(waves.frequency[:, None] - np.array(lines)), axis=1) * np.ptp(waves.days)
         # A fitted line leaves a hole where it was.
         noise = _Noise.fit(waves, np.where(apart < 1.0, noise.power(waves.frequency), power))
     return noise
-
-
-def _highest(waves: _Waves, power: Floats, noise: _Noise) -> float:
-    return float(np.max(power / _Noise.fit(waves, power, noise).power(waves.frequency)))
 
 
 def _chance(ratio: float, effective: float) -> float:
@@ -338,42 +353,37 @@ def _peaks(
 
 
 def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[float]:
-    """Take the highest peak and its wave out of the series, again and again: its side lobes go with it."""
+    """Subtract the highest peak and its wave from the series, again and again: its side lobes go with it."""
     frequencies: list[float] = []
-    left = y
+    residual = y
     while len(frequencies) < PERIODS.most:
-        power = waves.power(left[:, None])[0]
+        power = waves.power(residual[:, None])[0]
         ratio = power / noise.power(waves.frequency)
         at = int(np.argmax(ratio))
-        if _chance(float(ratio[at]), effective) > FALSE_ALARM:
+        if _chance(float(ratio[at]), effective) > PERIODS.false_alarm:
             break
-        frequencies.append(_finest(waves, left, float(waves.frequency[at])))
-        left = y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0]
+        frequencies.append(_refine_frequency(waves, residual, float(waves.frequency[at])))
+        residual = _residual(waves, y, frequencies)
     return frequencies
 
 
-def _finest(waves: _Waves, y: Floats, frequency: float) -> float:
-    """Return the frequency near a given one whose wave takes most out of the series."""
+def _refine_frequency(waves: _Waves, y: Floats, frequency: float) -> float:
+    """Return the frequency near a given one whose wave leaves the smallest sum of squares."""
 
-    def left(one: float) -> float:
-        rows = _rows(waves, [one])
-        return float(np.sum(waves.weight * (y - rows @ _fit(waves, y, [one])[0]) ** 2))
+    def square(one: float) -> float:
+        return float(np.sum(waves.weight * _residual(waves, y, [one]) ** 2))
 
     step = float(waves.frequency[0]) / 2
     bounds = (max(frequency - step, step / 2), frequency + step)
-    return float(optimize.minimize_scalar(left, bounds=bounds, method="bounded").x)
+    return float(optimize.minimize_scalar(square, bounds=bounds, method="bounded").x)
 
 
 def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
     """Return a constant, a straight line and a pair of waves a frequency; (day, 2 + 2 frequencies)."""
     away = waves.days - waves.days.mean()
-    turns = [2 * np.pi * away * frequency for frequency in frequencies]
-    columns = [
-        np.ones_like(away),
-        away / np.ptp(away),
-        *(f(turn) for turn in turns for f in (np.cos, np.sin)),
-    ]
-    return np.stack(columns, axis=1)
+    angles = [2 * np.pi * away * frequency for frequency in frequencies]
+    columns = [wave(angle) for angle in angles for wave in (np.cos, np.sin)]
+    return np.stack([np.ones_like(away), away / np.ptp(away), *columns], axis=1)
 
 
 def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats, Floats]:
@@ -382,6 +392,11 @@ def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats
     value: Floats = np.asarray(np.linalg.lstsq(rows * root[:, None], y * root)[0], dtype=np.float64)
     inverse: Floats = np.asarray(np.linalg.inv((rows * waves.weight[:, None]).T @ rows), dtype=np.float64)
     return value, inverse
+
+
+def _residual(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> Floats:
+    """Return the series less line and waves; (day,)."""
+    return np.asarray(y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0])
 
 
 def _wave(
@@ -403,15 +418,15 @@ def _named(
 ) -> tuple[NamedPeriod, ...]:
     """Fit all resolved periods together with a straight line."""
     why = {name: _unresolved(name, known, span) for name in known}
-    told = [name for name in known if not why[name]]
-    value, inverse = _fit(waves, y, [1.0 / known[name] for name in told])
+    resolved = [name for name in known if not why[name]]
+    value, inverse = _fit(waves, y, [1.0 / known[name] for name in resolved])
     found = []
     for name, days in known.items():
         if why[name]:
             nan = float("nan")
             found.append(NamedPeriod(name, days, nan, nan, nan, nan, False, why[name]))
             continue
-        size, sigma, phase = _wave(value, inverse, told.index(name), noise, 1.0 / days)
+        size, sigma, phase = _wave(value, inverse, resolved.index(name), noise, 1.0 / days)
         maximum = float(waves.days.mean() + days * phase / (2 * np.pi))
         # A period that was named beforehand is one frequency, not all of them.
         chance = _chance(0.5 * (size / sigma) ** 2, 1.0)

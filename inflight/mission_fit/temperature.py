@@ -17,7 +17,8 @@ temperature alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,8 @@ class TemperatureSettings:
 
     Attributes
     ----------
+    false_alarm : float
+        Chance that a lag is reported of a temperature that nothing follows.
     passes : int
         Passes of the fit; assumed.
     settled : float
@@ -62,6 +65,7 @@ class TemperatureSettings:
         Quantiles of the temperature that the bins reach to: branches do not overlap beyond; assumed.
     """
 
+    false_alarm: float = 0.01
     passes: int = 12
     settled: float = 0.1
     formations: int = 8
@@ -78,15 +82,11 @@ class TemperatureSettings:
 TEMPERATURE = TemperatureSettings()
 
 
-#: Kinds of columns of a temperature, three axes each: what the coefficient, and its lag, answer to.
+#: Kinds of columns of a temperature, three axes each: of the coefficients, then of their lag.
 KINDS = ("linear", "quadratic", "rate", "quadratic_rate")
 
 #: What is known beforehand of each: 1/K, 1/K^2, and of the lag, s.
 PRIOR = (1e-4, 1e-6, 3600.0)
-
-
-#: Chance that a lag is told of a temperature that nothing follows.
-FALSE_ALARM = 0.01
 
 #: Rows of a fit: three of each coefficient, and the lag.
 _LAG = 6
@@ -153,8 +153,8 @@ class CoilFit:
         """By how much the recorded temperature leads the one that acts, and its standard deviation, s."""
         return float(self.fit.value[_LAG]), float(self.fit.sigma[_LAG])
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return coefficients and lag as a sentence."""
         parts = [
             f"{axis} {1e6 * value:.3f} +- {1e6 * sigma:.3f}"
             for axis, value, sigma in zip(AXES, self.linear, self.fit.sigma, strict=False)
@@ -180,8 +180,13 @@ class CoilFit:
                 "units": ("parameter", np.array(units)),
             },
             coords={"parameter": names, "other": names},
-            attrs={"channel": self.channel, "reference_degC": self.reference, "told": self.told()},
+            attrs={"channel": self.channel, "reference_degC": self.reference, "told": self.summary()},
         )
+
+
+def coil_columns_of(key: str, kinds: Sequence[str] = KINDS) -> list[str]:
+    """Return the names of a temperature's columns or coefficients: ``key.kind[axis]``."""
+    return [f"{key}.{kind}[{axis}]" for kind in kinds for axis in AXES]
 
 
 def coil_columns(
@@ -196,35 +201,27 @@ def coil_columns(
     stamps : ndarray of int64, shape (time,)
         TT2000.
     temperature : ndarray, shape (time,)
-        degC; rows whose temperature a lag ago is not known are NaN.
+        degC; rows whose temperature a lag ago is not known, within gaps and beyond the ends, are NaN.
     lag : float
         s, where the columns are formed.
     reference : float
         degC.
     """
-    change = _delayed(stamps, temperature, lag) - reference
+    known, delayed = np.flatnonzero(np.isfinite(temperature)), np.full(stamps.size, np.nan)
+    if known.size >= 2:
+        seconds = (stamps - stamps[0]) / SECOND
+        base, at = seconds[known], seconds - lag
+        apart = np.diff(base)
+        after = np.clip(np.searchsorted(base, at), 1, base.size - 1)
+        inside = (at >= base[0]) & (at <= base[-1]) & (apart[after - 1] <= GAP * np.median(apart))
+        delayed[inside] = np.interp(at[inside], base, temperature[known])
+    change = delayed - reference
     rate = time_derivative(change, stamps)
     parts = (-change, -(change**2), rate, 2.0 * change * rate)
     nine = nine_columns(field)
-    return {
-        f"{channel}.{kind}[{axis}]": part * nine[name]
-        for kind, part in zip(KINDS, parts, strict=True)
-        for axis, name in zip(AXES, NINE[:3], strict=True)
-    }
-
-
-def _delayed(stamps: Int64, temperature: Floats, lag: float) -> Floats:
-    """Return the temperature a lag ago, NaN within gaps and beyond the ends; (time,)."""
-    known, out = np.flatnonzero(np.isfinite(temperature)), np.full(stamps.size, np.nan)
-    if known.size < 2:
-        return out
-    seconds = (stamps - stamps[0]) / SECOND
-    base, at = seconds[known], seconds - lag
-    apart = np.diff(base)
-    after = np.clip(np.searchsorted(base, at), 1, base.size - 1)
-    inside = (at >= base[0]) & (at <= base[-1]) & (apart[after - 1] <= GAP * np.median(apart))
-    out[inside] = np.interp(at[inside], base, temperature[known])
-    return out
+    scale_factors = [nine[name] for name in NINE[:3]]
+    columns = [part * one for part in parts for one in scale_factors]
+    return dict(zip(coil_columns_of(channel), columns, strict=True))
 
 
 def coil_equations(
@@ -264,10 +261,10 @@ def fit_coil(
     lag, reference : float
         s and degC of these columns.
     each : sequence of str
-        Columns that are free in every block. The nine must be where they wander from block to block; a
-        temperature that only differs between blocks is then not seen, and its sigma says so.
+        Columns that are free in every block. The nine must be where they change from block to block; a
+        temperature that only differs between blocks is then not determined, and its sigma shows it.
     prior : tuple of float
-        What is known beforehand, see `PRIOR`. Without a temperature dependence nothing tells a lag.
+        What is known beforehand, see `PRIOR`. Without a temperature dependence there is no lag.
 
     Raises
     ------
@@ -280,8 +277,7 @@ def fit_coil(
 
 def residual_grams(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
-    own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
-    common = equations.at_one_reference().select([*own, *each])
+    common = equations.at_one_reference().select([*coil_columns_of(channel), *each])
     rest = common.marginalise(each, cut=SOLVER.weak_cut, least_kept=0.0) if each else common
     return rest.in_units, rest.count
 
@@ -307,55 +303,43 @@ def solve_coil(
 ) -> CoilFit:
     """Gauss-Newton on the unknowns, with a prior of 0 for the coefficients and for the change of the lag."""
     sigma = np.repeat(prior, [3, 3, 1])
-    value = _without_lag(gram, count, sigma)
+    # The first pass keeps the lag.
+    basis = np.zeros((13, 7))
+    basis[:_LAG, :_LAG], basis[-1, -1] = np.eye(_LAG), -1.0
+    value = np.append(solve_clusters(basis.T @ gram @ basis, count, sigma[:_LAG]).value, 0.0)
     for _ in range(TEMPERATURE.passes):
-        fit = solve_clusters(_turned(gram, value), count, sigma)
+        # Linear about the values. The solution is the unknowns themselves, not a change of them, so that
+        # a prior holds them at 0.
+        coefficients, slopes = coefficients_of(value)
+        basis = np.zeros((13, 8))
+        basis[:-1, :-1], basis[:-1, -1], basis[-1, -1] = slopes, slopes @ value - coefficients, -1.0
+        fit = solve_clusters(np.asarray(basis.T @ gram @ basis), count, sigma)
         change, value = fit.value - value, fit.value
         if np.all(np.abs(change) <= 1e-3 * fit.sigma):
             break
     whole = value + np.append(np.zeros(_LAG), lag)
-    told = fit.determined & (fit.sigma < 0.5 * sigma)
-    told[_LAG] &= _depends(gram, value, fit)
+    determined = fit.determined & (fit.sigma < 0.5 * sigma)
+    determined[_LAG] &= _follows_temperature(gram, value, fit)
     return CoilFit(
         channel,
         reference,
-        ClusteredFit(whole, fit.covariance, fit.retained, told, fit.variance, fit.clusters, fit.rows),
+        ClusteredFit(whole, fit.covariance, fit.retained, determined, fit.variance, fit.clusters, fit.rows),
     )
 
 
-def _depends(gram: Floats, value: Floats, fit: ClusteredFit) -> bool:
+def _follows_temperature(gram: Floats, value: Floats, fit: ClusteredFit) -> bool:
     """Return whether any axis follows the temperature beyond chance: else its lag is that of noise.
 
     What counts is ``linear + r quadratic``, r being the slope of dT^2 on dT in the data: with a reference off
-    the temperatures neither of the two is told by itself.
+    the temperatures neither of the two is determined by itself.
     """
     total = gram.sum(axis=0)
-    turn = np.zeros((3, 7))
+    weights = np.zeros((3, 7))
     for axis in range(3):
-        turn[axis, [axis, axis + 3]] = 1.0, total[axis, axis + 3] / max(total[axis, axis], 1e-300)
-    sigma = np.sqrt(np.diag(turn @ fit.covariance @ turn.T))
-    chance = 2.0 * stats.t.sf(np.abs(turn @ value) / np.maximum(sigma, 1e-300), fit.clusters - 1)
-    return bool(3.0 * chance.min() < FALSE_ALARM)
-
-
-def _without_lag(gram: Floats, count: Floats, sigma: Floats) -> Floats:
-    """Return the unknowns with no change of the lag."""
-    turn = np.zeros((13, 7))
-    turn[:_LAG, :_LAG], turn[-1, -1] = np.eye(_LAG), -1.0
-    start = solve_clusters(turn.T @ gram @ turn, count, sigma[:_LAG])
-    return np.append(start.value, 0.0)
-
-
-def _turned(gram: Floats, value: Floats) -> Floats:
-    """Return Gram matrices of [slopes | residual], linear about the values; (block, 8, 8).
-
-    Their solution is the unknowns themselves, not a change of them, so that a prior holds them at 0.
-    """
-    found, slopes = coefficients_of(value)
-    found = found - slopes @ value
-    turn = np.zeros((13, 8))
-    turn[:-1, :-1], turn[:-1, -1], turn[-1, -1] = slopes, -found, -1.0
-    return np.asarray(turn.T @ gram @ turn)
+        weights[axis, [axis, axis + 3]] = 1.0, total[axis, axis + 3] / max(total[axis, axis], 1e-300)
+    sigma = np.sqrt(np.diag(weights @ fit.covariance @ weights.T))
+    chance = 2.0 * stats.t.sf(np.abs(weights @ value) / np.maximum(sigma, 1e-300), fit.clusters - 1)
+    return bool(3.0 * chance.min() < TEMPERATURE.false_alarm)
 
 
 def fit_coil_samples(
@@ -383,13 +367,13 @@ def fit_coil_samples(
     """
     at = lag
     for _ in range(TEMPERATURE.formations):
+        equations = []
+        for block in blocks:
+            own = replace(block, temperature={channel: block.temperature[channel]})
+            with suppress(CalibrationError):
+                equations.append(coil_equations(own, {channel: at}, reference))
         fit = fit_coil(
-            _formed(blocks, channel, at, reference),
-            channel,
-            lag=at,
-            reference=reference,
-            each=each,
-            prior=prior,
+            concat_equations(equations), channel, lag=at, reference=reference, each=each, prior=prior
         )
         change = fit.lag[0] - at
         if not fit.fit.determined[_LAG] or abs(change) <= TEMPERATURE.settled * fit.lag[1]:
@@ -399,17 +383,6 @@ def fit_coil_samples(
         f"the lag of '{channel}' does not settle: {at:.0f} s after {TEMPERATURE.formations} turns",
         remedy="start nearer to it, or take a longer span",
     )
-
-
-def _formed(blocks: Sequence[CoilBlock], channel: str, lag: float, reference: float) -> NormalEquations:
-    made = []
-    for block in blocks:
-        own = replace(block, temperature={channel: block.temperature[channel]})
-        try:
-            made.append(coil_equations(own, {channel: lag}, reference))
-        except CalibrationError:
-            continue
-    return concat_equations(made)
 
 
 @dataclass(frozen=True)
@@ -423,7 +396,7 @@ class TemperatureRival:
 
     @property
     def ties(self) -> bool:
-        """True when held-out blocks do not tell it from the best."""
+        """True when held-out blocks do not separate it from the best."""
         return self.behind <= TEMPERATURE.tie * self.behind_sigma
 
 
@@ -441,16 +414,26 @@ class TemperatureChoice:
         )
         return cls(tuple(TemperatureRival(*row) for row in rows))
 
-    def told(self) -> str:
-        """Say which is best, and which are tied with it."""
+    @classmethod
+    def of_squares(cls, squares: Mapping[str, Floats], count: Floats) -> TemperatureChoice:
+        """Return the choice by held-out mean squares of each rival, (block,) nT^2, `count` rows each."""
+        mean = {name: float(np.average(one, weights=count)) for name, one in squares.items()}
+        best, block, rivals = min(mean, key=lambda name: mean[name]), np.arange(len(count)), []
+        for name in sorted(mean, key=lambda name: mean[name]):
+            behind, sigma = mean_of_clusters(squares[name] - squares[best], count, block)
+            rivals.append(TemperatureRival(name, float(np.sqrt(mean[name])), behind, sigma))
+        return cls(tuple(rivals))
+
+    def summary(self) -> str:
+        """Return which rival is best, and which are tied with it, as a sentence."""
         best, *others = self.rivals
         ties = [one.channel for one in others if one.ties]
         worse = [
             f"{one.channel} ({one.behind / one.behind_sigma:.1f} sigma)" for one in others if not one.ties
         ]
-        told = f"{best.channel} leaves least of held-out blocks"
-        told += f"; tied with it: {', '.join(ties)}" if ties else ""
-        return told + (f"; worse: {', '.join(worse)}" if worse else "")
+        text = f"{best.channel} leaves least of held-out blocks"
+        text += f"; tied with it: {', '.join(ties)}" if ties else ""
+        return text + (f"; worse: {', '.join(worse)}" if worse else "")
 
     def table(self) -> xr.Dataset:
         """Return the scores: dim channel."""
@@ -463,7 +446,7 @@ class TemperatureChoice:
                 "tied": ("channel", np.array([one.ties for one in rows])),
             },
             coords={"channel": [one.channel for one in rows]},
-            attrs={"told": self.told()},
+            attrs={"told": self.summary()},
         )
 
 
@@ -497,19 +480,11 @@ def compare_temperatures(
         When training blocks are fewer than five.
     """
     squares: dict[str, Floats] = {}
-    count = equations.count
     for channel in channels:
         gram, rows = residual_grams(equations, channel, each)
         squares.setdefault(NONE, gram[:, -1, -1] / rows)
         squares[channel] = _held_out(gram, rows, channel, folds, prior) / rows
-    which = np.arange(len(count))
-    whole = {name: float(np.average(one, weights=count)) for name, one in squares.items()}
-    best = min(whole, key=lambda name: whole[name])
-    rivals = []
-    for name in sorted(whole, key=lambda name: whole[name]):
-        behind, sigma = mean_of_clusters(squares[name] - squares[best], count, which)
-        rivals.append(TemperatureRival(name, float(np.sqrt(whole[name])), behind, sigma))
-    return TemperatureChoice(tuple(rivals))
+    return TemperatureChoice.of_squares(squares, equations.count)
 
 
 def _held_out(
@@ -621,7 +596,14 @@ def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str =
     curve = np.polynomial.Polynomial.fit(warm, value[use], 2)
     low, high = (float(edge) for edge in np.quantile(warm, TEMPERATURE.reach))
     edges = np.linspace(low, high, TEMPERATURE.bins + 1)
-    count, total = _sums(value[use] - curve(warm), np.digitize(warm, edges) - 1, up)
+    # Counts and sums in cells of (block of time, rising bins then falling bins).
+    place, blocks, cells = np.digitize(warm, edges) - 1, TEMPERATURE.blocks, 2 * TEMPERATURE.bins
+    inside = (place >= 0) & (place < TEMPERATURE.bins)
+    cell = np.where(up, place, place + TEMPERATURE.bins) + np.arange(warm.size) * blocks // warm.size * cells
+    count, total = (
+        np.bincount(cell[inside], weights=weights, minlength=blocks * cells).reshape(blocks, cells)
+        for weights in (np.ones(int(inside.sum())), (value[use] - curve(warm))[inside])
+    )
     enough = count.sum(axis=0) >= TEMPERATURE.fewest_days
     common = enough.reshape(2, TEMPERATURE.bins).all(axis=0)
     if common.sum() < TEMPERATURE.fewest_bins:
@@ -646,18 +628,6 @@ def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str =
         (int(up.sum()), int((~up).sum())),
         unit,
     )
-
-
-def _sums(left: Floats, place: np.ndarray, up: np.ndarray) -> tuple[Floats, Floats]:
-    """Return counts and sums in cells of (block of time, rising bins then falling bins)."""
-    inside = (place >= 0) & (place < TEMPERATURE.bins)
-    cell = np.where(up, place, place + TEMPERATURE.bins)[inside]
-    block = (np.arange(left.size) * TEMPERATURE.blocks // left.size)[inside]
-    shape = (TEMPERATURE.blocks, 2 * TEMPERATURE.bins)
-    index, size = block * 2 * TEMPERATURE.bins + cell, TEMPERATURE.blocks * 2 * TEMPERATURE.bins
-    count = np.bincount(index, minlength=size).reshape(shape).astype(np.float64)
-    total = np.bincount(index, weights=left[inside], minlength=size).reshape(shape)
-    return count, np.asarray(total, dtype=np.float64)
 
 
 def _means(total: Floats, count: Floats) -> Floats:

@@ -35,6 +35,7 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
+from inflight.effects import AXES
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.lsq import (
     MAD_TO_SIGMA,
@@ -47,10 +48,34 @@ from inflight.lsq import (
 )
 from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
 
+
+@dataclass(frozen=True, kw_only=True)
+class TorquerSettings:
+    """How the robust mean of days settles, and when a running mean has its whole window.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the biweights; assumed.
+    whole : float
+        A window is whole from this coverage on: rounding of the weights of its days.
+    most_share : float
+        Share of the weight above which a day's residual is no longer scaled up for its pull on the mean;
+        assumed.
+    fewest_pairs : int
+        Fewest pairs of covered days that show by how much the mean changes over a lag; assumed.
+    """
+
+    passes: int = 10
+    whole: float = 0.999
+    most_share: float = 0.9
+    fewest_pairs: int = 3
+
+
+TORQUERS = TorquerSettings()
+
 #: Hz, around the 20 s of the modulation.
 TORQUER_BAND_HZ = (0.045, 0.055)
-
-AXES = ("x", "y", "z")
 
 #: Columns e_j I_k: axis of the field, then coil.
 COLUMNS = tuple(f"{axis}{coil}" for axis in AXES for coil in AXES)
@@ -84,7 +109,7 @@ def band_equations(
     longest, shortest : float
         Stretches are cut to at most the one and dropped below the other, s. A stretch is a cluster.
     order : int
-        Order of the polynomial that is taken off columns and residual of a stretch. A line is enough
+        Order of the polynomial that is removed from columns and residual of a stretch. A line is enough
         while the residual follows the orbit by less than 1 nT; more leaks into the band and raises
         its level (3 nT: by 45 %), which order 5 prevents.
 
@@ -106,44 +131,35 @@ def band_equations(
             f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
             remedy="take the torquer currents and the residual at the magnetometers' own cadence",
         )
-    rows = _rows(residual, direction, current)
-    found: list[tuple[Floats, int, int, int]] = []
-    for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
-        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
-        gram, count = both.T @ both, both.shape[0]
-        if count:
-            found.append((gram, count, int(stamps[part.start]), int(stamps[part.stop - 1])))
-    if not found:
-        raise SamplesError(
-            f"no stretch of {shortest:g} s without a gap in {stamps.size} samples",
-            remedy="take another span, or lower 'shortest' (at least two periods of the band's width)",
-        )
-    attributes = {"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence}
-    return _of_stretches(found).assign_attrs(attributes)
-
-
-def _rows(residual: Floats, direction: Floats, current: Floats) -> Floats:
-    """Return the columns ``e_j I_k`` and the residual; (10, time), nT A and nT."""
+    # The columns e_j I_k and the residual; (10, time), nT A and nT.
     rows = np.empty((10, residual.size))
     for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
         np.multiply(direction[:, axis], current[:, coil], out=rows[row])
     rows[9] = residual
-    return rows
-
-
-def _of_stretches(found: Sequence[tuple[Floats, int, int, int]]) -> xr.Dataset:
-    """Return the dataset of `band_equations` from Gram matrix, rows, first and last stamp of stretches."""
-    start = np.array([one[2] for one in found], dtype=np.int64)
+    grams, counts, ends = [], [], []
+    for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
+        both = _band_transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
+        if both.shape[0]:
+            grams.append(both.T @ both)
+            counts.append(both.shape[0])
+            ends.append((stamps[part.start], stamps[part.stop - 1]))
+    if not grams:
+        raise SamplesError(
+            f"no stretch of {shortest:g} s without a gap in {stamps.size} samples",
+            remedy="take another span, or lower 'shortest' (at least two periods of the band's width)",
+        )
+    start, end = np.array(ends, dtype=np.int64).T
     names = [*COLUMNS, "residual"]
     return xr.Dataset(
         {
-            "gram": (("segment", "column", "other"), np.array([one[0] for one in found]), {"units": "nT2"}),
-            "rows": ("segment", np.array([one[1] for one in found], dtype=np.float64)),
+            "gram": (("segment", "column", "other"), np.array(grams), {"units": "nT2"}),
+            "rows": ("segment", np.array(counts, dtype=np.float64)),
             "start": ("segment", start, {"scale": "TT2000"}),
-            "end": ("segment", np.array([one[3] for one in found], dtype=np.int64), {"scale": "TT2000"}),
+            "end": ("segment", end, {"scale": "TT2000"}),
             "day": ("segment", day_of(start).astype("datetime64[D]").astype(np.int64)),
         },
         coords={"column": names, "other": names},
+        attrs={"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence},
     )
 
 
@@ -168,19 +184,19 @@ def _stretches(
 
 
 @lru_cache(maxsize=8)
-def _transform(count: int, cadence: float, low: float, high: float, order: int) -> Floats:
-    """Return the matrix that takes the drift off and gives real and imaginary parts in the band; (row, time).
+def _band_transform(count: int, cadence: float, low: float, high: float, order: int) -> Floats:
+    """Return the matrix that removes the drift and gives real and imaginary parts in the band; (row, time).
 
-    Scaled so that its rows keep the variance of white noise. Only the band is computed, and taking the
-    drift off the waves once is the same as taking it off every series.
+    Scaled so that its rows keep the variance of white noise. Only the band is computed, and removing the
+    drift from the waves once is the same as removing it from every series.
     """
     # A frequency on the edge of the band belongs to it, whatever rounding says.
     first = int(np.ceil(low * count * cadence - 1e-6))
     last = int(np.floor(high * count * cadence + 1e-6))
     # A wave passes the same angles as the first one, in another order.
-    turns = np.outer(np.arange(first, last + 1), np.arange(count)) % count
+    index = np.outer(np.arange(first, last + 1), np.arange(count)) % count
     angle = 2.0 * np.pi * np.arange(count) / count
-    waves = np.concatenate([np.cos(angle)[turns], -np.sin(angle)[turns]]) * np.sqrt(2.0 / count)
+    waves = np.concatenate([np.cos(angle)[index], -np.sin(angle)[index]]) * np.sqrt(2.0 / count)
     drift, _ = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), order))
     return np.asarray(waves - (waves @ drift) @ drift.T)
 
@@ -286,23 +302,23 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
     """
     gram, rows, start, end, day = (equations[name].values for name in ("gram", "rows", "start", "end", "day"))
     fits, kept, short = [], [], 0
-    for one in np.unique(day):
-        part = np.flatnonzero(day == one)
+    for this in np.unique(day):
+        part = np.flatnonzero(day == this)
         if part.size < SOLVER.fewest_clusters:
             short += 1
             continue
         fit = solve_clusters(gram[part], rows[part])
         fits.append(TorquerFit(fit, int(start[part].min()), int(end[part].max())))
-        kept.append(int(one))
+        kept.append(int(this))
     if not fits:
         raise SamplesError(
             f"{short} days found, none with {SOLVER.fewest_clusters} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
     first = fits[0].table().drop_vars("covariance")
-    every = {str(name): np.array([getattr(fit, str(name)) for fit in fits]) for name in first.data_vars}
+    series = {str(name): np.array([getattr(fit, str(name)) for fit in fits]) for name in first.data_vars}
     return xr.Dataset(
-        {name: (("day", *first[name].dims), values, first[name].attrs) for name, values in every.items()},
+        {name: (("day", *first[name].dims), values, first[name].attrs) for name, values in series.items()},
         coords={"day": kept, **first.coords},
         attrs={"days_left_out": short},
     )
@@ -312,7 +328,7 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
     """Return the robust mean of daily values, component by component, with the error of their scatter.
 
     Days weigh with their own variance and Tukey's biweight about the mean, from the weighted median
-    on. The error is that of the scatter between days, whatever the days say of themselves.
+    on. The error is that of the scatter between days, whatever their own errors are.
 
     Parameters
     ----------
@@ -323,7 +339,7 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         dims axis, coil: `value`, `sigma`, `median` nT/A, `scatter` (robust standard deviation of a
-        day over its sigma: 1 when the days differ as they say).
+        day over its sigma: 1 when the days differ by their errors).
     """
     value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
     if len(value) < SOLVER.fewest_clusters:
@@ -347,19 +363,20 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
 
 
 def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
+    """Return mean, its standard deviation and the scatter of values (day,) of one component."""
     own = 1.0 / np.maximum(sigma, 0.5 * np.median(sigma)) ** 2
     order = np.argsort(value)
     share = np.cumsum(own[order]) / own.sum()
     mean = float(value[order][np.searchsorted(share, 0.5)])
-    for _ in range(10):
-        pull = (value - mean) * np.sqrt(own)
-        scatter = robust_sigma(pull, floor=1e-12)
-        weight = own * biweight(pull / scatter)
+    for _ in range(TORQUERS.passes):
+        standardised = (value - mean) * np.sqrt(own)
+        scatter = robust_sigma(standardised, floor=1e-12)
+        weight = own * biweight(standardised / scatter)
         mean = float(weight @ value / weight.sum())
-    # A day that weighs much pulls the mean to itself: what is left of it is made as large as it was.
+    # A day that weighs much pulls the mean to itself: its residual is scaled to its size without the pull.
     share = weight / weight.sum()
-    left = (value - mean) / (1.0 - np.minimum(share, 0.9))
-    return mean, float(np.sqrt(np.sum((share * left) ** 2))), scatter
+    residual = (value - mean) / (1.0 - np.minimum(share, TORQUERS.most_share))
+    return mean, float(np.sqrt(np.sum((share * residual) ** 2))), scatter
 
 
 def band_spectra(
@@ -371,7 +388,7 @@ def band_spectra(
     *,
     length: float = 2000.0,
 ) -> xr.Dataset:
-    """Return the spectra of dB before and after ``e.(value I)`` is taken off.
+    """Return the spectra of dB before and after ``e.(value I)`` is subtracted.
 
     Parameters
     ----------
@@ -415,11 +432,8 @@ ETA = 7.1
 #: Days of the running mean: the local time falls by 24 h.
 CURRENT_WINDOW_DAYS = 260.0
 
-#: How a value came about; codes of `CarriedMean.state`.
+#: How a value came about; codes of `FilledRunningMean.state`.
 MEAN_STATES = ("whole", "partial", "interpolated", "held")
-
-#: A window counts as whole from this coverage on.
-_WHOLE = 0.999
 
 
 @dataclass(frozen=True)
@@ -453,38 +467,33 @@ class FilledRunningMean:
 
     @property
     def sentence(self) -> str:
-        """What was done with ends and gaps, in words."""
+        """How many days have a whole, partial, interpolated or held mean."""
         count = {name: int(np.sum(self.state == code)) for code, name in enumerate(MEAN_STATES)}
-        told = ", ".join(f"{number} {name}" for name, number in count.items() if number)
-        return f"running mean of {self.window:g} d over {self.day.size} days: {told}"
+        states = ", ".join(f"{number} {name}" for name, number in count.items() if number)
+        return f"running mean of {self.window:g} d over {self.day.size} days: {states}"
 
     def table(self) -> xr.Dataset:
         """Return `value`, `sigma` (interval, axis) A, `coverage` and `state`, one interval a day."""
         dims = ("interval", "axis")
-        return _by_day(self.day).assign(
-            value=(dims, self.value, {"units": "A"}),
-            sigma=(dims, self.sigma, {"units": "A"}),
-            daily=(dims, self.daily, {"units": "A"}),
-            coverage=("interval", self.coverage),
-            state=("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
+        bounds = np.array([day_bounds(np.datetime64(int(day), "D")) for day in self.day], dtype=np.int64)
+        return xr.Dataset(
+            {
+                "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
+                "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
+                "value": (dims, self.value, {"units": "A"}),
+                "sigma": (dims, self.sigma, {"units": "A"}),
+                "daily": (dims, self.daily, {"units": "A"}),
+                "coverage": ("interval", self.coverage),
+                "state": ("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
+            },
+            coords={"axis": list(AXES)},
         )
-
-
-def _by_day(day: Int64) -> xr.Dataset:
-    bounds = np.array([day_bounds(np.datetime64(int(one), "D")) for one in day], dtype=np.int64)
-    return xr.Dataset(
-        {
-            "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
-            "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
-        },
-        coords={"axis": list(AXES)},
-    )
 
 
 def filled_running_mean(
     day: Int64, value: Floats, count: Floats, *, window: float = CURRENT_WINDOW_DAYS, least: float = 0.9
 ) -> FilledRunningMean:
-    """Return the centred running mean of daily mean currents, carried to the days that have none.
+    """Return the centred running mean of daily mean currents, filled on the days that have none.
 
     Parameters
     ----------
@@ -498,14 +507,14 @@ def filled_running_mean(
         Days; the days at its ends weigh by the part of them inside.
     least : float
         Part of the window that must have data. Below it nothing is averaged: such days are
-        interpolated, or held at the ends, with a sigma that grows as the mean itself was seen to change.
+        interpolated, or held at the ends, with a sigma that grows as the mean itself changes.
 
     Returns
     -------
-    CarriedMean
+    FilledRunningMean
         `sigma` holds the scatter of days, ``(1 - coverage)`` times the spread of the daily values in
         the window (the missing part may be any part of the local time's cycle), and the change of the
-        mean over the time a value was carried.
+        mean over the time to the nearest day with a mean.
 
     Raises
     ------
@@ -523,12 +532,16 @@ def filled_running_mean(
             f"{least:.0%} needed",
             remedy="take a longer span, a shorter window, or lower 'least'",
         )
-    scatter = _scatter_of_days(daily)
+    # The scatter that neighbouring days do not share; not the long-run variance of
+    # `parameters.running_mean`: what they share repeats with the local time, and the window removes it.
+    steps = np.abs(np.diff(daily, axis=0))
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    scatter = MAD_TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2.0) if len(steps) else np.zeros(3)
     sigma = np.hypot(
         scatter / np.sqrt(np.maximum(means.weight, 1e-12))[:, None], (1.0 - coverage)[:, None] * spread
     )
-    state = np.where(coverage >= _WHOLE, 0, 1).astype(np.int8)
-    mean, sigma, state = _carried(mean, sigma, state, good, spread[good].max(axis=0))
+    state = np.where(coverage >= TORQUERS.whole, 0, 1).astype(np.int8)
+    mean, sigma, state = _filled(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
     return FilledRunningMean(days, mean, sigma, coverage, state, daily, window)
 
@@ -554,20 +567,7 @@ def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats
     return daily, np.minimum(weight / np.median(weight[weight > 0]), 1.0)
 
 
-def _scatter_of_days(daily: Floats) -> Floats:
-    """Return the part of the daily values' scatter that neighbours do not share; (3,).
-
-    Not the long-run variance of `behaviour.running_mean`: what the currents' days share repeats with the
-    local time, and the window takes it out.
-    """
-    steps = np.abs(np.diff(daily, axis=0))
-    steps = steps[np.isfinite(steps).all(axis=1)]
-    if not len(steps):
-        return np.zeros(3)
-    return np.asarray(MAD_TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2.0))
-
-
-def _carried(
+def _filled(
     mean: Floats,
     sigma: Floats,
     state: npt.NDArray[np.int8],
@@ -575,21 +575,16 @@ def _carried(
     unknown: Floats,
 ) -> tuple[Floats, Floats, npt.NDArray[np.int8]]:
     """Interpolate and hold where the window was not covered; sigma grows as the mean can have changed."""
-    at = np.flatnonzero(good)
+    known = np.flatnonzero(good)
     index = np.arange(good.size)
-    filled = np.stack([np.interp(index, at, mean[at, i]) for i in range(3)], axis=1)
-    width = np.stack([np.interp(index, at, sigma[at, i]) for i in range(3)], axis=1)
-    away = np.min(np.abs(index[:, None] - _neighbours(index, at)), axis=1)
+    filled = np.stack([np.interp(index, known, mean[known, i]) for i in range(3)], axis=1)
+    width = np.stack([np.interp(index, known, sigma[known, i]) for i in range(3)], axis=1)
+    after = np.clip(np.searchsorted(known, index), 0, known.size - 1)
+    before = np.clip(np.searchsorted(known, index, side="right") - 1, 0, known.size - 1)
+    away = np.minimum(np.abs(index - known[before]), np.abs(index - known[after]))
     change = _change_over(mean, good, int(away.max()), unknown)[away]
-    state = np.where(good, state, np.where((index < at[0]) | (index > at[-1]), 3, 2)).astype(np.int8)
-    return filled, np.hypot(width, change), state
-
-
-def _neighbours(index: Int64, at: Int64) -> Int64:
-    """Return the nearest covered days before and after each; (day, 2)."""
-    after = np.clip(np.searchsorted(at, index), 0, at.size - 1)
-    before = np.clip(np.searchsorted(at, index, side="right") - 1, 0, at.size - 1)
-    return np.stack([at[before], at[after]], axis=1)
+    outside = (index < known[0]) | (index > known[-1])
+    return filled, np.hypot(width, change), np.where(good, state, np.where(outside, 3, 2)).astype(np.int8)
 
 
 def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknown: Floats) -> Floats:
@@ -598,14 +593,14 @@ def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknow
     Beyond the lags that the covered days show it grows in proportion; with none it is `unknown`.
     """
     change = np.zeros((longest + 1, 3))
-    seen = 0
+    measured = 0
     for lag in range(1, longest + 1):
         both = good[lag:] & good[:-lag]
-        if both.sum() >= 3:
+        if both.sum() >= TORQUERS.fewest_pairs:
             change[lag] = np.sqrt(np.mean((mean[lag:][both] - mean[:-lag][both]) ** 2, axis=0))
-            seen = lag
+            measured = lag
         else:
-            change[lag] = change[seen] * lag / seen if seen else unknown
+            change[lag] = change[measured] * lag / measured if measured else unknown
     return change
 
 
@@ -614,7 +609,7 @@ def remanent_field(mean: FilledRunningMean, *, eta: float = ETA, eta_sigma: floa
 
     Parameters
     ----------
-    mean : CarriedMean
+    mean : FilledRunningMean
     eta, eta_sigma : float
         nT/A at the scalar sensor.
 
@@ -631,12 +626,15 @@ def remanent_field(mean: FilledRunningMean, *, eta: float = ETA, eta_sigma: floa
     covariance = eta**2 * np.einsum("ti,ij->tij", spread**2, np.eye(3))
     covariance = covariance + eta_sigma**2 * np.einsum("ti,tj->tij", current, current)
     dims = ("interval", "axis")
-    told = mean.table()
-    return told.drop_vars("daily").assign(
-        value=(dims, eta * current, {"units": "nT", "at": "scalar"}),
-        sigma=(dims, np.sqrt(np.einsum("tii->ti", covariance)), {"units": "nT"}),
-        covariance=((*dims, "other"), covariance, {"units": "nT2"}),
-        eta=((), eta, {"units": "nT/A"}),
+    return (
+        mean.table()
+        .drop_vars("daily")
+        .assign(
+            value=(dims, eta * current, {"units": "nT", "at": "scalar"}),
+            sigma=(dims, np.sqrt(np.einsum("tii->ti", covariance)), {"units": "nT"}),
+            covariance=((*dims, "other"), covariance, {"units": "nT2"}),
+            eta=((), eta, {"units": "nT/A"}),
+        )
     )
 
 
@@ -657,7 +655,7 @@ class EtaFit:
 
     @property
     def difference(self) -> float:
-        """Eta at the vector sensor minus eta at the scalar sensor, nT/A: all that dB can tell."""
+        """Eta at the vector sensor minus eta at the scalar sensor, nT/A: all that dB determines."""
         return float(self.fit.value[3])
 
     @property
@@ -689,8 +687,8 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, 
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean
-    current tells, and only while the offsets are held constant. A drift of theirs of the same course
-    is not told apart. Days whose running mean was interpolated or held are left out. The error of the
+    current determines it, and only while the offsets are held constant. A drift of theirs of the same
+    course is not separated. Days whose running mean was interpolated or held are left out. The error of the
     running mean itself, which lasts for a window, is in the sigma.
 
     Parameters
@@ -701,9 +699,9 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, 
         Of [e_x, e_y, e_z | dB], dB in nT, of each day.
     rows : ndarray, shape (given,)
         Samples behind each.
-    mean : CarriedMean
+    mean : FilledRunningMean
     block : int
-        Days of a cluster: at least three times as long as the residual's slow errors last.
+        Days of a cluster: at least three times the correlation time of the residual's slow errors.
 
     Raises
     ------
@@ -724,11 +722,11 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, 
             "the mean torquer current does not change: eta is not told from an offset",
             remedy="take a longer span, or eta from ground tests",
         )
-    turn = np.zeros((chosen.size, 5, 4))
-    turn[:, [0, 1, 2, 4], [0, 1, 2, 3]] = 1.0
+    weights = np.zeros((chosen.size, 5, 4))
+    weights[:, [0, 1, 2, 4], [0, 1, 2, 3]] = 1.0
     # In units of the current's own change, so that the system is as well scaled as it can be.
-    turn[:, 3, :3] = (current - centre) / spread
-    wide = turn @ np.asarray(gram)[inside] @ turn.transpose(0, 2, 1)
+    weights[:, 3, :3] = (current - centre) / spread
+    wide = weights @ np.asarray(gram)[inside] @ weights.transpose(0, 2, 1)
     _, which = np.unique((chosen - chosen[0]) // block, return_inverse=True)
     total = np.zeros((int(which.max()) + 1, 5, 5))
     np.add.at(total, which, wide)

@@ -36,7 +36,6 @@ from inflight.mission_fit.trends import (
     make_trend,
     outlier_weights,
     score_statistic,
-    with_origin,
 )
 from inflight.model import Dependence
 from inflight.time import Int64, from_mjd2000, mjd2000
@@ -110,7 +109,7 @@ def fit_origin(
     profile = _Profile(common, sums, dict(trends), logs, prior_sigma, given.rms**2)
     grid = profile.grid()
     best = profile.lowest(grid)
-    fitted = fit_trends(equations, profile.moved(best), prior_sigma, given.weight, units)
+    fitted = fit_trends(equations, profile.trends_at(best), prior_sigma, given.weight, units)
     covariance, inflation = _with_unknown_origin(common, sums, fitted, prior_sigma)
     sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
     limit = profile.total(best) + SELECTION.limit * inflation * fitted.rms**2
@@ -120,8 +119,8 @@ def fit_origin(
         profile.first - best, sigma, profile.first - far, profile.first - near, determined, shared
     )
     if not determined:
-        return with_origin(given, origin)
-    return with_origin(replace(fitted, covariance=covariance[:-1, :-1]), origin)
+        return replace(given, origin=origin)
+    return replace(fitted, covariance=covariance[:-1, :-1], origin=origin)
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ class _Profile:
             int(SELECTION.per_decade * np.log10(most / SELECTION.nearest_days)) + 2,
         )
 
-    def moved(self, distance: float) -> dict[str, Dependence]:
+    def trends_at(self, distance: float) -> dict[str, Dependence]:
         """Return the trends with their origin so far before the first block; straight lines at infinity."""
         if np.isinf(distance):
             line = make_trend("linear", self.equations.middle)
@@ -160,7 +159,9 @@ class _Profile:
 
     def total(self, distance: float) -> float:
         """Return the least sum of squares with the origin so far before the first block."""
-        expansion = _expansion(self.equations, self.moved(distance))
+        trends = self.trends_at(distance)
+        every = {name: trends.get(name, Dependence()) for name in self.equations.columns}
+        expansion = Expansion.of(self.equations.middle, every)
         scale = self.equations.scale[:-1]
         return profile_sum(self.sums, expansion, scale, self.prior_sigma, self.variance)
 
@@ -193,11 +194,6 @@ class _Profile:
                 return float(edge)
             inner = float(distance)
         return otherwise
-
-
-def _expansion(equations: NormalEquations, trends: Mapping[str, Dependence]) -> Expansion:
-    every = {name: trends.get(name, Dependence()) for name in equations.columns}
-    return Expansion.of(equations.middle, every)
 
 
 def profile_sum(
@@ -298,8 +294,8 @@ class TrendComparison:
     folds: int
     unit: str
 
-    def told(self) -> str:
-        """Say in a sentence which kind does best, and what is tied with it."""
+    def summary(self) -> str:
+        """Return as a sentence which kind does best, and what is tied with it."""
         best, *others = self.rivals
         tied = [one.kind for one in others if one.tied]
         size = f"{best.rms:.5g} {self.unit} on held-out days"
@@ -321,7 +317,7 @@ class TrendComparison:
                 "units": ("kind", np.full(len(rows), self.unit)),
             },
             coords={"kind": [one.kind for one in rows]},
-            attrs={"chosen": self.chosen, "folds": self.folds, "told": self.told()},
+            attrs={"chosen": self.chosen, "folds": self.folds, "told": self.summary()},
         )
 
 
@@ -337,7 +333,7 @@ def compare_trends(
 ) -> TrendComparison:
     """Compare kinds of trend on contiguous held-out folds.
 
-    The first and last folds ask how well a kind foretells what lies beyond its data, the others how well
+    The first and last folds show how well a kind predicts what lies beyond its data, the others how well
     it bridges a gap. Outlying blocks are left out alike for all kinds: those of the kind whose typical
     block lies nearest to it.
 
@@ -367,8 +363,12 @@ def compare_trends(
             f"{len(equations)} blocks make no {folds} folds of two or more", remedy="use fewer folds"
         )
     common = equations.at_one_reference()
-    maker = _Maker(list(names), t0, knots, int(common.middle[0]))
-    weight = _shared_weight(common, maker, kinds, prior_sigma)
+    maker = _TrendMaker(list(names), t0, knots, int(common.middle[0]))
+    distances = []
+    for kind in kinds:
+        fit = maker.fit(common, kind, prior_sigma, None)
+        distances.append(score_statistic(common, fit.values(common.middle), prior_sigma))
+    weight = outlier_weights(min(distances, key=lambda one: float(np.median(one))))
     count = common.count * weight
     held = {kind: _held_out(common, maker, kind, prior_sigma, weight, folds) for kind in kinds}
     whole = {kind: float(one.sums.sum() / count.sum()) for kind, one in held.items()}
@@ -386,7 +386,7 @@ def compare_trends(
 
 
 @dataclass(frozen=True)
-class _Maker:
+class _TrendMaker:
     """Makes trends of a kind, and fits them, for parameters by name."""
 
     names: list[str]
@@ -413,21 +413,11 @@ class _Maker:
         return fitter(equations, trends, prior_sigma, weight)
 
 
-def _shared_weight(
-    equations: NormalEquations, maker: _Maker, kinds: Sequence[str], prior_sigma: Floats
-) -> Floats:
-    distances = []
-    for kind in kinds:
-        fit = maker.fit(equations, kind, prior_sigma, None)
-        distances.append(score_statistic(equations, fit.values(equations.middle), prior_sigma))
-    return outlier_weights(min(distances, key=lambda one: float(np.median(one))))
-
-
 @dataclass(frozen=True)
 class _HeldOut:
-    """What one kind foretells of the blocks that it was not fitted to.
+    """What one kind predicts of the blocks that it was not fitted to.
 
-    `sums` (block,) squared residuals; `value` (block, parameter) what was foretold; `scores`
+    `sums` (block,) squared residuals; `value` (block, parameter) what was predicted; `scores`
     (block, parameter), scaled, there; `training` the variance of the sums' total by the fits' own errors.
     """
 
@@ -439,7 +429,7 @@ class _HeldOut:
 
 def _held_out(
     equations: NormalEquations,
-    maker: _Maker,
+    maker: _TrendMaker,
     kind: str,
     prior_sigma: Floats,
     weight: Floats,
@@ -448,40 +438,27 @@ def _held_out(
     value = np.zeros((len(equations), len(equations.columns)))
     fits = []
     every = np.arange(len(equations))
-    for held, (fitted, left) in zip(np.array_split(every, folds), equations.split(folds), strict=True):
+    for held, (fitted, rest) in zip(np.array_split(every, folds), equations.split(folds), strict=True):
         fit = maker.fit(fitted, kind, prior_sigma, np.delete(weight, held))
-        value[held] = _foretold(fit, left.middle)
-        fits.append((held, fit))
+        # Times before the origin of a logarithm are moved to its first day.
+        starts = [trend.t0 + trend.per for trend in fit.trends.values() if trend.time == "log"]
+        times = np.maximum(rest.middle, max(starts)) if starts else rest.middle
+        value[held] = fit.values(times)
+        fits.append((held, fit, times))
     sums, scores = weight * equations.squares_at(value), weight[:, None] * equations.scores(value)
-    training = sum(_training(equations, scores, held, fit) for held, fit in fits)
+    training = 0.0
+    for held, fit, times in fits:
+        gradient = np.einsum("tp,tpi->i", 2.0 * scores[held] / equations.scale[:-1], fit.slopes(times))
+        training += float(gradient @ fit.full_covariance @ gradient)
     return _HeldOut(sums, value, scores, training)
-
-
-def _training(equations: NormalEquations, scores: Floats, held: np.ndarray, fit: TrendFit) -> float:
-    """Return the variance of a fold's sum of squares by the errors of the fit that foretold it."""
-    times = _inside(fit, equations.middle[held])
-    scale = equations.scale[:-1]
-    slope = 2.0 * scores[held] / scale
-    gradient = np.einsum("tp,tpi->i", slope, fit.slopes(times))
-    return float(gradient @ fit.full_covariance @ gradient)
-
-
-def _inside(fit: TrendFit, times: Int64) -> Int64:
-    """Return times, those before the origin of a logarithm moved to its first day."""
-    starts = [trend.t0 + trend.per for trend in fit.trends.values() if trend.time == "log"]
-    return np.maximum(times, max(starts)) if starts else times
-
-
-def _foretold(fit: TrendFit, times: Int64) -> Floats:
-    return fit.values(_inside(fit, times))
 
 
 def _sigma_behind(equations: NormalEquations, one: _HeldOut, best: _HeldOut) -> float:
     """Return the standard deviation of the difference of two kinds' sums of squares.
 
-    With D the difference of what they foretell, a block's sums differ by ``D A D + 2 s D``: the scores s at
-    the best kind are noise, correlated from block to block; the error of its fits comes on top. What the
-    other's fits err by is its own fault, and no excuse.
+    With D the difference of their predictions, a block's sums differ by ``D A D + 2 s D``: the scores s at
+    the best kind are noise, correlated from block to block; the error of its fits comes on top. The errors
+    of the other's fits do not count in its favour.
     """
     apart = (one.value - best.value) / equations.scale[:-1]
     noise = 2.0 * np.einsum("bi,bi->b", best.scores, apart)

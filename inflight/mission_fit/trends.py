@@ -9,11 +9,12 @@ from the trend are weighted down by their score statistic.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.linalg import block_diag
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
@@ -102,10 +103,10 @@ def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, k
 
 
 def equations_of_table(table: xr.Dataset) -> NormalEquations:
-    """Return normal equations that hold what a calibration table says: generalised least squares.
+    """Return the normal equations of a calibration table: generalised least squares.
 
     An interval with values v and covariance C gives the equations ``|C^-1/2 (p - v)|^2``: a residual of
-    unit variance. Values that are NaN or not `determined` (they lean on their prior) are left out with
+    unit variance. Values that are NaN or not `determined` (the prior is in them) are left out with
     their part of the covariance.
 
     Parameters
@@ -131,50 +132,35 @@ def equations_of_table(table: xr.Dataset) -> NormalEquations:
     centre = np.array(
         [np.median(one[use]) if use.any() else 0.0 for one, use in zip(value.T, known.T, strict=True)]
     )
-    grams = np.array(
-        [_gram(value[i], _covariance(table, i), known[i], scale, centre) for i in range(len(value))]
-    )
-    return _as_equations(table, grams, known.sum(axis=1), scale, centre)
-
-
-def _covariance(table: xr.Dataset, index: int) -> Floats:
-    if "covariance" in table:
-        return np.asarray(table["covariance"].values[index])
-    return np.asarray(np.diag(table["sigma"].values[index] ** 2))
-
-
-def _gram(value: Floats, covariance: Floats, known: np.ndarray, scale: Floats, centre: Floats) -> Floats:
-    use = np.flatnonzero(known)
-    gram = np.zeros((scale.size + 1, scale.size + 1))
-    if use.size == 0:
-        return gram
-    unit = scale[use]
-    information = gram_inverse(covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER.eigen_cut)
-    away = (value[use] - centre[use]) / unit
-    gram[np.ix_(use, use)] = information
-    gram[use, -1] = gram[-1, use] = -information @ away
-    gram[-1, -1] = away @ information @ away
-    return gram
-
-
-def _as_equations(
-    table: xr.Dataset, grams: Floats, count: Floats, scale: Floats, centre: Floats
-) -> NormalEquations:
-    names = [*(str(name) for name in table["parameter"].values), RESIDUAL]
-    # The stated covariances say how far scores scatter within an interval: variance one.
+    grams = np.zeros((len(value), scale.size + 1, scale.size + 1))
+    for interval, gram in enumerate(grams):
+        use = np.flatnonzero(known[interval])
+        if use.size == 0:
+            continue
+        if "covariance" in table:
+            covariance = table["covariance"].values[interval]
+        else:
+            covariance = np.diag(table["sigma"].values[interval] ** 2)
+        unit = scale[use]
+        information = gram_inverse(covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER.eigen_cut)
+        away = (value[interval, use] - centre[use]) / unit
+        gram[np.ix_(use, use)] = information
+        gram[use, -1] = gram[-1, use] = -information @ away
+        gram[-1, -1] = away @ information @ away
+    # The stated covariances give the scatter of scores within an interval: variance one.
     scatter = grams.copy()
     scatter[:, -1, :] = scatter[:, :, -1] = 0.0
-    kept = {name: table.attrs.get(name, "") for name in ("comparison", "model")}
+    attributes = {name: table.attrs.get(name, "") for name in ("comparison", "model")}
     blocks = GramArrays(
-        tuple(names),
+        (*(str(name) for name in table["parameter"].values), RESIDUAL),
         grams,
         np.asarray(table["start"].values, dtype=np.int64),
         np.asarray(table["end"].values, dtype=np.int64),
-        count.astype(np.float64),
+        known.sum(axis=1).astype(np.float64),
         np.append(scale, 1.0),
         reference=np.broadcast_to(np.append(centre, 0.0), (len(grams), centre.size + 1)),
         scatter=scatter,
-        attributes={**kept, "filter": "table"},
+        attributes={**attributes, "filter": "table"},
     )
     return NormalEquations.of_arrays(blocks).filled
 
@@ -187,7 +173,7 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
     value : ndarray, shape (block, column)
         Physical units.
     prior_sigma : ndarray, shape (column,)
-        Directions that a block does not know better than this are no wish of its own.
+        Directions that a block does not determine better than this do not count.
 
     Returns
     -------
@@ -200,7 +186,7 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
     with np.errstate(divide="ignore"):
         precision = variance * (scale / prior_sigma) ** 2
     columns, out = np.arange(scale.size), np.empty(len(scores))
-    # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
+    # Some blocks at a time: see `TrendSettings.at_once`.
     for first in range(0, len(scores), TRENDS.at_once):
         part = slice(first, first + TRENDS.at_once)
         matrix = equations.rows(columns, columns, part)
@@ -210,9 +196,9 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
 
 
 def outlier_weights(distance: Floats) -> Floats:
-    """Return a weight a block, 0 to 1, from distances (block,): only far ones lose their say.
+    """Return a weight a block, 0 to 1, from distances (block,): only far ones are down-weighted.
 
-    The scale is the spread of the distances themselves, so that what wanders from day to day is no outlier.
+    The scale is the spread of the distances themselves, so that scatter from day to day is no outlier.
     """
     if distance.size < TRENDS.fewest:
         return np.ones_like(distance)
@@ -221,11 +207,6 @@ def outlier_weights(distance: Floats) -> Floats:
     # Distances of few dimensions scatter by at least a part of their size.
     z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
     return np.asarray(np.clip((TRENDS.lost - z) / (TRENDS.lost - TRENDS.far), 0.0, 1.0))
-
-
-def values_at(trends: Mapping[str, Dependence], coefficients: Mapping[str, Floats], times: Int64) -> Floats:
-    """Return the parameters that trends give at times; (time, parameter)."""
-    return np.stack([trends[name].basis(times, name) @ coefficients[name] for name in trends], axis=1)
 
 
 def check_names(equations: NormalEquations, names: Sequence[str]) -> None:
@@ -274,13 +255,13 @@ class Expansion:
             bases.append(basis)
             if trend.count == 1:
                 parts.append(np.eye(1))
-                units.append(np.zeros(1))
+                units.append(np.zeros((1, 1)))
                 continue
             inverse = _orthonormal(basis, name)
             functions[name] = basis @ inverse
             parts.append(inverse)
-            units.append(np.ones(trend.count) if trend.at else np.eye(trend.count)[0])
-        return cls(trends, tuple(columns), functions, _block_diagonal(parts), bases, _stacked(units))
+            units.append((np.ones(trend.count) if trend.at else np.eye(trend.count)[0])[:, None])
+        return cls(trends, tuple(columns), functions, block_diag(*parts), bases, block_diag(*units))
 
     @property
     def functions_each(self) -> float:
@@ -318,24 +299,6 @@ def _orthonormal(basis: Floats, name: str) -> Floats:
     return np.asarray(np.linalg.inv(triangle) * np.sqrt(len(basis)) / size[:, None])
 
 
-def _block_diagonal(parts: list[Floats]) -> Floats:
-    out = np.zeros((sum(part.shape[0] for part in parts),) * 2)
-    at = 0
-    for part in parts:
-        out[at : at + len(part), at : at + len(part)] = part
-        at += len(part)
-    return out
-
-
-def _stacked(units: list[Floats]) -> Floats:
-    out = np.zeros((sum(unit.size for unit in units), len(units)))
-    at = 0
-    for index, unit in enumerate(units):
-        out[at : at + unit.size, index] = unit
-        at += unit.size
-    return out
-
-
 @dataclass(frozen=True)
 class Origin:
     """Origin of a logarithm of time, fitted; days are MJD of 2000-01-01 (UTC).
@@ -359,8 +322,8 @@ class Origin:
     determined: bool
     shared: Floats
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return the origin as a sentence."""
         if not self.determined:
             return "the origin of the logarithm is NOT DETERMINED: its interval has no lower end"
         return f"origin MJD {self.mjd:.2f} +- {self.sigma:.2g} (95 %: {self.low:.2f} to {self.high:.2f})"
@@ -379,7 +342,7 @@ class TrendFit:
     value, covariance : ndarray, shape (column,), (column, column)
         Physical units; the covariance is the sandwich of the blocks' scores with their correlation in time.
     determined : ndarray of bool, shape (column,)
-        The data tell it from all others.
+        The data separate it from all others.
     weight : ndarray, shape (block,)
         1, less for outlying blocks.
     rms : float
@@ -411,8 +374,8 @@ class TrendFit:
         """Standard deviations of the coefficients; (column,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def place(self, parameter: str) -> slice:
-        """Return where a parameter's coefficients stand among the columns."""
+    def index(self, parameter: str) -> slice:
+        """Return which of the columns are a parameter's coefficients."""
         begin = 0
         for name, trend in self.trends.items():
             if name == parameter:
@@ -426,17 +389,21 @@ class TrendFit:
         variance = []
         for name in self.trends:
             slope = self.slopes(times, [name])[:, 0]
-            own = np.append(
-                np.arange(self.value.size)[self.place(name)], np.arange(self.value.size, len(covariance))
+            coefficients, origin = (
+                np.arange(self.value.size)[self.index(name)],
+                np.arange(self.value.size, len(covariance)),
             )
+            own = np.append(coefficients, origin)
             part = slope[:, own]
             variance.append(np.einsum("ti,ti->t", part @ covariance[np.ix_(own, own)], part))
         return self.values(times), np.sqrt(np.maximum(np.stack(variance, axis=1), 0.0))
 
     def values(self, times: Int64) -> Floats:
         """Return the parameters at TT2000 times; (time, parameter), physical units."""
-        places = [(trend.basis(times, name), self.place(name)) for name, trend in self.trends.items()]
-        return np.stack([basis @ self.value[place] for basis, place in places], axis=1)
+        found = [
+            trend.basis(times, name) @ self.value[self.index(name)] for name, trend in self.trends.items()
+        ]
+        return np.stack(found, axis=1)
 
     @property
     def full_covariance(self) -> Floats:
@@ -467,8 +434,8 @@ class TrendFit:
         unknowns = len(self.full_covariance)
         out = np.zeros((times.size, len(chosen), unknowns))
         for index, name in enumerate(chosen):
-            place, trend = self.place(name), self.trends[name]
-            out[:, index, place] = trend.basis(times, name)
+            trend = self.trends[name]
+            out[:, index, self.index(name)] = trend.basis(times, name)
             if trend.time == "log" and unknowns > self.value.size:
                 out[:, index, -1] = self.origin_derivative(name, times)
         return out
@@ -476,16 +443,17 @@ class TrendFit:
     def origin_derivative(self, name: str, times: Int64) -> Floats:
         """Return the change of a parameter that follows a logarithm for one day of its origin; (time,)."""
         trend = self.trends[name]
-        return np.asarray(-self.value[self.place(name)][1] / (mjd2000(times) - float(mjd2000(trend.t0))))
+        return np.asarray(-self.value[self.index(name)][1] / (mjd2000(times) - float(mjd2000(trend.t0))))
 
     def table(self) -> xr.Dataset:
         """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
 
         The attributes hold the origin where it was fitted.
         """
-        units = [self.units.get(column.split("*")[0], "") for column in self.columns]
+        parameters = [column.split("*", maxsplit=1)[0] for column in self.columns]
+        units = [self.units.get(name, "") for name in parameters]
         found = self.origin
-        attributes = {} if found is None else {"origin": found.told(), "origin_mjd": found.mjd}
+        attributes = {} if found is None else {"origin": found.summary(), "origin_mjd": found.mjd}
         return xr.Dataset(
             {
                 "value": ("parameter", self.value),
@@ -493,16 +461,13 @@ class TrendFit:
                 "covariance": (("parameter", "other"), self.covariance),
                 "determined": ("parameter", self.determined),
                 "units": ("parameter", np.array(units, dtype="U16")),
-                "time": ("parameter", np.array([self._time_of(column) for column in self.columns])),
+                "time": ("parameter", np.array([self.trends[name].time for name in parameters])),
                 "start": ((), np.int64(self.span[0]), {"scale": "TT2000"}),
                 "end": ((), np.int64(self.span[1]), {"scale": "TT2000"}),
             },
             coords={"parameter": list(self.columns), "other": list(self.columns)},
             attrs={**attributes, "rms": self.rms, "blocks": self.blocks},
         )
-
-    def _time_of(self, column: str) -> str:
-        return self.trends[column.split("*", maxsplit=1)[0]].time
 
     def to_timed_value(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
         """Return a parameter of a model, ready for its YAML (`TimedValue.as_yaml`).
@@ -512,7 +477,7 @@ class TrendFit:
         key : str
             ``effect.parameter``, such as ``vector_sensor.scale_factor``; all its components have one trend.
         parameter : Parameter
-            What the effect says of it.
+            Its definition by the effect.
         free : bool
             Whether later fits may move it.
 
@@ -525,7 +490,7 @@ class TrendFit:
         first = self.trends[names[0]] if names[0] in self.trends else Dependence()
         if any(self.trends.get(name) != first for name in names):
             raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
-        places = [self.place(name) for name in names]
+        places = [self.index(name) for name in names]
         return TimedValue(
             parameter=parameter,
             time=first.time,
@@ -559,8 +524,8 @@ def fit_trends(
         What is known beforehand of each parameter around its reference, physical units; every function of
         time may move it by as much. 0 fixes a parameter.
     weight : ndarray, shape (block,), optional
-        Weights; from the blocks themselves when absent: blocks that want parameters far from the
-        trend's, as measured by all blocks' own scatter, lose their say.
+        Weights; from the blocks themselves when absent: blocks whose own fit is far from the trend's, as
+        measured by all blocks' scatter, are down-weighted.
 
     Raises
     ------
@@ -572,19 +537,19 @@ def fit_trends(
     # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
     common = equations.at_one_reference()
     expansion = Expansion.of(common.middle, every)
-    turns = 1 if weight is not None else TRENDS.passes
-    held = np.ones(len(common)) if weight is None else weight
-    for turn in range(turns):
-        found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)
-        if turn < turns - 1:
-            held = outlier_weights(score_statistic(common, found.parameters(expansion), prior_sigma))
+    passes = 1 if weight is not None else TRENDS.passes
+    used = np.ones(len(common)) if weight is None else weight
+    for last in [False] * (passes - 1) + [True]:
+        found = _solve(common, used, expansion, prior_sigma, with_covariance=last)
+        if not last:
+            used = outlier_weights(score_statistic(common, found.parameters(expansion), prior_sigma))
     return TrendFit(
         every,
         expansion.columns,
         found.value,
         found.covariance,
         found.determined,
-        held,
+        used,
         found.rms,
         len(common),
         (int(common.start[0]), int(common.end[-1])),
@@ -600,21 +565,21 @@ class Solved:
     covariance: Floats
     determined: np.ndarray
     rms: float
-    total: float
 
     def parameters(self, expansion: Expansion) -> Floats:
         """Return the parameters at the blocks; (block, parameter)."""
-        out, at = [], 0
-        for basis in expansion.bases:
-            out.append(basis @ self.value[at : at + basis.shape[1]])
-            at += basis.shape[1]
-        return np.stack(out, axis=1)
+        parts = np.split(self.value, np.flatnonzero(np.diff(expansion.owners)) + 1)
+        return np.stack([basis @ part for basis, part in zip(expansion.bases, parts, strict=True)], axis=1)
 
 
 def _solve(
-    equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats, sure: bool
+    equations: NormalEquations,
+    weight: Floats,
+    expansion: Expansion,
+    prior_sigma: Floats,
+    with_covariance: bool,
 ) -> Solved:
-    """Fit the functions; without a covariance, which takes longest, unless asked to be `sure`."""
+    """Fit the functions; the covariance takes longest, and is 0 where it is not asked for."""
     owners, values = expansion.owners, expansion.values
     scale = equations.scale[:-1][owners]
     sigma = prior_sigma[owners] / scale
@@ -630,35 +595,21 @@ def _solve(
         scatter = larger_scatter(total[:-1, :-1], within, between, sigma)
         solution = solve(total, scatter, count, nothing, sigma)
     covariance = np.zeros((scale.size, scale.size))
-    if sure:
+    if with_covariance:
         scores = sums.scores(values, owners, expansion.parameters(solution.value))
         matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
         scores /= solution.variance
         covariance = correlated_covariance(scores, matrix, sigma, functions)
     covariance *= np.outer(scale, scale)
     # A function of time counts from 0, a constant from the reference.
-    still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
-    value = np.where(still, equations.first_reference[owners], 0.0) + solution.value * scale
+    constant = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
+    value = np.where(constant, equations.first_reference[owners], 0.0) + solution.value * scale
     back = expansion.back
-    left = residual_sum(total, solution.value)
+    # Coefficients are determined together: all those of a trend whose every function is.
+    undetermined = np.bincount(owners, weights=~solution.determined)
     return Solved(
         back @ value + expansion.unit @ equations.first_reference,
         back @ covariance @ back.T,
-        _determined(expansion, solution.determined),
-        float(np.sqrt(left / max(count, 1.0))),
-        left,
+        (undetermined == 0)[owners],
+        float(np.sqrt(residual_sum(total, solution.value) / max(count, 1.0))),
     )
-
-
-def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
-    """Return which coefficients are determined: all those of a trend whose every function is."""
-    out, at = np.empty(of_functions.size, dtype=bool), 0
-    for basis in expansion.bases:
-        out[at : at + basis.shape[1]] = of_functions[at : at + basis.shape[1]].all()
-        at += basis.shape[1]
-    return out
-
-
-def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:
-    """Return a fit that tells the origin of its logarithm."""
-    return replace(fit, origin=origin)

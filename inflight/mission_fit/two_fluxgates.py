@@ -1,9 +1,12 @@
-"""Two vector sensors and a scalar one: how the two stand to each other, and which of the three disagrees.
+"""Two vector sensors and a scalar one: the rotation between the two, and which of the three disagrees.
 
-Along the field direction b three residuals are left by three sensors: ``main = b.f1 - s``,
-``second = b.f2 - s`` and ``between = f1 - f2``, with f1, f2 the errors at the vector sensors and s that
-of the scalar one. So ``main - second = b.between`` always; what `between` adds are the two components
-across the field, which no scalar sensor sees: the rotation of one sensor against the other among them.
+Takes corrected fields or residuals; makes the relation of the two vector sensors (`relation_of`) and the
+variance of each sensor's own error (`corners_of`), both from sums of clusters that are stored day by day.
+
+Along the field direction b three sensors have three residuals: ``main = b.f1 - s``, ``second = b.f2 - s``
+and ``between = f1 - f2``, with f1, f2 the errors at the vector sensors and s that of the scalar one. So
+``main - second = b.between`` always; what `between` adds are the two components across the field, which no
+scalar sensor measures: the rotation of one sensor against the other among them.
 
 An error of the scalar sensor is in `main` and `second` alike and never in `between`; a field at one
 vector sensor only is in one of the first two and in `between`. When errors of different sensors are
@@ -23,6 +26,7 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
+from inflight.effects import AXES
 from inflight.errors import CalibrationError
 from inflight.lsq import SOLVER, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
@@ -54,14 +58,12 @@ CLUSTER_S = 10_800.0
 #: Field strength that makes columns of like size, nT.
 _STRENGTH = 3e4
 
-_AXES = ("x", "y", "z")
-
 _STRETCH = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 NAMES = (
-    *(f"rotation[{axis}]" for axis in _AXES),
+    *(f"rotation[{axis}]" for axis in AXES),
     *(f"stretch[{pair}]" for pair in _STRETCH),
-    *(f"shift[{axis}]" for axis in _AXES),
+    *(f"shift[{axis}]" for axis in AXES),
 )
 
 _UNITS = ("deg",) * 3 + ("1",) * 6 + ("nT",) * 3
@@ -71,14 +73,14 @@ _SCALE = np.concatenate([np.full(3, np.rad2deg(1.0 / _STRENGTH)), np.full(6, 1.0
 
 @dataclass(frozen=True)
 class Relation:
-    """How two vector sensors stand to each other: ``first = (1 + stretch) rotation second + shift``.
+    """Relation of two vector sensors: ``first = (1 + stretch) rotation second + shift``.
 
     Attributes
     ----------
     fit : ClusteredFit
         Of ``first - second``, to first order in rotation and stretch; scaled, in the order of `table`.
     rms : float
-        What is left, nT a component.
+        Residual, nT a component.
     """
 
     fit: ClusteredFit
@@ -87,13 +89,20 @@ class Relation:
     def table(self) -> xr.Dataset:
         """Return `value`, `sigma`, `covariance`, `units` along parameter.
 
-        `rotation` (deg) is by how much the second sensor is turned against its stated orientation,
-        when the first one is not; `stretch` (1) the symmetric rest, `shift` in nT.
+        `rotation` (deg) is that of the second sensor against its stated orientation, when the first one is
+        not rotated; `stretch` (1) the symmetric rest, `shift` in nT. The matrix is taken apart exactly: half
+        a milliradian squared matters.
         """
+        matrix = np.eye(3) + _columns(np.eye(3) * _STRENGTH)[:, :, :9] @ self.fit.value[:9] / _STRENGTH
+        # Row k of the product above is what the matrix makes of the k-th axis: its column.
+        rotation, stretch = polar(matrix.T, side="left")
+        angles = Rotation.from_matrix(rotation).as_rotvec(degrees=True)
+        symmetric = (stretch - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        value = np.concatenate([angles, symmetric, self.fit.value[9:]])
         covariance = self.fit.covariance * np.outer(_SCALE, _SCALE)
         return xr.Dataset(
             {
-                "value": ("parameter", self._exact()),
+                "value": ("parameter", value),
                 "sigma": ("parameter", self.fit.sigma * _SCALE),
                 "covariance": (("parameter", "other"), covariance),
                 "units": ("parameter", np.array(_UNITS, dtype="U8")),
@@ -101,15 +110,6 @@ class Relation:
             coords={"parameter": list(NAMES), "other": list(NAMES)},
             attrs={"rms_nT": self.rms, "clusters": self.fit.clusters, "rows": self.fit.rows},
         )
-
-    def _exact(self) -> Floats:
-        """Return the values with the matrix taken apart exactly: half a milliradian squared is seen."""
-        matrix = np.eye(3) + _columns(np.eye(3) * _STRENGTH)[:, :, :9] @ self.fit.value[:9] / _STRENGTH
-        # Row k of the product above is what the matrix makes of the k-th axis: its column.
-        turn, stretch = polar(matrix.T, side="left")
-        angles = Rotation.from_matrix(turn).as_rotvec(degrees=True)
-        more = (stretch - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        return np.concatenate([angles, more, self.fit.value[9:]])
 
 
 def fit_relation(
@@ -119,7 +119,7 @@ def fit_relation(
     good: npt.NDArray[np.bool_] | None = None,
     cluster_s: float = CLUSTER_S,
 ) -> Relation:
-    """Fit what turns, stretches and shifts one vector sensor's field against another's.
+    """Fit rotation, stretch and shift of one vector sensor's field against another's.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def relation_grams(
     good: npt.NDArray[np.bool_] | None = None,
     cluster_s: float = CLUSTER_S,
 ) -> tuple[Floats, Floats]:
-    """Return what a stretch of samples says of a relation, samples far off left out; parameters as `relate`.
+    """Return the Gram matrices of a relation, samples far off left out; parameters as `fit_relation`.
 
     Returns
     -------
@@ -167,9 +167,9 @@ def relation_grams(
     for _ in range(TWO_FLUXGATES.passes):
         gram, rows = _grams(columns[use], difference[use], cluster[use])
         fit = solve_clusters(gram, rows)
-        left = difference - columns @ fit.value
-        size = np.array([robust_sigma(one, floor=1e-9) for one in left[use].T])
-        near = use & (np.abs(left) <= TWO_FLUXGATES.far * size).all(axis=1)
+        residual = difference - columns @ fit.value
+        size = np.array([robust_sigma(component, floor=1e-9) for component in residual[use].T])
+        near = use & (np.abs(residual) <= TWO_FLUXGATES.far * size).all(axis=1)
         if np.array_equal(near, use):
             break
         use = near
@@ -177,7 +177,7 @@ def relation_grams(
 
 
 def relation_of(gram: Floats, rows: Floats) -> Relation:
-    """Return the relation that clusters tell together; as `relation_grams` makes them.
+    """Return the relation that all clusters determine; as `relation_grams` makes them.
 
     Raises
     ------
@@ -185,8 +185,8 @@ def relation_of(gram: Floats, rows: Floats) -> Relation:
         When there are fewer than five clusters, or the field does not turn enough.
     """
     fit = solve_clusters(gram, rows)
-    answer = np.append(-fit.value, 1.0)
-    square = float(answer @ gram.sum(axis=0) @ answer)
+    change = np.append(-fit.value, 1.0)
+    square = float(change @ gram.sum(axis=0) @ change)
     return Relation(fit, float(np.sqrt(max(square, 0.0) / rows.sum())))
 
 
@@ -217,7 +217,7 @@ def _cluster(stamps: Int64, cluster_s: float) -> Int64:
 
 @dataclass(frozen=True)
 class ThreeCornerVariances:
-    """The part of each of three sensors in what they disagree about; nT^2, means over `mean_s`.
+    """The part of each of three sensors in their disagreement; nT^2, means over `mean_s`.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ def corners(
     mean_s: float = 60.0,
     cluster_s: float = CLUSTER_S,
 ) -> ThreeCornerVariances:
-    """Tell which of three sensors a disagreement belongs to.
+    """Return which of three sensors a disagreement belongs to: the variance of each.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def corners(
 def corner_moments(
     main: Floats, second: Floats, stamps: Int64, mean_s: float = 60.0, cluster_s: float = CLUSTER_S
 ) -> Floats:
-    """Return what a stretch of samples says of the three corners; parameters as `corners`.
+    """Return the sums of clusters that the three variances are made of; parameters as `corners`.
 
     Returns
     -------
@@ -313,7 +313,7 @@ def corner_moments(
 
 
 def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> ThreeCornerVariances:
-    """Return the corners that clusters tell together; as `corner_moments` makes them.
+    """Return the variances that all clusters determine; as `corner_moments` makes them.
 
     Raises
     ------
@@ -327,8 +327,8 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
             remedy="take a longer span or shorter clusters",
         )
     whole = moments.sum(axis=0)
-    left = _parts(whole - moments)
-    spread = left - left.mean(axis=0)
+    without = _parts(whole - moments)
+    spread = without - without.mean(axis=0)
     covariance = (total - 1) / total * spread.T @ spread
     return ThreeCornerVariances(_parts(whole), covariance, closure, mean_s, total)
 

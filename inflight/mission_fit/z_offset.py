@@ -34,25 +34,23 @@ class SpreadSettings:
 
     Attributes
     ----------
+    sub_blocks : int
+        Spans of a day whose means are nearly independent: 20 minutes.
     fewest_samples : int
-        Fewest samples of a sub-block's worth a day; assumed.
+        Fewest samples of a day; assumed.
     fewest_days : int
         Fewest days of a regression; assumed.
     passes : int
         Passes of the fit; assumed.
     """
 
+    sub_blocks: int = 72
     fewest_samples: int = 300
     fewest_days: int = 5
     passes: int = 20
 
 
 SPREAD = SpreadSettings()
-
-
-#: Spans of a day whose means are nearly independent: 20 minutes.
-SUB_BLOCKS = 72
-
 
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
@@ -61,7 +59,7 @@ STATISTICS = ("mean", "variance", "slope")
 def day_statistics(
     residual: Floats, direction: Floats, start: int, end: int, good: np.ndarray | None = None, axis: int = 2
 ) -> xr.Dataset:
-    """Return what one day's residual tells of an offset.
+    """Return the statistics of one day's residual that an offset changes.
 
     Parameters
     ----------
@@ -90,7 +88,9 @@ def day_statistics(
     """
     use = np.isfinite(residual) & np.isfinite(direction).all(axis=1)
     use &= True if good is None else good
-    use &= _near(residual, use)
+    if use.any():
+        away = np.abs(residual - np.median(residual[use]))
+        use &= away <= BIWEIGHT_WIDTH * robust_sigma(away[use], floor=1e-9)
     count = int(use.sum())
     if count < SPREAD.fewest_samples:
         raise CalibrationError(
@@ -102,10 +102,10 @@ def day_statistics(
     geometry = float(np.mean(centre**2))
     slope = float(np.mean(centre * y) / geometry)
     rest = y - mean - slope * centre
-    # The orbit is no chance: of the spread only what the noise adds to the square is uncertain.
+    # The orbit is not random: of the spread only what the noise adds to the square is uncertain.
     spread = 2.0 * slope * centre * rest + rest**2 - np.var(rest)
     influence = np.stack([rest, spread, centre * rest / geometry], axis=1) / count
-    sums = np.array([part.sum(axis=0) for part in np.array_split(influence, SUB_BLOCKS)])
+    sums = np.array([part.sum(axis=0) for part in np.array_split(influence, SPREAD.sub_blocks)])
     numbers = {"mean": mean, "variance": float(np.var(y)), "slope": slope, "rest": float(np.var(rest))}
     numbers |= {"geometry": geometry, "count": float(count)}
     each = ("interval", "axis")
@@ -123,14 +123,6 @@ def day_statistics(
     )
 
 
-def _near(residual: Floats, use: np.ndarray) -> np.ndarray:
-    """Return which residuals lie within six robust standard deviations of the median; (time,)."""
-    if not use.any():
-        return use
-    away = np.abs(residual - np.median(residual[use]))
-    return np.asarray(away <= BIWEIGHT_WIDTH * robust_sigma(away[use], floor=1e-9))
-
-
 @dataclass(frozen=True)
 class SpreadLaw:
     """``std(dB)^2 = factor * offset^2 + noise`` over days.
@@ -146,7 +138,7 @@ class SpreadLaw:
     scatter : float
         Robust standard deviation of the days about the law, nT^2.
     days, outlying : int
-        Days used, and those of them that lost most of their weight.
+        Days used, and those of them that are down-weighted to less than a fifth.
     """
 
     factor: float
@@ -213,7 +205,7 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
     """Fit ``spread = a square + noise`` where both err (York et al. 2004), by biweights.
 
     The square of an offset Z with the error s errs by ``4 Z^2 s^2 + 2 s^4``; Z is taken from the law
-    itself, since weights that follow the errors would bend it.
+    itself, since weights that follow the errors would bias it.
     """
     robust_weight, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
@@ -226,20 +218,19 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
         adjusted = ((square - x) * (variance + extra) + value[0] * (spread - y) * of_x) / total
         slope = np.sum(weight * adjusted * (spread - y)) / np.sum(weight * adjusted * (square - x))
         value = np.array([slope, y - slope * x])
-        left = spread - slope * square - value[1]
-        usual = robust_sigma(left / np.sqrt(total))
-        extra = max(extra + (usual**2 - 1.0) * float(np.median(total)), 0.0)
-        standardised = left / np.sqrt(total)
+        residual = spread - slope * square - value[1]
+        standardised = residual / np.sqrt(total)
+        extra = max(extra + (robust_sigma(standardised) ** 2 - 1.0) * float(np.median(total)), 0.0)
         robust_weight = biweight(standardised)
-    tool = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
+    instrument = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
     rows = np.stack([square, np.ones_like(square)], axis=1)
     slopes = biweight_slope(standardised) / total
-    bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
-    scores = tool * (weight * left)[:, None]
-    # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
-    stated = gram_inverse((tool * weight[:, None]).T @ tool, SOLVER.eigen_cut)
+    bread = np.linalg.inv((instrument * slopes[:, None]).T @ rows)
+    scores = instrument * (weight * residual)[:, None]
+    # Few days near zero offset determine the noise: their scatter may be small by chance.
+    stated = gram_inverse((instrument * weight[:, None]).T @ instrument, SOLVER.eigen_cut)
     covariance = sandwich(bread, long_run_covariance(scores, 2.0), stated)
-    return RobustFit(value, covariance, left, robust_weight, float(np.sqrt(extra)))
+    return RobustFit(value, covariance, residual, robust_weight, float(np.sqrt(extra)))
 
 
 @dataclass(frozen=True)
@@ -252,7 +243,7 @@ class OffsetsFromSpread:
         ``|Z0|`` and its standard deviation, nT; NaN where the spread is below the noise.
     value, sigma : ndarray
         With its sign, nT; the standard deviation holds the chance that the sign is wrong. Where there is
-        nothing to be seen the value is 0 and sigma what would have been seen.
+        nothing is seen the value is 0 and sigma the smallest size that would be.
     wrong_sign : ndarray
         Chance that the sign is wrong, 0 to 0.5.
     seen : ndarray of bool
@@ -322,7 +313,10 @@ def offsets_from_spread(
     sigma_excess = np.sqrt(covariance[:, 1, 1] + sigma_noise**2)
     seen = excess > 0
     size = np.sqrt(np.where(seen, excess, np.nan) / a)
-    sigma_size = _sigma_of_root(excess / a, sigma_excess / a)
+    # Of a root from that of its square, also where the square is near zero: ``(x + d)^2 = x^2 + sigma``
+    # solved for d is sigma / 2x where x is large, sqrt(sigma) at zero.
+    root = np.sqrt(np.maximum(excess / a, 0.0))
+    sigma_size = np.sqrt(root**2 + sigma_excess / a) - root
     slope, sigma_slope = statistics["slope"].values, np.sqrt(covariance[:, 2, 2])
     wrong = stats.norm.sf(np.abs(slope) / np.maximum(sigma_slope, 1e-30))
     value = np.where(seen, np.sign(slope) * size, 0.0)
@@ -343,15 +337,6 @@ def offsets_from_spread(
     )
 
 
-def _sigma_of_root(square: Floats, sigma: Floats) -> Floats:
-    """Return the standard deviation of a root from that of its square, also where the square is near zero.
-
-    ``(x + d)^2 = x^2 + sigma`` solved for d: sigma / 2x where x is large, sqrt(sigma) at zero.
-    """
-    x = np.sqrt(np.maximum(square, 0.0))
-    return np.asarray(np.sqrt(x**2 + sigma) - x)
-
-
 def residual_noise(statistics: xr.Dataset) -> tuple[float, float]:
     """Return the residual's variance without an offset, and its standard deviation, from the days themselves.
 
@@ -359,4 +344,5 @@ def residual_noise(statistics: xr.Dataset) -> tuple[float, float]:
     """
     rest = statistics["rest"].values
     spread = robust_sigma(rest - np.median(rest))
+    # The standard deviation of a median is sqrt(pi / 2) times that of a mean.
     return float(np.median(rest)), 1.2533 * spread / np.sqrt(max(rest.size, 1))

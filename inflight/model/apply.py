@@ -26,7 +26,7 @@ from inflight.samples import PlainSamples
 VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 #: What a correction makes of the vector reading.
-_STALE = ["field", "field_direction"]
+_FIELD = ["field", "field_direction"]
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,12 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     """
     known = correct_plain(effects, samples)
     made = {role: known[role] for role in (*VECTOR_ROLES, "scalar") if role in known}
-    made |= {name: known[name] for name in _STALE if name in known}
-    return samples.drop_vars(_STALE, errors="ignore").assign(made)
+    made |= {name: known[name] for name in _FIELD if name in known}
+    return samples.drop_vars(_FIELD, errors="ignore").assign(made)
 
 
 def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
-    """Return what `correct` does as plain variables: a Dataset would look at each of them again.
+    """Return what `correct` does as plain variables: a Dataset would check each of them again.
 
     Parameters and errors are those of `correct`.
     """
@@ -120,7 +120,7 @@ def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> Plain
     times = _times(cast("xr.Dataset", known))
     # A field of an earlier correction is none of this one's.
     if any(role in known for role in VECTOR_ROLES):
-        known = known.drop_vars(_STALE)
+        known = known.drop_vars(_FIELD)
     for role in (*VECTOR_ROLES, "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
         if role not in known:
@@ -131,7 +131,7 @@ def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> Plain
             continue
         if role in VECTOR_ROLES:
             # The other sensor's field is in the other sensor's axes.
-            known = known.drop_vars(_STALE)
+            known = known.drop_vars(_FIELD)
         raw = known[role]
         reading = np.asarray(raw.values, dtype=np.float64)
         for entry in entries:
@@ -174,7 +174,7 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
 
 
 def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]:
-    """Return what each additive effect took out of its sensor's reading.
+    """Return what each additive effect's correction subtracted from its sensor's reading.
 
     Parameters
     ----------
@@ -190,10 +190,8 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     terms, times = {}, _times(samples)
     for entry in effects:
         if entry.is_additive:
-            count = times.size
-            still = np.zeros(count if entry.sensor.is_scalar else (count, 3))
-            values = entry.values(times)
-            terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
+            zero = np.zeros(times.size if entry.sensor.is_scalar else (times.size, 3))
+            terms[entry.name] = -entry.effect.correct(zero, samples, entry.values(times), entry.sensor)
     return terms
 
 

@@ -65,7 +65,14 @@ def changes(before: Sequence[Entry], after: Sequence[Entry]) -> list[dict[str, A
                 _change("changed", name, key, was, to)
                 for key, was, to in _differing(mine[name], theirs[name])
             ]
-    return found + _moved(list(mine), list(theirs))
+    # Effects that both have, in another order: the order is that of correction.
+    kept, now = [name for name in mine if name in theirs], [name for name in theirs if name in mine]
+    found += [
+        _change("moved", name, was=kept.index(name) + 1, to=place + 1)
+        for place, name in enumerate(now)
+        if kept[place] != name
+    ]
+    return found
 
 
 def _differing(before: Entry, after: Entry, place: str = "") -> list[tuple[str, Any, Any]]:
@@ -80,16 +87,6 @@ def _differing(before: Entry, after: Entry, place: str = "") -> list[tuple[str, 
         else:
             found.append((inner, was, to))
     return found
-
-
-def _moved(before: list[str], after: list[str]) -> list[dict[str, Any]]:
-    """Effects that both have, in another order: the order is that of correction."""
-    kept, now = [one for one in before if one in after], [one for one in after if one in before]
-    return [
-        _change("moved", name, was=kept.index(name) + 1, to=place + 1)
-        for place, name in enumerate(now)
-        if kept != now and kept[place] != name
-    ]
 
 
 def _change(change: str, effect: str, key: str = "", was: Any = None, to: Any = None) -> dict[str, Any]:

@@ -71,12 +71,12 @@ def make_effect(
     given = {str(key): value for key, value in entry.items() if key != "source"}
     kind = effect_class(str(given.pop("effect")), own)
     name = str(given.pop("name", None) or "")
-    sensor = _sensor(kind, given.pop("sensor", None), sensors)
+    sensor = _sensor_of(kind, given.pop("sensor", None), sensors)
     # What is no parameter of the class is an option: the effect itself knows which there are.
     options = {key: given.pop(key) for key in list(given) if key not in kind.parameters()}
     effect = kind(name, **options)
     timed = {
-        key: _timed(effect, key, parameter, given.get(key), mission)
+        key: _timed_value(effect, key, parameter, given.get(key), mission)
         for key, parameter in effect.parameters().items()
     }
     effect.units = {key: value.parameter.unit for key, value in timed.items()}
@@ -85,7 +85,7 @@ def make_effect(
     return ModelEffect(effect, sensor, timed)
 
 
-def _sensor(kind: type[Effect], named: Any, sensors: Mapping[str, Sensor]) -> Sensor:
+def _sensor_of(kind: type[Effect], named: Any, sensors: Mapping[str, Sensor]) -> Sensor:
     """Return the sensor an entry names, or the first one the effect may act on."""
     allowed = {name: sensor for name, sensor in sensors.items() if sensor.role in kind.acts_on}
     name = str(named) if named is not None else next(iter(allowed), "")
@@ -104,21 +104,23 @@ def _sensor(kind: type[Effect], named: Any, sensors: Mapping[str, Sensor]) -> Se
     return sensors[name]
 
 
-def _timed(effect: Effect, key: str, parameter: Parameter, given: Any, mission: Mission | None) -> TimedValue:
+def _timed_value(
+    effect: Effect, key: str, parameter: Parameter, given: Any, mission: Mission | None
+) -> TimedValue:
     """Return a parameter's value in the unit the entry states, or the one its channel gives it."""
     stated = given.get("unit") if isinstance(given, Mapping) else None
     full = f"{effect.name}.{key}"
     if parameter.per_channel:
         channel = effect.channels[0]
         if stated is not None:
-            unit = _checked(full, str(stated), parameter, channel, mission)
+            unit = _checked_unit(full, str(stated), parameter, channel, mission)
         else:
             unit = coefficient_unit(parameter, mission, channel) if mission else parameter.unit
         parameter = replace(parameter, unit=unit)
     return parse_timed(full, parameter, given, mission.events if mission else ())
 
 
-def _checked(key: str, stated: str, parameter: Parameter, channel: str, mission: Mission | None) -> str:
+def _checked_unit(key: str, stated: str, parameter: Parameter, channel: str, mission: Mission | None) -> str:
     """Return a stated unit of a coefficient; with the mission, refuse one that is of no use."""
     unit = channel_unit(mission, channel) if mission else None
     if stated == parameter.unit or unit is None or mission is None:
@@ -237,7 +239,7 @@ class Model:
         """Return a model with one more effect, before a named one or in its usual place.
 
         That is the end; an effect that does more than add a field stands before its sensor's nine
-        parameters, which are fitted of readings it has been taken out of.
+        parameters, which are fitted to readings corrected for it.
 
         Raises
         ------
@@ -249,7 +251,15 @@ class Model:
             raise ModelError(
                 f"there is an effect {effect.name!r} already", remedy="give the new one a 'name'"
             )
-        index = names.index(self.effect(before).name) if before else _place(effect, self.effects)
+        nine = [
+            place
+            for place, entry in enumerate(self.effects)
+            if isinstance(entry.effect, VectorSensor) and entry.sensor.name == effect.sensor.name
+        ]
+        if before:
+            index = names.index(self.effect(before).name)
+        else:
+            index = nine[0] if nine and not effect.is_additive else len(names)
         return replace(self, effects=(*self.effects[:index], effect, *self.effects[index:]))
 
     def drop(self, name: str) -> Model:
@@ -346,15 +356,6 @@ class Model:
     def diff(self, other: Model) -> list[str]:
         """Return, as sentences, what `other` has that this model has not, and the other way round."""
         return [str(change["sentence"]) for change in self.changes(other)]
-
-
-def _place(effect: ModelEffect, effects: tuple[ModelEffect, ...]) -> int:
-    """Return where a new effect goes: last, or before the nine parameters of its own vector sensor."""
-    if not effect.is_additive:
-        for index, entry in enumerate(effects):
-            if isinstance(entry.effect, VectorSensor) and entry.sensor.name == effect.sensor.name:
-                return index
-    return len(effects)
 
 
 def _parse_effects(

@@ -74,7 +74,7 @@ class Band(NamedTuple):
     def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
         """Return what lies in the band: see `filter_rows`."""
         flat = values.reshape(len(values), -1)
-        return filter_rows(flat, _step_of(stamps), self, good).reshape(values.shape)
+        return filter_rows(flat, usual_step(stamps, SECOND) / SECOND, self, good).reshape(values.shape)
 
 
 @dataclass(frozen=True)
@@ -240,20 +240,16 @@ def filter_rows(
         sections = signal.butter(BAND_FILTER.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
     shortest = int(BAND_FILTER.shortest_periods / (band.low_hz * step_s))
     out = np.full(wide.shape, np.nan)
-    for first, last in _runs(usable):
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
+    for first, last in edges.reshape(-1, 2).tolist():
         if last - first > shortest:
             # Odd reflection about the ends is linear in the values, too.
             out[first:last] = signal.sosfiltfilt(sections, wide[first:last], axis=0, padlen=shortest)
     return out.reshape(values.shape)
 
 
-def _runs(usable: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and last+1 of every run of usable samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
-    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
-
-
 def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+    """Return ``|B_vector| - F``."""
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
     along = field_direction(corrected)[:, None, :]
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
@@ -269,6 +265,7 @@ def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
 
 
 def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+    """Return ``R_in B_in - R_out B_out``."""
     inboard, outboard = layout.sensor("inboard"), layout.sensor("outboard")
     fields = {one.name: _values(corrected, one.role) for one in (inboard, outboard)}
     residual = inboard.rotation.apply(fields[inboard.name]) - outboard.rotation.apply(fields[outboard.name])
@@ -288,7 +285,7 @@ def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
 
 
 def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
-    """Return F in the layout's band; a field at the vector sensor only turns a direction a little."""
+    """Return F in the layout's band; a field at the vector sensor only rotates a direction a little."""
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
     along = field_direction(corrected)[:, None, :]
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
@@ -307,10 +304,10 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
 
 
 def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
-    """Return what turns with the spin: along the axis, and of the modulus across it.
+    """Return what rotates with the spin: along the axis, and of the modulus across it.
 
-    Directions are those of a steady field outside, and so is the field that effects see: of the measured one
-    the residual itself would be a cause, the field scaled to nothing.
+    Directions are those of a steady field outside, and so is the field that effects are given: with the
+    measured field the residual itself would be a cause, the field scaled to nothing.
     """
     if layout.folding is None:
         raise ModelError(
@@ -339,7 +336,7 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
 def spin_residual(
     folding: Folding, field: Floats, folded: xr.Dataset
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Return what turns with the spin in a calibrated field, and which samples are good.
+    """Return what rotates with the spin in a calibrated field, and which samples are good.
 
     Parameters
     ----------
@@ -380,6 +377,7 @@ def _values(samples: xr.Dataset, name: str) -> Floats:
 
 
 def _good(samples: xr.Dataset, residual: Floats) -> npt.NDArray[np.bool_]:
+    """Return which samples have a finite residual (time, row) and no flag that forbids their use; (time,)."""
     finite = np.isfinite(residual).all(axis=1)
     if "flag" not in samples:
         return np.asarray(finite)
@@ -387,8 +385,5 @@ def _good(samples: xr.Dataset, residual: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _step(samples: xr.Dataset) -> float:
-    return _step_of(samples["tt2000"].values)
-
-
-def _step_of(stamps: Int64) -> float:
-    return usual_step(stamps, SECOND) / SECOND
+    """Return the usual spacing of samples, s."""
+    return usual_step(samples["tt2000"].values, SECOND) / SECOND

@@ -159,7 +159,7 @@ class SubstitutedSamples:
         )
 
     def by_effect(self, model: Model) -> dict[str, EffectSubstitution]:
-        """Return what was done, by effect."""
+        """Return what was substituted, by effect."""
         out = {}
         for entry in model.effects:
             names = sorted(_factors(entry, self.samples) & set(self.rows))

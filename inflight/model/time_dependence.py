@@ -99,33 +99,27 @@ class Dependence:
         """
         t = np.asarray(tt2000, dtype=np.int64)
         if self.is_trend:
-            return self._trend(t, key)
+            elapsed = (t - self.t0) / self.per
+            if self.time == "log":
+                if np.any(elapsed <= 0):
+                    raise ModelError(
+                        f"'{key}' follows a logarithm that begins at {to_utc(self.t0)}, asked for before it",
+                        remedy="use time: constant there, or an earlier t0",
+                    )
+                elapsed = np.log(elapsed)
+            return np.stack([elapsed**power for power in range(self.count)], axis=-1)
         if self.time == "event":
             interval = np.searchsorted(np.asarray(self.at, dtype=np.int64), t, side="right")
             return np.asarray(np.eye(self.count)[interval])
         if self.time == "spline":
-            return self._spline(t)
+            # Days since the first knot keep the polynomials' numbers small.
+            knots = (np.asarray(self.at, dtype=np.int64) - self.at[0]) / DAY
+            x = np.clip((t - self.at[0]) / DAY, knots[0], knots[-1])
+            unit = np.eye(knots.size)
+            if self.interpolation == "linear" or knots.size == 2:
+                return np.stack([np.interp(x, knots, row) for row in unit], axis=-1)
+            return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
         return np.ones((*t.shape, 1))
-
-    def _trend(self, t: npt.NDArray[np.int64], key: str) -> Floats:
-        elapsed = (t - self.t0) / self.per
-        if self.time == "log":
-            if np.any(elapsed <= 0):
-                raise ModelError(
-                    f"'{key}' follows a logarithm that begins at {to_utc(self.t0)}, asked for before it",
-                    remedy="use time: constant there, or an earlier t0",
-                )
-            elapsed = np.log(elapsed)
-        return np.stack([elapsed**power for power in range(self.count)], axis=-1)
-
-    def _spline(self, t: npt.NDArray[np.int64]) -> Floats:
-        # Days since the first knot keep the polynomials' numbers small.
-        knots = (np.asarray(self.at, dtype=np.int64) - self.at[0]) / DAY
-        x = np.clip((t - self.at[0]) / DAY, knots[0], knots[-1])
-        unit = np.eye(knots.size)
-        if self.interpolation == "linear" or knots.size == 2:
-            return np.stack([np.interp(x, knots, row) for row in unit], axis=-1)
-        return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
 
     def as_yaml(self) -> dict[str, Any]:
         """Return the keys of a parameter's entry that describe it."""
@@ -189,7 +183,15 @@ def _parse_trend(key: str, time: str, entry: Mapping[str, Any]) -> Dependence:
 
 def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence[Event]) -> Dependence:
     if time == "event" and "events" in entry:
-        given = _events_of(key, str(entry["events"]), events)
+        kind = str(entry["events"])
+        given: Sequence[Any] = sorted(to_utc(event.at) for event in events if event.kind == kind)
+        if not given:
+            kinds = sorted({event.kind for event in events})
+            raise ModelError(
+                f"'{key}': the mission has no event of kind {kind!r}{did_you_mean(kind, kinds)}",
+                remedy=f"it has {', '.join(kinds) or 'none'}; list times in 'at', "
+                "or add events to the mission",
+            )
     else:
         given = entry.get("at") or []
     try:
@@ -209,17 +211,6 @@ def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence
             remedy=f"one of {', '.join(INTERPOLATIONS)}",
         )
     return Dependence(time, at=at, interpolation=interpolation)
-
-
-def _events_of(key: str, kind: str, events: Sequence[Event]) -> list[Any]:
-    found = sorted(to_utc(event.at) for event in events if event.kind == kind)
-    if not found:
-        kinds = sorted({event.kind for event in events})
-        raise ModelError(
-            f"'{key}': the mission has no event of kind {kind!r}{did_you_mean(kind, kinds)}",
-            remedy=f"it has {', '.join(kinds) or 'none'}; list times in 'at', or add events to the mission",
-        )
-    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,16 +281,13 @@ class TimedValue:
         if self.time == "constant" or (self.time == "block" and self.table is None):
             return self.value[:, 0]
         t = np.asarray(tt2000, dtype=np.int64)
-        if self.time == "block":
-            return self._from_table(t)
+        if self.table is not None and self.time == "block":
+            return self._from_table(self.table, t)
         return np.asarray(self.dependence.basis(t, self.key) @ self.value.T)
 
-    def _from_table(self, t: npt.NDArray[np.int64]) -> Floats:
-        table = self.table
-        assert table is not None
-        names = component_names(self.key, self.parameter)
-        start = table["start"].values
-        index = np.searchsorted(start, t, side="right") - 1
+    def _from_table(self, table: xr.Dataset, t: npt.NDArray[np.int64]) -> Floats:
+        """Return the values of the intervals of a table that hold at times (...); (..., component)."""
+        index = np.searchsorted(table["start"].values, t, side="right") - 1
         inside = (index >= 0) & (t < table["end"].values[np.clip(index, 0, None)])
         if not np.all(inside):
             first = np.atleast_1d(t)[~np.atleast_1d(inside)][0]
@@ -307,7 +295,7 @@ class TimedValue:
                 f"the calibration table for '{self.key}' is not valid at {to_utc(first)}",
                 remedy="reprocess the span, or certify a table for it",
             )
-        values = table["value"].sel(parameter=names).values
+        values = table["value"].sel(parameter=component_names(self.key, self.parameter)).values
         return np.asarray(values[index])
 
     def bind(self, table: xr.Dataset) -> TimedValue:

@@ -13,7 +13,7 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.calibration import FILTER_PERIOD_S, distribute
+from inflight.calibration import FILTER_PERIOD_S, distribute_residual
 from inflight.dipole import dipole_split
 from inflight.effects import panel_weights_at
 from inflight.mission_fit import (
@@ -211,7 +211,7 @@ def half_passed(scene: Scene) -> float:
     for period in _TONES:
         wave = np.exp(2j * np.pi * day.seconds / period)
         noise = _NOISE * np.random.default_rng([15, int(period)]).standard_normal(wave.size)
-        slow = distribute(field, wave.real + noise, day.stamps).slow
+        slow = distribute_residual(field, wave.real + noise, day.stamps).slow
         passed.append(2.0 * np.abs(np.mean(slow * wave.conj())))
     return float(np.interp(0.5, passed, _TONES))
 
@@ -220,7 +220,7 @@ def distributed(scene: Scene) -> tuple[float, float]:
     """Return the rms of what is distributed of slow residual and noise, and of what is left, nT."""
     day = scene.once(fast_day, DAYS[0])
     residual = _disturbed(day, np.zeros_like(day.direction), np.random.default_rng(16))
-    found = distribute(40_000.0 * day.direction, residual, day.stamps)
+    found = distribute_residual(40_000.0 * day.direction, residual, day.stamps)
     return found.rms, found.rms_remaining
 
 

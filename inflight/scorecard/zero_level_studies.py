@@ -149,7 +149,7 @@ class OffsetSets:
         fits = [robust_fit(columns, value[:, i], variance[:, i], 2.0) for i in range(3)]
         line = np.array([fit.value for fit in fits]).T
         error = np.sqrt([np.diag(fit.covariance) for fit in fits]).T
-        scatter = np.array([robust_sigma(fit.left) for fit in fits])
+        scatter = np.array([robust_sigma(fit.residual) for fit in fits])
         return SetTrend(line[0], error[0], line[1], error[1], scatter, centre, int(used.sum()))
 
     def _sufficient(self) -> Bools:

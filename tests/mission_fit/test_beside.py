@@ -193,9 +193,9 @@ def test_tables_give_back_what_they_were_made_of(hidden):
     np.testing.assert_array_equal(DayNightField.of_table(field.table()).value, field.value)
     made = warm_days(MONTH[:12], 0.0, seed=4)
     fit = fit_coil_lag(made.equations, made.strips, made.found, made.model, 100.0)
-    assert CoilFit.of_table(fit.table()).told() == fit.told()
+    assert CoilFit.of_table(fit.table()).summary() == fit.summary()
     choice = _judged(warm_days(MONTH, 0.0, seed=5))
-    assert TemperatureChoice.of_table(choice.table()).told() == choice.told()
+    assert TemperatureChoice.of_table(choice.table()).summary() == choice.summary()
 
 
 def test_no_day_tells_no_cross_talk(hidden):

@@ -67,7 +67,7 @@ def test_coefficients_and_lag_are_recovered_with_their_signs(sign, lag):
     assert fit.lag[1] < 15.0
     assert fit.fit.sigma[[0, 2]].max() < 2e-6
     assert fit.fit.determined[[0, 2, 6]].all()
-    assert f"lag {fit.lag[0]:.1f}" in fit.told()
+    assert f"lag {fit.lag[0]:.1f}" in fit.summary()
 
 
 def test_without_noise_the_lag_is_exact():
@@ -115,7 +115,7 @@ def test_gaps_missing_temperatures_and_outliers_do_no_harm():
 def test_no_dependence_has_no_lag_and_says_so():
     fit = fit_coil_samples(blocks(linear=0.0 * LINEAR, quadratic=0.0), "coil")
     assert not fit.fit.determined[6]
-    assert "NOT DETERMINED" in fit.told()
+    assert "NOT DETERMINED" in fit.summary()
     assert np.abs(fit.linear / fit.fit.sigma[:3]).max() < 3.5
 
 
@@ -131,7 +131,7 @@ def test_the_temperature_that_acts_wins_on_held_out_blocks_and_none_is_a_rival()
     coil = choice()
     assert [one.channel for one in coil.rivals] == ["coil", "adc", NONE]
     assert not coil.rivals[1].ties
-    assert "worse: adc" in coil.told()
+    assert "worse: adc" in coil.summary()
     adc = choice(linear=0.0 * LINEAR, quadratic=0.0, adc=3e-5)
     assert adc.rivals[0].channel == "adc"
     nothing = choice(linear=0.0 * LINEAR, quadratic=0.0)
@@ -139,7 +139,7 @@ def test_the_temperature_that_acts_wins_on_held_out_blocks_and_none_is_a_rival()
         nothing.rivals[0].channel == NONE
     )
     weak = choice(linear=LINEAR / 300.0, quadratic=0.0)
-    assert "tied with it" in weak.told()
+    assert "tied with it" in weak.summary()
 
 
 def test_too_little_is_refused():

@@ -63,7 +63,7 @@ def test_lines_in_red_noise_are_told_with_amplitude_phase_and_name():
     away = (named["260.5 d"].maximum - 1000 + 130.25) % 260.5 - 130.25
     assert abs(away) < 8
     assert named["365 d"].false_alarm > 1e-3
-    assert 10 < found.memory < 90
+    assert 10 < found.correlation_days < 90
 
 
 def test_one_sigma_of_an_amplitude_covers_two_thirds_of_seeds():
@@ -187,7 +187,7 @@ def test_the_reset_day_is_found_among_the_days_of_the_week():
     assert found.found
     assert found.day == 4
     assert abs(found.step - 0.1 * np.sqrt(2)) < 4 * found.sigma_step
-    assert "Wednesdays (MJD mod 7 = 4)" in found.told()
+    assert "Wednesdays (MJD mod 7 = 4)" in found.summary()
     quiet = [find_week_pattern(DAYS, daily(DAYS, seed)).found for seed in range(20)]
     assert sum(quiet) <= 1
 
@@ -207,7 +207,7 @@ def test_the_clock_fault_of_four_days_is_found_without_being_told_the_days(sign)
         assert [(one.first, one.last) for one in found.faults] == [(3164, 3167)]
         pulls.append((found.faults[0].shift - sign * 0.012) / found.faults[0].sigma)
     assert np.std(pulls) < 2.0
-    assert "MJD 3164 to 3167" in found.told()[0]
+    assert "MJD 3164 to 3167" in found.summary()[0]
 
 
 def test_a_weak_fault_of_many_days_is_found_and_wander_is_none():

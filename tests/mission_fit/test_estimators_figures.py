@@ -7,7 +7,7 @@ from estimator_cases import LA, LB, NINE, PRIOR_SIGMA, SCALES, nine_at, table_of
 from test_estimators_z_offset import days
 
 from docs.figures import distribution
-from inflight.calibration import distribute, table_jumps, trend_jumps
+from inflight.calibration import distribute_residual, table_jumps, trend_jumps
 from inflight.figures import causes as z_offset
 from inflight.figures import parameters as behaviour
 from inflight.figures import parameters as trends
@@ -69,7 +69,7 @@ def distribution_figures():
     seconds = np.arange(43_200)
     residual = 0.3 * np.sin(2 * np.pi * seconds / 5580) + 0.1 * np.random.default_rng(3).normal(size=43_200)
     residual[20_000:21_000] = np.nan
-    found = distribute(np.tile([2e4, 1e3, 3e4], (43_200, 1)), residual, seconds * 10**9)
+    found = distribute_residual(np.tile([2e4, 1e3, 3e4], (43_200, 1)), residual, seconds * 10**9)
     return [distribution.distribution_figure(found, seconds / 3600), distribution.left_spectrum_figure(found)]
 
 

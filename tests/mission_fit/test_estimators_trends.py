@@ -133,7 +133,7 @@ def test_an_origin_that_a_straight_line_does_without_is_said_not_to_be_determine
     fit = fit_origin(equations, {"l": log_at(equations)}, SPREAD)
     assert not fit.origin.determined
     assert fit.origin.low == -np.inf
-    assert "NOT DETERMINED" in fit.origin.told()
+    assert "NOT DETERMINED" in fit.origin.summary()
     assert float(mjd2000(fit.trends["l"].t0)) == pytest.approx(150.0)
 
 
@@ -143,7 +143,7 @@ def test_held_out_days_choose_the_law_the_mission_follows():
     assert found.chosen == "log"
     assert found.rivals[0].rms == pytest.approx(1.0, abs=0.05)
     assert not any(one.tied for one in found.rivals[1:])
-    assert "log does best" in found.told()
+    assert "log does best" in found.summary()
 
 
 @pytest.mark.parametrize("bend", [4e-11, -4e-11])
@@ -163,7 +163,7 @@ def test_ties_are_said_and_the_simplest_kind_is_taken():
     equations = equations_of_table(table_of(np.arange(2000.0, 2300.0), noise, 1.0, ["offset"]))
     found = compare_trends(equations, ["offset"], np.full(1, 100.0), t0=int(from_mjd2000(150.0)))
     assert found.chosen == "constant"
-    assert "tied" in found.told()
+    assert "tied" in found.summary()
     assert set(found.table()["kind"].values) == {"constant", "linear", "parabola", "log", "spline"}
 
 

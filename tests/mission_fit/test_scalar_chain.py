@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from inflight.lsq import marginalise
 from inflight.mission import Mission
 from inflight.mission_fit import MissionFit, fit_mission, free_terms, joint_cross_talk, with_nine_parameters
-from inflight.mission_fit.daily_equations import wide_equations
+from inflight.mission_fit.daily_equations import wide_and_auxiliary_equations
 from inflight.model import Model, rows_of
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
@@ -113,7 +113,9 @@ def fitted(term: str = "", dropped: str = "", equations: bool = False):
         nine = np.concatenate([np.ravel(one) for one in told.values()])
         attributes = {"comparison": "main", "model": "", "filter": "raw"}
         own, samples = with_nine_parameters(model, nine), samples_of(made)
-        blocks.append(wide_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes))
+        blocks.append(
+            wide_and_auxiliary_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes)[0]
+        )
     whole, _ = equations_of_days(blocks)
     return (whole, model) if equations else fit_mission(whole, model, "constant")
 
@@ -125,7 +127,7 @@ def grown(term: str, signs: dict[str, int]) -> float:
 
 
 def value_of(found: MissionFit, name: str) -> float:
-    return float(found.fit.value[found.fit.place(name)][0])
+    return float(found.fit.value[found.fit.index(name)][0])
 
 
 @pytest.mark.parametrize("term", TERMS)
@@ -168,8 +170,8 @@ def test_what_cannot_be_told_apart_says_so_in_the_covariance(pair):
     # Of the change itself, all others free, the data know next to nothing ...
     assert told * sigma[tighter] ** 2 < 0.1
     # ... so that what was known best is known no better, and is said not to be determined.
-    assert fit.sigma[fit.place(tighter)][0] > 0.9 * sigma[tighter]
-    assert not fit.determined[fit.place(tighter)][0]
+    assert fit.sigma[fit.index(tighter)][0] > 0.9 * sigma[tighter]
+    assert not fit.determined[fit.index(tighter)][0]
 
 
 def test_offset_and_remanent_field_go_together_in_the_covariance():
@@ -200,4 +202,4 @@ def test_every_term_of_the_scalar_chain_is_in_the_fitted_model():
         for value in held[name].parameters.values():
             for column, one, sigma in zip(value.columns, value.value[:, 0], value.sigma[:, 0], strict=True):
                 assert one == pytest.approx(value_of(found, column), rel=1e-6), column
-                assert sigma == pytest.approx(float(found.fit.sigma[found.fit.place(column)][0]), rel=1e-6)
+                assert sigma == pytest.approx(float(found.fit.sigma[found.fit.index(column)][0]), rel=1e-6)

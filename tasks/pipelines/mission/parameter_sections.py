@@ -116,7 +116,7 @@ def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
     for reason in dict.fromkeys(why.values()):
         names = [short_parameter(name) for name, one in why.items() if one == reason]
         part.add_absent("Periods", f"{', '.join(names)}: {reason}" if spectra else reason)
-    part.fields["periods"] = {name: one.told() for name, one in spectra.items()}
+    part.fields["periods"] = {name: one.summary() for name, one in spectra.items()}
     unresolved: dict[str, str] = {}
     cells = []
     for name, one in spectra.items():
@@ -210,7 +210,7 @@ def _weekdays(part: Part, daily: xr.Dataset) -> None:
     told: dict[str, str] = {}
     for name, (factor, unit) in shown_as(daily).items():
         try:
-            told[name] = find_week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).told()
+            told[name] = find_week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).summary()
         except InflightError as error:
             why.setdefault(error.message, name)
     part.fields["weekdays"] = told
@@ -232,7 +232,7 @@ def clock(found: ChainResults) -> Part:
 
     def make() -> None:
         faults, shift = faults_of(daily)
-        told = faults.told()
+        told = faults.summary()
         known = np.isfinite(shift)
         usual = 1e3 * float(np.median(shift[known]))
         part.fields = {"faults": [vars(one) for one in faults.faults], "told": told, "usual_ms": usual}
@@ -319,9 +319,9 @@ def coil_temperature(found: ChainResults) -> Part:
         part.add_absent("Lag of the coil's temperature", found.why("coil-temperature"))
     else:
         fit = CoilFit.of_table(table)
-        part.fields = _values(table) | {"told": fit.told(), "channel": fit.channel}
+        part.fields = _values(table) | {"told": fit.summary(), "channel": fit.channel}
         part.add_text(
-            f"Fitted with everything else: {fit.told()}, to first order about the lag it was aligned with."
+            f"Fitted with everything else: {fit.summary()}, to first order about the lag it was aligned with."
         )
         part.text.append(_value_table(table))
         part.plots.append(scale_curves_figure(fit, _range(found, fit)))
@@ -331,8 +331,8 @@ def coil_temperature(found: ChainResults) -> Part:
         return part
     choice = TemperatureChoice.of_table(rivals)
     part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
-    part.fields["choice"] = choice.told()
-    part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.told()}.")
+    part.fields["choice"] = choice.summary()
+    part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.summary()}.")
     part.plots.append(rivals_figure(choice))
     return part
 

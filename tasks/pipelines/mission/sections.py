@@ -208,8 +208,8 @@ def trend(found: ChainResults) -> Part:
         )
         return part
     comparison = rivals_of(choice)
-    part.add_text(comparison.told() + ".")
-    part.fields["told"] = comparison.told()
+    part.add_text(comparison.summary() + ".")
+    part.fields["told"] = comparison.summary()
     part.fields["rivals"] = [vars(one) for one in comparison.rivals]
     part.plots.append(comparison_figure(comparison))
     return part

@@ -203,7 +203,7 @@ def faults_table(daily: xr.Dataset) -> xr.Dataset:
             "start": ("interval", daily["start"].values, {"scale": "TT2000"}),
             "end": ("interval", daily["end"].values, {"scale": "TT2000"}),
         },
-        attrs={"told": "; ".join(found.told()), "limit": found.limit},
+        attrs={"told": "; ".join(found.summary()), "limit": found.limit},
     )
 
 
@@ -336,5 +336,5 @@ def periods_of(daily: xr.Dataset, known: Mapping[str, float]) -> xr.Dataset:
             "days": ("period", np.array(list(known.values())), {"units": "d"}),
         },
         coords={"parameter": list(found), "period": list(known)},
-        attrs={"told": json.dumps({name: one.told() for name, one in found.items()})},
+        attrs={"told": json.dumps({name: one.summary() for name, one in found.items()})},
     )
