@@ -28,10 +28,10 @@ from .publication import (
     TableStager,
     UsedTable,
     adopt_days,
+    record_failure,
     register_outcome,
     rounded,
     table_row_hash,
-    take_failure,
 )
 from .reprocessing import carry_out, product_key, residual_of_days
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
@@ -80,6 +80,7 @@ __all__ = [
     "product_key",
     "product_of",
     "published_products",
+    "record_failure",
     "register_outcome",
     "residual_of_days",
     "rounded",
@@ -88,7 +89,6 @@ __all__ = [
     "scatter_html",
     "structures_html",
     "table_row_hash",
-    "take_failure",
     "window_edges",
     "with_error",
 ]

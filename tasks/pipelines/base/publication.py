@@ -220,11 +220,11 @@ def register_outcome(
 ) -> list[Day]:
     """Register an outcome with the run; put failures among those known, and return the days made."""
     for day, failure in outcome.failures.items():
-        take_failure(run, dataset, day, failure, failed)
+        record_failure(run, dataset, day, failure, failed)
     return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
-def take_failure(
+def record_failure(
     run: Run,
     dataset: str,
     day: np.datetime64,

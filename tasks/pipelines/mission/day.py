@@ -92,7 +92,7 @@ def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Da
     return day.assign(made)
 
 
-def alike(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+def unify_variables(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     """Return days with the same variables, as one store needs them: what a day lacks it has no rows of."""
     whole: dict[str, xr.Variable] = {}
     for day in days:
@@ -101,7 +101,7 @@ def alike(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     return [day.assign({key: one for key, one in blank.items() if key not in day.variables}) for day in days]
 
 
-def part_of(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:
+def unpack_part(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:
     """Return the rows of a part as its estimator made them: one Dataset for all days that are laid out alike.
 
     Where a part's rows are the same things on every day, as channels are, ask for one day at a time.
@@ -114,9 +114,9 @@ def part_of(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:
     return [_unpacked(json.loads(layout), some, name) for layout, some in found.items()]
 
 
-def strips_of(days: Sequence[xr.Dataset]) -> list[xr.Dataset | None]:
+def auxiliary_columns_of(days: Sequence[xr.Dataset]) -> list[xr.Dataset | None]:
     """Return of each day what was looked at beside the model; None where nothing was."""
-    return [next(iter(part_of([day], "beside")), None) for day in days]
+    return [next(iter(unpack_part([day], "beside")), None) for day in days]
 
 
 def means_of_channels(days: Sequence[xr.Dataset]) -> dict[str, Floats]:
@@ -196,7 +196,7 @@ CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "cur
 
 
 @dataclass(frozen=True)
-class Witnesses:
+class AuxiliaryChannels:
     """Channels the chain looks at beside the model's own.
 
     Attributes
@@ -217,7 +217,7 @@ class Witnesses:
     orbit: bool = False
 
     @classmethod
-    def of(cls, mission: Mission, comparison: str) -> Witnesses:
+    def of(cls, mission: Mission, comparison: str) -> AuxiliaryChannels:
         """Return those of a mission's comparison, by the kinds of its channels."""
         homes = channels_by_name(mission)
         kinds = {
@@ -256,7 +256,7 @@ class Witnesses:
         return AuxiliaryColumns(self.temperatures, self.orbit)
 
 
-def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+def mission_statistics(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return all that one day says, and a report of its own fit.
 
     Raises
@@ -265,7 +265,7 @@ def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, A
         As `inflight.tasks.pipelines.scalar.calibrate.calibrate_day`.
     """
     model, fitted = batch.model, fit_day(batch, day)
-    witnesses = Witnesses.of(batch.mission, model.comparison)
+    witnesses = AuxiliaryChannels.of(batch.mission, model.comparison)
     span = day_bounds(day)
     attributes = {
         "comparison": model.comparison,
@@ -307,7 +307,7 @@ def _own_fit(fit: BlockFit) -> dict[str, Any]:
 
 
 def _band(
-    samples: xr.Dataset, residual: Floats, rows: ResidualRows, witnesses: Witnesses
+    samples: xr.Dataset, residual: Floats, rows: ResidualRows, witnesses: AuxiliaryChannels
 ) -> xr.Dataset | None:
     """Return the equations of the torquers' band; None without torquers or a stretch long enough."""
     if not witnesses.torquer or witnesses.torquer not in samples:
@@ -321,7 +321,7 @@ def _band(
 
 
 def _epochs(
-    samples: xr.Dataset, residual: Floats, rows: ResidualRows, witnesses: Witnesses
+    samples: xr.Dataset, residual: Floats, rows: ResidualRows, witnesses: AuxiliaryChannels
 ) -> xr.Dataset | None:
     """Return the epochs at which the first current steps; None when it never does."""
     there = [name for name in witnesses.currents if name in samples]

@@ -40,10 +40,10 @@ from inflight.mission_fit import (
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, product_of
-from inflight.tasks.pipelines.mission.day import equations_of_days, means_of_channels, part_of
+from inflight.tasks.pipelines.mission.day import equations_of_days, means_of_channels, unpack_part
 from inflight.tasks.pipelines.mission.tables import (
-    BESIDE,
-    beside_makers,
+    AUXILIARY_TABLES,
+    auxiliary_table_makers,
     daily_after,
     daily_temperatures,
     faults_table,
@@ -60,11 +60,11 @@ _FEWEST_DAYS = 5
 STATISTICS = "chain"
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
-MADE_FROM, LEFT_OUT = "made_from", "left_out"
+FIT_KEY, SKIPPED = "made_from", "left_out"
 
 
 @dataclass
-class Chained:
+class MissionTables:
     """What the chain made of all days.
 
     Attributes
@@ -82,14 +82,14 @@ class Chained:
     skipped: dict[str, str] = field(default_factory=dict)
 
 
-def chained(
-    cat: Catalog, mission: Mission, plan: Plan, days: Mapping[np.datetime64, Day], made_from: str
-) -> Chained:
+def fit_mission_tables(
+    cat: Catalog, mission: Mission, plan: Plan, days: Mapping[np.datetime64, Day], fit_key: str
+) -> MissionTables:
     """Fit all days together and make every table their parts allow.
 
     Parameters
     ----------
-    made_from : str
+    fit_key : str
         What the tables of one fit have in common: readers must know which belong together.
 
     Raises
@@ -107,7 +107,7 @@ def chained(
     noise = np.array([float(day["after"].values[0]) for day in read])
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
-    out = Chained(found)
+    out = MissionTables(found)
     every = drift.remove_drift(every, scale_factor_rates(found.fit, every))
     out.tables["continuous"] = continuous_table(every, found, model, noise)
     out.tables["trend"] = found.fit.table()
@@ -118,7 +118,7 @@ def chained(
         "torquer-band": lambda: fit_band(_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(_band(read)),
         "torquer-band-mean": lambda: robust_mean(_made(out, "torquer-band-daily")),
-        "current-steps": lambda: fit_step(concat_epochs(part_of(read, "epoch"))).table(),
+        "current-steps": lambda: fit_step(concat_epochs(unpack_part(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(found.equations, found),
@@ -127,7 +127,7 @@ def chained(
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(mission)),
     }
     some = [read[place] for place in full]
-    makers |= beside_makers(mission, model, found.equations, some, found)
+    makers |= auxiliary_table_makers(mission, model, found.equations, some, found)
     for name, make in makers.items():
         try:
             out.tables[name] = make()
@@ -135,12 +135,12 @@ def chained(
             out.skipped[name] = error.message
     # Tables of older runs stay certified where this one has none.
     for table in out.tables.values():
-        table.attrs[MADE_FROM] = made_from
-    out.tables["trend"].attrs[LEFT_OUT] = json.dumps(out.skipped)
+        table.attrs[FIT_KEY] = fit_key
+    out.tables["trend"].attrs[SKIPPED] = json.dumps(out.skipped)
     return out
 
 
-def _made(out: Chained, name: str) -> xr.Dataset:
+def _made(out: MissionTables, name: str) -> xr.Dataset:
     if name not in out.tables:
         raise CalibrationError(out.skipped[name], remedy="see the table it is made from")
     return out.tables[name]
@@ -166,7 +166,7 @@ def _own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
 
 
 def _band(read: Sequence[xr.Dataset]) -> xr.Dataset:
-    parts = part_of(read, "band")
+    parts = unpack_part(read, "band")
     if not parts:
         raise SamplesError(
             "no day has a stretch of torquer currents at a cadence that holds their band",
@@ -176,7 +176,7 @@ def _band(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
-    epochs = concat_epochs(part_of(read, "epoch"))
+    epochs = concat_epochs(unpack_part(read, "epoch"))
     return select_panel_model(epochs, node_times(epochs)).table()
 
 
@@ -241,7 +241,7 @@ TABLES = (
     "daily-temperature",
     "clock-faults",
     "periods",
-    *BESIDE,
+    *AUXILIARY_TABLES,
 )
 
 _REMEDY = "run 'inflight reprocess --table continuous' first"
@@ -251,7 +251,7 @@ _OF_DAY = ("before", "after", "start", "end")
 
 
 @dataclass(frozen=True)
-class ChainResults:
+class MissionFitResults:
     """The chain of a comparison, read once.
 
     Attributes
@@ -296,13 +296,13 @@ class ChainResults:
     @cached_property
     def epochs(self) -> xr.Dataset | None:
         """Epochs of all days at which the first current steps; None without any."""
-        parts = part_of(self.read, "epoch")
+        parts = unpack_part(self.read, "epoch")
         return concat_epochs(parts) if parts else None
 
     @cached_property
     def band(self) -> xr.Dataset | None:
         """Equations of the torquers' band of all days; None without torquers."""
-        parts = part_of(self.read, "band")
+        parts = unpack_part(self.read, "band")
         return concat_band_equations(parts) if parts else None
 
     @property
@@ -311,7 +311,7 @@ class ChainResults:
         return [str(self.days[0].day), str(self.days[-1].day)]
 
 
-def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> ChainResults:
+def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -> MissionFitResults:
     """Read what the last chain of a comparison published.
 
     Raises
@@ -329,8 +329,8 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
     newest = _newest(cat, comparison, lambda table: True)
     if "continuous" not in newest:
         raise CatalogError(f"no chain of all days is published for comparison '{comparison}'", remedy=_REMEDY)
-    made_from = newest["continuous"][1].attrs.get(MADE_FROM)
-    held = _newest(cat, comparison, lambda table: table.attrs.get(MADE_FROM) == made_from)
+    made_from = newest["continuous"][1].attrs.get(FIT_KEY)
+    held = _newest(cat, comparison, lambda table: table.attrs.get(FIT_KEY) == made_from)
     record = held["continuous"][0]
     days = [
         day
@@ -342,7 +342,7 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
         raise CatalogError("the days of the published chain are gone", remedy=_REMEDY)
     tables = {name: table for name, (_, table) in held.items()}
     left_out: dict[str, str] = (
-        json.loads(tables["trend"].attrs.get(LEFT_OUT, "{}")) if "trend" in tables else {}
+        json.loads(tables["trend"].attrs.get(SKIPPED, "{}")) if "trend" in tables else {}
     )
     ids = {name: one.id for name, (one, _) in held.items()}
     # Only products of the continuous fit tell the spread of their residual.
@@ -357,7 +357,7 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
     model = _looked_with(cat, mission, comparison, days[0])
     version, fitted = _fitted(cat, mission, model)
     read = [_read(cat, day) for day in days]
-    return ChainResults(
+    return MissionFitResults(
         mission, comparison, model, fitted, version, days, read, tables, ids, left_out, reports
     )
 

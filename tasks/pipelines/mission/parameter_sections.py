@@ -46,7 +46,7 @@ from inflight.mission_fit import (
     running_mean,
 )
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import ChainResults
+from inflight.tasks.pipelines.mission.fit import MissionFitResults
 from inflight.tasks.pipelines.mission.sections import SHOWN
 from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods
 from inflight.time import DAY, mjd2000, to_tt2000
@@ -55,7 +55,7 @@ from inflight.time import DAY, mjd2000, to_tt2000
 WINDOWS = (60.0, 260.0)
 
 
-def shown_as(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
+def display_units(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
     """Return factor and unit each daily parameter is shown with."""
     out = {}
     for name in map(str, daily["parameter"].values):
@@ -65,13 +65,13 @@ def shown_as(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
     return out
 
 
-def left_of(daily: xr.Dataset, name: str, factor: float) -> tuple[Floats, Floats]:
+def deviation_of(daily: xr.Dataset, name: str, factor: float) -> tuple[Floats, Floats]:
     """Return a daily parameter less the continuous one, and its sigma; (interval,), times a factor."""
     one = daily.sel(parameter=name)
     return factor * (one["value"].values - one["continuous"].values), factor * one["sigma"].values
 
 
-def behaviour(found: ChainResults) -> Part:
+def behaviour(found: MissionFitResults) -> Part:
     """What still wanders from day to day: size, periods, running means, steps."""
     part = Part("behaviour", "Behaviour of daily parameters")
     daily = found.tables.get("daily-after")
@@ -92,8 +92,8 @@ def behaviour(found: ChainResults) -> Part:
 
 def _scatter(part: Part, daily: xr.Dataset) -> None:
     rows, cells = [], []
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
+    for name, (factor, unit) in display_units(daily).items():
+        left, sigma = deviation_of(daily, name, factor)
         known = np.isfinite(left)
         if not known.any():
             continue
@@ -105,8 +105,8 @@ def _scatter(part: Part, daily: xr.Dataset) -> None:
     part.text.append(html_table(("parameter", "scatter of days", "sigma of a day", "unit", "ratio"), cells))
 
 
-def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
-    known, shown = stated_periods(found.mission), shown_as(daily)
+def _periods(part: Part, found: MissionFitResults, daily: xr.Dataset) -> None:
+    known, shown = stated_periods(found.mission), display_units(daily)
     short = [name for name, length in found.mission.periods.items() if length < SHORTEST * DAY]
     if short:
         part.add_text(
@@ -139,8 +139,8 @@ def _means(part: Part, daily: xr.Dataset) -> None:
     """Draw running means of all parameters; a window that does not fit is told once."""
     mjd = middles(daily)
     why: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, _ = left_of(daily, name, factor)
+    for name, (factor, unit) in display_units(daily).items():
+        left, _ = deviation_of(daily, name, factor)
         means = []
         for window in WINDOWS:
             try:
@@ -167,7 +167,7 @@ def _reach(mean: RunningMean) -> dict[str, Any]:
     }
 
 
-def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
+def _steps(part: Part, found: MissionFitResults, daily: xr.Dataset) -> None:
     """Tell the steps on the mission's event days."""
     first, last = (int(daily[name].values[index]) for name, index in (("start", 0), ("end", -1)))
     events = [one for one in found.mission.events if first <= int(to_tt2000(_instant(one.at))) < last]
@@ -182,8 +182,8 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
     mjd = middles(daily)
     why: dict[str, str] = {}
     told: dict[str, Any] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
+    for name, (factor, unit) in display_units(daily).items():
+        left, sigma = deviation_of(daily, name, factor)
         try:
             steps = measure_event_steps(mjd, left, sigma, at, unit=unit)
         except InflightError as error:
@@ -208,9 +208,9 @@ def _weekdays(part: Part, daily: xr.Dataset) -> None:
     mjd = middles(daily)
     why: dict[str, str] = {}
     told: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
+    for name, (factor, unit) in display_units(daily).items():
         try:
-            told[name] = find_week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).told()
+            told[name] = find_week_pattern(mjd, deviation_of(daily, name, factor)[0], unit=unit).told()
         except InflightError as error:
             why.setdefault(error.message, name)
     part.fields["weekdays"] = told
@@ -222,7 +222,7 @@ def _weekdays(part: Part, daily: xr.Dataset) -> None:
         part.add_absent("Steps on a day of the week", reason)
 
 
-def clock(found: ChainResults) -> Part:
+def clock(found: MissionFitResults) -> Part:
     """Spans of days on which a clock was wrong."""
     part = Part("clock_faults", "Clock")
     daily = found.tables.get("daily-after")
@@ -251,7 +251,7 @@ def _sigma_of_shift(daily: xr.Dataset) -> Floats:
     return np.asarray(daily["sigma"].sel(parameter=name).values)
 
 
-def temperature(found: ChainResults) -> Part:
+def temperature(found: MissionFitResults) -> Part:
     """Daily parameters against the day's temperature: what they follow still, and the loop."""
     part = Part("temperature", "Against temperature")
     daily, warm = found.tables.get("daily-after"), found.tables.get("daily-temperature")
@@ -268,8 +268,8 @@ def temperature(found: ChainResults) -> Part:
         f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous ones."
     )
     why: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
+    for name, (factor, unit) in display_units(daily).items():
+        left, sigma = deviation_of(daily, name, factor)
         both = np.isfinite(left) & np.isfinite(degrees)
         if both.sum() < 3:
             why.setdefault(f"{int(both.sum())} days have parameter and temperature", name)
@@ -311,7 +311,7 @@ _PAIRS = 12
 _ANGLE = (3600.0, "arcsec")
 
 
-def coil_temperature(found: ChainResults) -> Part:
+def coil_temperature(found: MissionFitResults) -> Part:
     """What the scale factors follow: coefficients of the coil's temperature, its lag, and rivals."""
     part = Part("coil_temperature", "Temperature of the coil")
     table = found.tables.get("coil-temperature")
@@ -337,7 +337,7 @@ def coil_temperature(found: ChainResults) -> Part:
     return part
 
 
-def _range(found: ChainResults, fit: CoilFit) -> np.ndarray:
+def _range(found: MissionFitResults, fit: CoilFit) -> np.ndarray:
     """Return temperatures over the range that days had, degC; ten about the reference when not known."""
     warm = found.tables.get("daily-temperature")
     if warm is None or fit.channel not in warm["channel"].values:
@@ -368,7 +368,7 @@ def _value_table(table: xr.Dataset) -> str:
     return html_table(("", "value ± sigma", "unit", "determined", "left beside all others"), rows)
 
 
-def day_night(found: ChainResults) -> Part:
+def day_night(found: MissionFitResults) -> Part:
     """The field of day and night beside the model, and what the angles of days do without and with it."""
     part = Part("day_night", "Day and night")
     for name, what in (("day-night", "Switched field"), ("day-night-series", "Series along the orbit")):
@@ -394,7 +394,7 @@ def day_night(found: ChainResults) -> Part:
     return part
 
 
-def _wander(part: Part, found: ChainResults, ignored: xr.Dataset, added: xr.Dataset) -> None:
+def _wander(part: Part, found: MissionFitResults, ignored: xr.Dataset, added: xr.Dataset) -> None:
     """Draw the angles of days without the field and with it; tell the amplitudes of the named periods."""
     angles = [name for name in map(str, added["parameter"].values) if ".misalignment[" in name]
     known = stated_periods(found.mission)
@@ -437,7 +437,7 @@ def _less_continuous(daily: xr.Dataset, name: str) -> xr.Dataset:
     )
 
 
-def cross_talk(found: ChainResults, asked: str = "") -> Part:
+def cross_talk(found: MissionFitResults, cause: str = "") -> Part:
     """What an ignored cause does to the nine, and parameters of the whole model to each other."""
     part = Part("cross_talk", "Cross-talk")
     nine, every = found.tables.get("cross-talk"), found.tables.get("cross-talk-all")
@@ -449,8 +449,8 @@ def cross_talk(found: ChainResults, asked: str = "") -> Part:
         part.add_absent("Shift of all parameters", found.why("cross-talk-all"))
         return part
     _of_all(part, every)
-    if asked:
-        part.fields["asked"] = asked_for(every, nine, asked)
+    if cause:
+        part.fields["asked"] = cross_talk_of(every, nine, cause)
     return part
 
 
@@ -513,7 +513,7 @@ def _of_all(part: Part, table: xr.Dataset) -> None:
     part.plots.append(cross_talk_figure(CrossTalk(tuple(unique_labels(names)), tuple(groups), related)))
 
 
-def asked_for(every: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str, Any]:
+def cross_talk_of(every: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str, Any]:
     """Return what one cause does: to all others fitted together, and to the nine fitted alone.
 
     Raises

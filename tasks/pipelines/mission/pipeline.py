@@ -33,8 +33,8 @@ from inflight.tasks.pipelines.base import (
     page_sections,
     residual_of_days,
 )
-from inflight.tasks.pipelines.mission.day import Witnesses, alike, chain_day
-from inflight.tasks.pipelines.mission.fit import STATISTICS, chained, save_fitted, spread_offsets
+from inflight.tasks.pipelines.mission.day import AuxiliaryChannels, mission_statistics, unify_variables
+from inflight.tasks.pipelines.mission.fit import STATISTICS, fit_mission_tables, save_fitted, spread_offsets
 from inflight.tasks.pipelines.scalar import ScalarPipeline, level2_day
 from inflight.tasks.report import Progress
 
@@ -60,20 +60,20 @@ class MissionPipeline(Pipeline):
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
         """Return currents, torquers and the sensor's temperatures."""
-        return Witnesses.of(mission, comparison).names
+        return AuxiliaryChannels.of(mission, comparison).names
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's wide equations with the parts beside them; see `chain_day`."""
-        return chain_day(batch, day)
+        return mission_statistics(batch, day)
 
     def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return days with the same variables; what a day lacks it has no rows of."""
-        return alike(days)
+        return unify_variables(days)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Fit all days, stage the tables that their parts allow, and save the fitted model."""
         plan, keep = work.plan, self.table_stager(work, days)
-        result = chained(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
+        result = fit_mission_tables(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
         for name, table in result.tables.items():
             keep.table(name, partial(_itself, table))
         model = save_fitted(work.cat, plan.model, work.run, result.found)
@@ -139,18 +139,18 @@ class MissionPipeline(Pipeline):
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return what all days together told, section by section; see `chain_report`."""
-        from inflight.tasks.pipelines.mission.report import chain_report
+        from inflight.tasks.pipelines.mission.report import mission_fit_report
 
-        fields = chain_report(cat, mission, comparison, output, cause).as_json()
+        fields = mission_fit_report(cat, mission, comparison, output, cause).as_json()
         return TablesReport(fields, summary_lines(fields), output)
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report` when all days were ever fitted at once; else none."""
         if newest_record(cat, f"{comparison}-continuous") is None:
             return []
-        from inflight.tasks.pipelines.mission.report import chain_report
+        from inflight.tasks.pipelines.mission.report import mission_fit_report
 
-        return page_sections(chain_report(cat, mission, comparison).parts)
+        return page_sections(mission_fit_report(cat, mission, comparison).parts)
 
 
 def _itself(table: xr.Dataset) -> xr.Dataset:

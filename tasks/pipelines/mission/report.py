@@ -12,7 +12,7 @@ from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part
-from inflight.tasks.pipelines.mission.fit import ChainResults, chain_results
+from inflight.tasks.pipelines.mission.fit import MissionFitResults, read_mission_fit
 from inflight.tasks.pipelines.mission.parameter_sections import (
     behaviour,
     clock,
@@ -34,7 +34,7 @@ from inflight.tasks.pipelines.mission.sections import (
 from inflight.tasks.report import write_page
 
 #: In the order of the page.
-SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
+SECTIONS: tuple[Callable[[MissionFitResults], Part], ...] = (
     residual,
     coefficients,
     trend,
@@ -53,10 +53,10 @@ SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
 
 
 @dataclass(frozen=True)
-class ChainReport:
+class MissionFitReport:
     """Results of a chain, section by section; `path` is the page, when one was written."""
 
-    found: ChainResults
+    found: MissionFitResults
     parts: tuple[Part, ...]
     path: Path | None = None
 
@@ -75,31 +75,31 @@ class ChainReport:
         }
 
 
-def chain_report(
-    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, asked: str = ""
-) -> ChainReport:
+def mission_fit_report(
+    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, cause: str = ""
+) -> MissionFitReport:
     """Tell what the whole chain found, and write the page of it when a path is given.
 
     Parameters
     ----------
     output : Path, optional
         Where the page goes; written whole, by one rename.
-    asked : str
+    cause : str
         A parameter or cause: what it does to all others when it is ignored is told, too.
 
     Raises
     ------
     SettingsError, CatalogError
-        As `inflight.tasks.pipelines.mission.fit.chain_results`.
+        As `inflight.tasks.pipelines.mission.fit.read_mission_fit`.
     """
-    found = chain_results(cat, mission, comparison)
-    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, asked) for make in SECTIONS)
+    found = read_mission_fit(cat, mission, comparison)
+    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, cause) for make in SECTIONS)
     if output is not None:
-        write_page(output, chain_page(found, parts))
-    return ChainReport(found, parts, output)
+        write_page(output, mission_fit_page(found, parts))
+    return MissionFitReport(found, parts, output)
 
 
-def chain_page(found: ChainResults, parts: tuple[Part, ...]) -> str:
+def mission_fit_page(found: MissionFitResults, parts: tuple[Part, ...]) -> str:
     """Return the page as HTML."""
     first, last = found.span
     title = f"{found.mission.mission}: all days together, {first} to {last}"

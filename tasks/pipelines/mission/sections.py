@@ -47,7 +47,7 @@ from inflight.mission_fit import (
 )
 from inflight.model import component_names
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import ChainResults
+from inflight.tasks.pipelines.mission.fit import MissionFitResults
 from inflight.tasks.pipelines.mission.tables import node_times
 from inflight.time import Int64, to_utc
 
@@ -68,7 +68,7 @@ def matrix_table(corner: str, rows: Sequence[str], columns: Sequence[str], value
     return html_table([corner, *columns], cells)
 
 
-def residual(found: ChainResults) -> Part:
+def residual(found: MissionFitResults) -> Part:
     """How far the residual falls, day by day."""
     part = Part("residual", "Residual")
     table = found.tables["continuous"]
@@ -101,7 +101,7 @@ def _rms(values: Floats, weight: Floats) -> float:
     return float(np.sqrt(np.average(values[use] ** 2, weights=weight[use]))) if use.any() else float("nan")
 
 
-def coefficients(found: ChainResults) -> Part:
+def coefficients(found: MissionFitResults) -> Part:
     """Every coefficient: value, sigma, unit, whether the data tell it, and how far it went."""
     part = Part("coefficients", "Coefficients")
     rows = coefficient_rows(found)
@@ -125,7 +125,7 @@ def coefficients(found: ChainResults) -> Part:
     return part
 
 
-def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
+def coefficient_rows(found: MissionFitResults) -> list[dict[str, Any]]:
     """Return the coefficients as plain rows; a shift is None where nothing was known beforehand."""
     table, prior, units = found.tables["trend"], _priors(found), _units(found)
     rows = []
@@ -149,7 +149,7 @@ def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
     return rows
 
 
-def _priors(found: ChainResults) -> dict[str, tuple[float, float]]:
+def _priors(found: MissionFitResults) -> dict[str, tuple[float, float]]:
     """Return what was known of each coefficient: value and sigma."""
     out = {}
     for term in free_terms(found.model):
@@ -159,7 +159,7 @@ def _priors(found: ChainResults) -> dict[str, tuple[float, float]]:
     return out
 
 
-def _units(found: ChainResults) -> dict[str, str]:
+def _units(found: MissionFitResults) -> dict[str, str]:
     """Return the units the model states, by column."""
     return {
         name: timed.parameter.unit
@@ -182,7 +182,7 @@ def _coefficient_table(rows: Sequence[dict[str, Any]]) -> str:
     return html_table(head, cells, kind="wide", folded="all values", opened=True)
 
 
-def trend(found: ChainResults) -> Part:
+def trend(found: MissionFitResults) -> Part:
     """The scale factors in time, with the trends that were compared."""
     part = Part("trend", "Continuous parameters")
     table = found.tables["continuous"]
@@ -232,7 +232,7 @@ def rivals_of(table: xr.Dataset) -> TrendComparison:
     return TrendComparison(tuple(rivals), str(table.attrs["chosen"]), int(table.attrs["folds"]), unit)
 
 
-def jumps(found: ChainResults) -> Part:
+def jumps(found: MissionFitResults) -> Part:
     """Steps of a table of windows at their boundaries against the continuous parameters'."""
     part = Part("jumps", "Jumps between intervals")
     window = found.tables.get("window")
@@ -269,7 +269,7 @@ def jumps(found: ChainResults) -> Part:
     return part
 
 
-def nine_at(found: ChainResults, times: Int64) -> Floats:
+def nine_at(found: MissionFitResults, times: Int64) -> Floats:
     """Return the nine fitted parameters at TT2000 times; (time, 9)."""
     own = vector_sensor_of(found.fitted)
     columns = []
@@ -286,7 +286,7 @@ _AXES = ("x", "y", "z")
 _DIRECTIONS = ((-1, "drops"), (1, "rises"))
 
 
-def current_steps(found: ChainResults) -> Part:
+def current_steps(found: MissionFitResults) -> Part:
     """The field of the current that steps, from superposed epochs."""
     part = Part("current_steps", "Currents that step")
     table, epochs = found.tables.get("current-steps"), found.epochs
@@ -340,7 +340,7 @@ def _confounding(part: Part, table: xr.Dataset) -> None:
     part.text.append(html_table(("channel", "correlation of steps", "its step for 1 A"), cells))
 
 
-def _split(part: Part, found: ChainResults, table: xr.Dataset) -> None:
+def _split(part: Part, found: MissionFitResults, table: xr.Dataset) -> None:
     """Tell both sensors' shares where they stand on one line through the dipole."""
     entry = found.mission.comparisons[found.comparison]
     instruments = entry.instruments()
@@ -375,7 +375,7 @@ def _stacked(part: Part, epochs: xr.Dataset, value: np.ndarray, name: str) -> No
     part.plots.append(column(*stack_figures(stack_epochs(epochs, value), name)))
 
 
-def panels(found: ChainResults) -> Part:
+def panels(found: MissionFitResults) -> Part:
     """How the solar current's field turns with local time, and which model of panels foretells it."""
     part = Part("panels", "Solar panels")
     epochs = found.epochs
@@ -387,7 +387,7 @@ def panels(found: ChainResults) -> Part:
     return part
 
 
-def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
+def _choice(part: Part, found: MissionFitResults, epochs: xr.Dataset) -> None:
     table = found.tables.get("panels")
     if table is None:
         raise SamplesError(found.why("panels"))
@@ -451,7 +451,7 @@ def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
     part.plots.append(local_time_figure(course, select_panel_model(epochs, local_time).chosen))
 
 
-def torquers(found: ChainResults) -> Part:
+def torquers(found: MissionFitResults) -> Part:
     """The band of the torquers' modulation before and after, the matrix, and the running mean of currents."""
     part = Part("torquers", "Magneto-torquers")
     matrix, equations = found.tables.get("torquer-band"), found.band
@@ -538,7 +538,7 @@ def _running(part: Part, table: xr.Dataset) -> None:
     part.plots += torquer_mean_figures(mean, remanent_field(mean))
 
 
-def offsets(found: ChainResults) -> Part:
+def offsets(found: MissionFitResults) -> Part:
     """Daily offsets along z from the spread of the products' residual."""
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
     table = found.tables.get("z-offset")

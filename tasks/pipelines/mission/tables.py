@@ -40,11 +40,11 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.archive import channels_by_name
-from inflight.tasks.pipelines.mission.day import Witnesses, means_of_channels, strips_of
+from inflight.tasks.pipelines.mission.day import AuxiliaryChannels, auxiliary_columns_of, means_of_channels
 from inflight.time import DAY, SECOND, mjd2000
 
 #: The tables of this module.
-BESIDE = (
+AUXILIARY_TABLES = (
     "coil-temperature",
     "temperature-rivals",
     "day-night",
@@ -55,7 +55,7 @@ BESIDE = (
 )
 
 
-def beside_makers(
+def auxiliary_table_makers(
     mission: Mission, model: Model, equations: NormalEquations, read: Sequence[xr.Dataset], found: MissionFit
 ) -> dict[str, Callable[[], xr.Dataset]]:
     """Return what makes each table of this module.
@@ -70,7 +70,7 @@ def beside_makers(
         The same days, with their parts.
     found : Continuous
     """
-    strips, units = strips_of(read), found.fit.units
+    strips, units = auxiliary_columns_of(read), found.fit.units
 
     @cache
     def switched() -> JointDayNight:
@@ -112,7 +112,7 @@ def _rivals(
     strips: Sequence[xr.Dataset | None],
     found: MissionFit,
 ) -> xr.Dataset:
-    channels = Witnesses.of(mission, model.comparison).temperatures
+    channels = AuxiliaryChannels.of(mission, model.comparison).temperatures
     if not channels:
         raise CalibrationError(
             "the vector sensor has no temperature", remedy="state a channel of kind 'temperature'"
@@ -236,7 +236,9 @@ def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset
     """
     used = {name for entry in model.effects for name in entry.effect.channels}
     told = means_of_channels(read)
-    names = sorted(Witnesses.of(mission, model.comparison).temperatures, key=lambda name: name not in used)
+    names = sorted(
+        AuxiliaryChannels.of(mission, model.comparison).temperatures, key=lambda name: name not in used
+    )
     known = [name for name in names if name in told and np.isfinite(told[name][:, 0]).any()]
     if not known:
         raise SamplesError(

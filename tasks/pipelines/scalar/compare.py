@@ -53,7 +53,7 @@ from inflight.tasks.pipelines.base import (
     rows_of_day,
     scalar_channels,
 )
-from inflight.tasks.pipelines.scalar.compare_page import Drawn, Spectra, compare_parts, page_title
+from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds, usual_step
@@ -126,7 +126,7 @@ def compare_samples(
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
-    drawn = Drawn(digest.counts, rows, spectra, found, tables)
+    drawn = FigureData(digest.counts, rows, spectra, found, tables)
     return CompareResult(report, page_title(report, mission), compare_parts(report, drawn))
 
 

@@ -55,7 +55,7 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class FigureData:
     """Aggregates that the figures are drawn from: histograms, means of short spans, spectra, tables."""
 
     counts: dict[str, Floats]
@@ -65,7 +65,7 @@ class Drawn:
     tables: tuple[xr.Dataset, xr.Dataset]
 
 
-def compare_parts(report: CompareReport, drawn: Drawn) -> list[LazySection]:
+def compare_parts(report: CompareReport, drawn: FigureData) -> list[LazySection]:
     """Return everything that is shown of a comparison, as the page and the explorer have it."""
     return [
         ("Residual", lambda: _residual(report, drawn)),
@@ -76,7 +76,7 @@ def compare_parts(report: CompareReport, drawn: Drawn) -> list[LazySection]:
     ]
 
 
-def _residual(report: CompareReport, drawn: Drawn) -> SectionBody:
+def _residual(report: CompareReport, drawn: FigureData) -> SectionBody:
     rows, counts = drawn.rows, drawn.counts
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
@@ -98,12 +98,12 @@ def _failing(report: CompareReport) -> SectionBody:
     return structures_html(report), axes
 
 
-def _following(report: CompareReport, drawn: Drawn) -> SectionBody:
+def _following(report: CompareReport, drawn: FigureData) -> SectionBody:
     order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
     return [_legend(report)], [dependence_figure(one) for one in order]
 
 
-def _parameters(report: CompareReport, drawn: Drawn) -> SectionBody:
+def _parameters(report: CompareReport, drawn: FigureData) -> SectionBody:
     plots = [*parameter_figures(*drawn.tables), excess_scatter_figure(report.daily_scatter)]
     return [*_known(report), scatter_html(report)], plots
 

@@ -34,7 +34,7 @@ from inflight.tasks.pipelines.base import (
 from inflight.tasks.pipelines.scalar.calibrate import calibrate_day
 from inflight.tasks.pipelines.scalar.product import level2_day
 from inflight.tasks.pipelines.scalar.tables import (
-    MOST_BEND,
+    MAX_LINEARISATION_ERROR,
     daily_table,
     load_equations,
     relinearise_at,
@@ -71,7 +71,8 @@ class ScalarPipeline(Pipeline):
         again = relinearise_at(equations, plan.model, strength)
         # Days that are sure of their own fit stay linearised there: a pass at the same place moves nothing.
         if again is None or (
-            last is not None and linearisation_error(again, np.asarray(last), strength) <= MOST_BEND
+            last is not None
+            and linearisation_error(again, np.asarray(last), strength) <= MAX_LINEARISATION_ERROR
         ):
             return None
         return [float(value) for value in again]

@@ -29,7 +29,7 @@ from inflight.model import Model
 from inflight.time import day_bounds
 
 #: Equations are linearised again when the linearisation error of the residual exceeds this; nT.
-MOST_BEND = 1e-3
+MAX_LINEARISATION_ERROR = 1e-3
 
 
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
@@ -147,4 +147,8 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
     places = equations.dataset["linearised_at"].values[:, :-1]
-    return value if max(linearisation_error(value, at, strength) for at in places) > MOST_BEND else None
+    return (
+        value
+        if max(linearisation_error(value, at, strength) for at in places) > MAX_LINEARISATION_ERROR
+        else None
+    )
