@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import floor, log10
 from pathlib import Path
@@ -54,10 +55,11 @@ class Part:
         whole = whole if whole.endswith(".") else f"{whole}."
         self.text.append(paragraph(f": not told. {whole}", kind="absent", bold=what))
 
-    def add_if_possible(self, what: str, make: Callable[[], None]) -> None:
-        """Do a piece of the section; when the span does not suffice for it, say so."""
+    @contextmanager
+    def optional(self, what: str) -> Iterator[None]:
+        """Make a piece of the section; when the span does not suffice for it, list it as absent."""
         try:
-            make()
+            yield
         except InflightError as error:
             remedy = f"; {error.remedy}" if error.remedy else ""
             self.add_absent(what, f"{error.message}{remedy}")

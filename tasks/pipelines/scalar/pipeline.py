@@ -124,7 +124,7 @@ class ScalarPipeline(Pipeline):
         )
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
-        """Return parameters over days with errors, their newest values, and the zero level."""
+        """Return parameters over days with errors, and their newest values."""
         from inflight.tasks.pipelines.scalar.sections import table_sections
 
         return table_sections(cat, comparison)
