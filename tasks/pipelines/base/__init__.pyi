@@ -1,3 +1,4 @@
+from .compare_report import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
 from .compare_rows import (
     Sources,
     Spans,
@@ -8,7 +9,6 @@ from .compare_rows import (
     rows_of_day,
     scalar_channels,
 )
-from .compared import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
 from .parts import Part, TablesReport, TextLine, page_sections, with_error
 from .pipeline import Pipeline, Versions

@@ -89,7 +89,7 @@ class CompareSettings:
 COMPARE = CompareSettings()
 
 #: Columns of rows that are no coordinates.
-_NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}
+_RESIDUAL_COLUMNS = {"tt2000", "before", "after", "low", "high"}
 
 _UNITS = {
     "time": "d",
@@ -292,7 +292,7 @@ def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordina
     channels = scalar_channels(mission)
     yield Coordinate("time", "d", "time", (rows["tt2000"] - rows["tt2000"][0]) / DAY)
     for name, values in rows.items():
-        if name in _NO_COORDINATE:
+        if name in _RESIDUAL_COLUMNS:
             continue
         if name in channels:
             channel = channels[name][2]
