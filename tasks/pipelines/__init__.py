@@ -1,4 +1,4 @@
-"""Ways of calibrating: each is a `Pipeline`, and nothing else asks which one a comparison has.
+"""Ways of calibrating: each is a `Pipeline`; nothing else depends on which one a comparison has.
 
 In goes an archive of days and a mission, out come statistics of days, calibration tables, level-2 products
 and reports of them. `registry.py` is the file to open first: the table of pipelines, `pipeline_of`, and the

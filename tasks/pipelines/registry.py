@@ -1,4 +1,4 @@
-"""The pipelines there are, which of them a comparison is calibrated with, and the verbs that ask it."""
+"""The table of pipelines, which of them calibrates a comparison, and the verbs that use it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from inflight.tasks.pipelines.states import StatesPipeline
 from inflight.tasks.report import Progress, RunReport
 from inflight.time import DayLike
 
-#: In the order in which they are asked: the first that handles a comparison calibrates it.
+#: In order: the first that handles a comparison calibrates it.
 PIPELINES: tuple[Pipeline, ...] = (
     ScalarPipeline(),
     MissionPipeline(),
@@ -44,8 +44,8 @@ def find_pipeline(
     """
     if comparison not in mission.comparisons:
         return None
-    asked = (settings or ReprocessSettings()).model_copy(update={"comparison": comparison})
-    return next((one for one in PIPELINES if one.handles(mission, asked)), None)
+    settings = (settings or ReprocessSettings()).model_copy(update={"comparison": comparison})
+    return next((pipeline for pipeline in PIPELINES if pipeline.handles(mission, settings)), None)
 
 
 def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings | None = None) -> Pipeline:
@@ -87,8 +87,8 @@ def plan(
     CatalogError
         When there is no day to work on in the span.
     """
-    asked = settings or ReprocessSettings()
-    return pipeline_of(mission, asked.comparison, asked).make_plan(cat, mission, asked, (start, end))
+    settings = settings or ReprocessSettings()
+    return pipeline_of(mission, settings.comparison, settings).make_plan(cat, mission, settings, (start, end))
 
 
 def reprocess(
@@ -104,7 +104,7 @@ def reprocess(
 ) -> RunReport:
     """Calibrate the half-open span of UTC days; publish statistics, tables and products, or nothing.
 
-    Days whose inputs, model and table are the same are left alone.
+    Days whose inputs, model and table did not change are not made anew.
 
     Parameters
     ----------
@@ -126,18 +126,18 @@ def reprocess(
     Returns
     -------
     RunReport
-        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span, and what the
-        pipeline says beside (`Pipeline.results`).
+        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span, and the other
+        fields of `Pipeline.results`.
 
     Raises
     ------
     MissionError, ModelError, CatalogError
         When there is nothing to work on or the model does not fit the mission.
     """
-    asked = settings or ReprocessSettings()
-    pipeline = pipeline_of(mission, asked.comparison, asked)
-    made = pipeline.make_plan(cat, mission, asked, (start, end))
-    return carry_out(pipeline, cat, mission, made, mapper or batch_mapper(client, progress))
+    settings = settings or ReprocessSettings()
+    pipeline = pipeline_of(mission, settings.comparison, settings)
+    planned = pipeline.make_plan(cat, mission, settings, (start, end))
+    return carry_out(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
 
 
 def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
@@ -148,20 +148,20 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     CatalogError, SettingsError
         When tables are damaged or not whole.
     """
-    usual, whole = find_pipeline(mission, comparison), find_pipeline(mission, comparison, ALL_DAYS)
-    chosen = dict.fromkeys(one for one in (usual, whole) if one is not None)
-    return [section for one in chosen for section in one.sections(cat, mission, comparison)]
+    found = (find_pipeline(mission, comparison), find_pipeline(mission, comparison, ALL_DAYS))
+    pipelines = dict.fromkeys(pipeline for pipeline in found if pipeline is not None)
+    return [section for pipeline in pipelines for section in pipeline.sections(cat, mission, comparison)]
 
 
 def tables_report(
     cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
 ) -> Report:
-    """Return what the tables of all days together say, and write the page of it when a path is given.
+    """Return the report of the tables of all days together, and write its page when a path is given.
 
     Parameters
     ----------
     cause : str
-        A parameter or cause whose cross-talk with all others is asked for.
+        A parameter or cause whose cross-talk with all others is to be in the report.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def tables_report(
 
 
 def learns_states(mission: Mission, comparison: str) -> bool:
-    """Return True for a comparison whose pipeline tells states of the spacecraft apart."""
+    """Return True for a comparison whose pipeline finds states of the spacecraft."""
     found = find_pipeline(mission, comparison)
     return found is not None and found.learns_states
 

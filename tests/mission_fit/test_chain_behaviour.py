@@ -46,7 +46,7 @@ def found():
         periods={"orbit": 5580 * 10**9, "local_time": round(260.5 * DAY)}, events=[event]
     )
     tables = {"daily-after": daily, "daily-temperature": means}
-    return SimpleNamespace(tables=tables, mission=mission, why=lambda name: f"no {name}")
+    return SimpleNamespace(tables=tables, mission=mission, why_absent=lambda name, *_: f"no {name}")
 
 
 def test_periods_means_and_steps_are_told(found):
@@ -78,7 +78,7 @@ def test_a_lag_behind_the_temperature_opens_the_loop(found):
 
 
 def test_without_daily_values_the_reason_stands_there(found):
-    empty = SimpleNamespace(tables={}, mission=found.mission, why=lambda name: f"no {name}")
+    empty = SimpleNamespace(tables={}, mission=found.mission, why_absent=lambda name, *_: f"no {name}")
     for make in (behaviour, clock, temperature):
         part = make(empty)
         assert list(part.absent.values()) == ["no daily-after"]

@@ -7,7 +7,7 @@ import xarray as xr
 from inflight.calibration import NormalEquations
 from inflight.lsq import RESIDUAL
 from inflight.mission_fit import DayDrift
-from inflight.tasks.pipelines.mission.day import alike, means_of_channels, pack_parts, part_of
+from inflight.tasks.pipelines.mission.day import means_of_channels, pack_parts, unify_variables, unpack_part
 
 WIDTH, ROWS, DAYS = 5, 400, 3
 SCALE = np.array([1e-5, 2e-5, 1e-5, 1.0, 0.5])
@@ -63,21 +63,23 @@ def blank() -> xr.Dataset:
 
 def test_parts_of_days_come_back_together_to_the_last_bit():
     parts = [epochs(4, 0), epochs(7, 100)]
-    days = alike([pack_parts(blank(), {"epoch": part}) for part in parts] + [pack_parts(blank(), {})])
+    days = unify_variables(
+        [pack_parts(blank(), {"epoch": part}) for part in parts] + [pack_parts(blank(), {})]
+    )
     assert {str(name) for name in days[2].variables} == {str(name) for name in days[0].variables}
-    (found,) = part_of(days, "epoch")
+    (found,) = unpack_part(days, "epoch")
     expected = xr.concat(parts, "epoch", data_vars="minimal", join="exact")
     xr.testing.assert_identical(found.transpose(*expected.dims), expected)
 
 
 def test_more_rows_than_are_kept_are_spread_over_the_day():
-    (found,) = part_of([pack_parts(blank(), {"epoch": epochs(100, 0)})], "epoch")
+    (found,) = unpack_part([pack_parts(blank(), {"epoch": epochs(100, 0)})], "epoch")
     assert found.sizes["epoch"] == 48
     assert found["time"].values[[0, -1]].tolist() == [2**60, 2**60 + 99]
 
 
 def test_days_without_a_part_have_none():
-    assert part_of([pack_parts(blank(), {"epoch": None})], "epoch") == []
+    assert unpack_part([pack_parts(blank(), {"epoch": None})], "epoch") == []
 
 
 def test_means_of_channels_are_found_by_name_on_days_that_have_others():

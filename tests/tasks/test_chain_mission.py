@@ -13,7 +13,7 @@ from inflight.flags import Flag
 from inflight.simulate import Parameters, SimulationSettings, mean_current
 from inflight.simulate.stray import coefficients
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.mission.day import part_of
+from inflight.tasks.pipelines.mission.day import unpack_part
 from inflight.time import SECOND
 
 DAYS = 24
@@ -180,7 +180,7 @@ def test_the_same_call_has_nothing_to_do(chain):
 def test_a_day_of_the_chain_keeps_its_currents_in_amperes(chain):
     cat, _ = chain
     day = cat.read(cat.days("equations/main/chain", states=("published",))[7])
-    part = part_of([day], "channel")[0]
+    part = unpack_part([day], "channel")[0]
     told = dict(zip(part["channel"].values.tolist(), part["mean"].values, strict=True))
     truth = mean_current(day["start"].values / SECOND, SETTINGS.parameters)
     found = [told[f"torquer_current[{axis}]"] for axis in "xyz"]

@@ -12,7 +12,7 @@ from inflight.errors import CatalogError, SettingsError
 from inflight.simulate import SimulationSettings
 from inflight.tasks import to_json
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.mission import chain_report
+from inflight.tasks.pipelines.mission import mission_fit_report
 from inflight.tasks.pipelines.mission.report import SECTIONS
 
 DAYS = 12
@@ -33,7 +33,7 @@ def workspace(tmp_path_factory):
 def told(workspace):
     """Report and page."""
     page = workspace / "reports" / "chain.html"
-    made = chain_report(Catalog(workspace), Workspace.open(workspace).mission(), "main", page)
+    made = mission_fit_report(Catalog(workspace), Workspace.open(workspace).mission(), "main", page)
     return made, page.read_text(encoding="utf-8")
 
 
@@ -101,7 +101,7 @@ def test_a_dipole_on_the_boom_shares_its_difference_by_the_cube_of_distance(told
 def test_jumps_of_windows_stand_against_none_of_the_continuous_parameters(workspace, told):
     cat, mission = Catalog(workspace), Workspace.open(workspace).mission()
     reprocess(cat, mission, settings=ReprocessSettings(table="window", window_days=4))
-    sections = chain_report(cat, mission).as_json()["sections"]
+    sections = mission_fit_report(cat, mission).as_json()["sections"]
     # These products are the windows' now.
     assert sections["residual"]["absent"]
     fields = sections["jumps"]
@@ -144,7 +144,7 @@ def test_nothing_processed_says_what_to_run(tmp_path):
     folder = tmp_path / "empty"
     cat = simulated_workspace(folder, 1, settings=SETTINGS, workers=1)
     with pytest.raises(CatalogError) as raised:
-        chain_report(cat, Workspace.open(folder).mission())
+        mission_fit_report(cat, Workspace.open(folder).mission())
     assert "reprocess --table continuous" in raised.value.remedy
     with pytest.raises(SettingsError, match="other"):
-        chain_report(cat, Workspace.open(folder).mission(), "other")
+        mission_fit_report(cat, Workspace.open(folder).mission(), "other")

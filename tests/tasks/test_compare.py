@@ -120,7 +120,7 @@ def test_a_failed_reading_counts_for_neither_report_and_the_clock_begins_at_midn
     assert told["after_nT"] == pytest.approx(report.after.rms, rel=1e-12)
     assert told["before_nT"] == pytest.approx(report.before.rms, rel=1e-12)
     days = catalog.days("l2/field", states=("published",))
-    digest = module._digest_of(catalog, mission, "main", days, lambda stage, done, total: None)
+    digest = module.digest_days(catalog, mission, "main", days, lambda stage, done, total: None)
     # The middle of the first minute after six.
     assert [float(row["time of day"][0]) for row in digest.rows] == pytest.approx([6 + 0.5 / 60] * 2)
 
@@ -234,9 +234,9 @@ def test_a_page_that_cannot_be_made_leaves_the_old_one(four_days, pages, monkeyp
 
 def test_what_is_kept_of_a_mission_is_bounded(four_days, monkeypatch):
     catalog, mission = four_days
-    monkeypatch.setattr(module, "_ROWS", 2_000)
+    monkeypatch.setattr(module, "COMPARE", module.CompareSettings(most_rows=2_000))
     days = catalog.days("l2/field", states=("published",)) * 50
-    digest = module._digest_of(catalog, mission, "main", days, lambda stage, done, total: None)
+    digest = module.digest_days(catalog, mission, "main", days, lambda stage, done, total: None)
     assert sum(row["after"].size for row in digest.rows) <= 2_000 + len(days)
     assert len(digest.power) == 1
     assert next(iter(digest.power.values())).stretches == 200
@@ -246,7 +246,7 @@ def test_a_browser_is_given_no_more_points_than_it_can_draw():
     rows = 400_001
     given = {name: np.arange(float(rows)) for name in ("tt2000", "after", "low", "high")}
     given["after"][7] = np.nan
-    time, mean, low, high = compare_page._thinned(given)
+    time, mean, low, high = compare_page.thin_series(given)
     assert time.size == mean.size == low.size == high.size <= 20_000
     assert high[-1] == rows - 1
     assert low[0] == 0

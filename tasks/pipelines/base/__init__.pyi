@@ -1,3 +1,4 @@
+from .compare_report import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
 from .compare_rows import (
     Sources,
     Spans,
@@ -8,7 +9,6 @@ from .compare_rows import (
     rows_of_day,
     scalar_channels,
 )
-from .compared import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
 from .parts import Part, TablesReport, TextLine, page_sections, with_error
 from .pipeline import Pipeline, Versions
@@ -28,10 +28,10 @@ from .publication import (
     TableStager,
     UsedTable,
     adopt_days,
+    record_failure,
     register_outcome,
     rounded,
     table_row_hash,
-    take_failure,
 )
 from .reprocessing import carry_out, product_key, residual_of_days
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
@@ -80,6 +80,7 @@ __all__ = [
     "product_key",
     "product_of",
     "published_products",
+    "record_failure",
     "register_outcome",
     "residual_of_days",
     "rounded",
@@ -88,7 +89,6 @@ __all__ = [
     "scatter_html",
     "structures_html",
     "table_row_hash",
-    "take_failure",
     "window_edges",
     "with_error",
 ]

@@ -1,4 +1,8 @@
-"""What a comparison keeps of a day: means over short spans of the residual and of all it may follow."""
+"""A day of a comparison as rows: means over short spans of the residual and of all it may follow.
+
+`rows_of_day` takes a day's product and the archive days behind it (`Sources`) and returns one row a span
+(`Spans`). `blocks_of` says which rows count as one block when uncertainties are computed.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +25,30 @@ from inflight.tasks.archive import channels_by_name, geometry_channels, position
 from inflight.tasks.pipelines.base.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 
-#: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
-_DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
+
+@dataclass(frozen=True, kw_only=True)
+class BlockLengths:
+    """Blocks between which uncertainties are measured.
+
+    Attributes
+    ----------
+    least_days : int
+        Spans of at least so many days have blocks of a day; assumed.
+    short_s : float
+        Block of shorter spans, s; assumed.
+    """
+
+    least_days: int = 10
+    short_s: float = 3 * 3600.0
+
+
+BLOCKS = BlockLengths()
 
 #: Channels of these kinds are no coordinates: geometry makes coordinates of them, or they are no numbers.
 _NO_COORDINATE = (*NO_CAUSE, "flag")
 
 #: Angles and hours on a circle are taken at one instant: their mean would be wrong at the seam.
-_GEOMETRY = ("latitude", "longitude", "orbit_phase", "sun_phase", "local_time", "sunlit", "sun_direction")
+_GEOMETRY = ("latitude", "longitude", "orbit_phase", "sun_phase", "local_time", "sunlit")
 
 
 def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
@@ -49,11 +69,11 @@ def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
 
 
 def blocks_of(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
-    """Return the block of each row for uncertainties, and what a block is."""
-    if days >= _DAY_BLOCKS:
+    """Return the number of each row's block, (row,), and the length of a block in words."""
+    if days >= BLOCKS.least_days:
         first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
         return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
-    return (tt2000 / (_BLOCK * SECOND)).astype(np.int64), "3 h"
+    return (tt2000 / (BLOCKS.short_s * SECOND)).astype(np.int64), "3 h"
 
 
 @dataclass(frozen=True)
@@ -64,7 +84,7 @@ class Sources:
 
     @classmethod
     def of(cls, cat: Catalog, mission: Mission, span: slice) -> Sources:
-        """Read which days are there of every instrument whose channels are compared."""
+        """Return the published days of every instrument whose channels are compared."""
         instruments = {instrument for instrument, _ in channels_by_name(mission).values()}
         return cls(
             {
@@ -78,22 +98,32 @@ class Sources:
 def scalar_channels(mission: Mission, flags: bool = False) -> dict[str, tuple[str, str, Channel]]:
     """Return the coordinates that channels make: name -> (instrument, channel, description).
 
-    Components of vector channels are named ``channel[axis]``; channels of kind ``flag`` are states, taken
-    when asked for.
+    Components of vector channels are named ``channel[axis]``; channels of kind ``flag`` are states, included
+    with `flags`.
     """
     found: dict[str, tuple[str, str, Channel]] = {}
     for name, (instrument, channel) in channels_by_name(mission).items():
-        told = mission.instruments[instrument].channels[channel]
-        if told.kind in _NO_COORDINATE and not (flags and told.kind == "flag"):
+        stated = mission.instruments[instrument].channels[channel]
+        if stated.kind in _NO_COORDINATE and not (flags and stated.kind == "flag"):
             continue
-        names = [f"{name}[{axis}]" for axis in told.axis_names] or [name]
-        found |= dict.fromkeys(names, (instrument, channel, told))
+        names = [f"{name}[{axis}]" for axis in stated.axis_names] or [name]
+        found |= dict.fromkeys(names, (instrument, channel, stated))
     return found
 
 
 @dataclass(frozen=True)
 class Spans:
-    """Short spans of one day: `first` sample of each, and the span of each sample; `length` in seconds."""
+    """Short spans of one day, those that hold samples.
+
+    Attributes
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000 of the day's samples.
+    length : float
+        Of a span, s.
+    midnight : int
+        TT2000; where the first span begins.
+    """
 
     stamps: Int64
     length: float
@@ -168,7 +198,7 @@ def rows_of_day(
     field_ = np.where(np.isfinite(after)[:, None], product["field_sensor"].values, np.nan)
     size = np.linalg.norm(field_, axis=1)
     low, high = spans.extremes(after)
-    # Where the middle of the span lies, the coordinate is taken: a day's rows never leave their day.
+    # Coordinates are those of the span's middle: a day's rows stay within their day.
     out = {
         "tt2000": spans.middle.astype(np.float64),
         "before": spans.mean(before),
@@ -189,66 +219,86 @@ def rows_of_day(
 def channel_means(
     cat: Catalog, mission: Mission, sources: Sources, day: np.datetime64, spans: Spans, flags: bool = False
 ) -> dict[str, Floats]:
-    """Return the means of every channel's components; NaN where the day has none."""
-    wanted = scalar_channels(mission, flags)
-    found = {name: np.full(spans.numbers.size, np.nan) for name in wanted}
-    for instrument in dict.fromkeys(instrument for instrument, _, _ in wanted.values()):
+    """Return the means of every channel's components; (span,) each, NaN where the day has none.
+
+    Of a channel slower than the spans it is the reading nearest to a span's middle, within its cadence.
+    """
+    channels = scalar_channels(mission, flags)
+    found = {name: np.full(spans.numbers.size, np.nan) for name in channels}
+    for instrument in dict.fromkeys(instrument for instrument, _, _ in channels.values()):
         source = sources.days.get((instrument, day))
         if source is None:
             continue
-        names = dict.fromkeys(channel for home, channel, _ in wanted.values() if home == instrument)
-        data = cat.read(source, list(names))
+        components: dict[str, list[str]] = {}
+        for name, (home, own, _) in channels.items():
+            if home == instrument:
+                components.setdefault(own, []).append(name)
+        data = cat.read(source, list(components))
         stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
-        for channel in names:
-            values = np.asarray(data[channel].values, dtype=np.float64)
-            means = _filled(spans, values, stamps, mission.instruments[instrument].cadence)
-            mine = [name for name, (home, own, _) in wanted.items() if (home, own) == (instrument, channel)]
-            columns = means.reshape(len(means), -1).T
-            found |= dict(zip(mine, columns, strict=False))
+        cadence = mission.instruments[instrument].cadence
+        for own, names in components.items():
+            values = np.asarray(data[own].values, dtype=np.float64)
+            if cadence <= spans.length * SECOND:
+                means = spans.mean(values, stamps)
+            elif stamps.size:
+                index, distance = _nearest(stamps, spans.middle)
+                near = (distance <= cadence).reshape(-1, *(1,) * (values.ndim - 1))
+                means = np.where(near, values[index], np.nan)
+            else:
+                continue
+            found |= dict(zip(names, means.reshape(len(means), -1).T, strict=False))
     return found
 
 
-def _filled(spans: Spans, values: Floats, stamps: Int64, cadence: int) -> Floats:
-    """Return means over the spans; of a channel slower than they are, the nearest reading."""
-    if cadence <= spans.length * SECOND:
-        return spans.mean(values, stamps)
-    index = _nearest(stamps, spans.middle)
-    near = np.abs(stamps[index] - spans.middle) <= cadence if stamps.size else np.zeros(0, dtype=bool)
-    if not stamps.size:
-        return np.full((spans.numbers.size, *values.shape[1:]), np.nan)
-    return np.where(near.reshape(-1, *(1,) * (values.ndim - 1)), values[index], np.nan)
-
-
-def _nearest(stamps: Int64, wanted: Int64) -> Int64:
-    right = np.clip(np.searchsorted(stamps, wanted), 0, max(stamps.size - 1, 0))
-    left = np.maximum(right - 1, 0)
-    if not stamps.size:
-        return np.zeros(0, dtype=np.int64)
-    return np.where(np.abs(stamps[right] - wanted) < np.abs(wanted - stamps[left]), right, left)
+def _nearest(stamps: Int64, times: Int64) -> tuple[Int64, Int64]:
+    """Return the index of the stamp nearest to each time, and the distance, ns; (time,)."""
+    after = np.clip(np.searchsorted(stamps, times), 0, stamps.size - 1)
+    before = np.maximum(after - 1, 0)
+    index = np.where(np.abs(stamps[after] - times) < np.abs(times - stamps[before]), after, before)
+    return index, np.abs(stamps[index] - times)
 
 
 def geometry_means(
     cat: Catalog, mission: Mission, comparison: str, sources: Sources, day: np.datetime64, spans: Spans
 ) -> dict[str, Floats]:
-    """Return orbit, Sun and local time at the middles of the spans, as far as positions are there."""
-    name = position_channel(mission)
-    if not name:
+    """Return orbit, Sun and local time at the middles of the spans.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (span,)
+        By the names that people read; the Sun's direction as two angles, deg. NaN where the day has no
+        positions; empty for a mission without.
+    """
+    position = position_channel(mission)
+    if not position:
         return {}
     homes = channels_by_name(mission)
-    wanted = {"position": name}
-    for each in geometry_channels(mission):
-        instrument, channel = homes[each]
-        if mission.instruments[instrument].channels[channel].kind == "attitude":
-            wanted.setdefault("attitude", each)
+    channels = {"position": position}
+    for name in geometry_channels(mission):
+        instrument, own = homes[name]
+        if mission.instruments[instrument].channels[own].kind == "attitude":
+            channels.setdefault("attitude", name)
     samples = xr.Dataset({"tt2000": ("time", spans.middle)})
-    for kind, each in wanted.items():
-        found = _at_middles(cat, mission, sources, day, spans, *homes[each])
+    for kind, name in channels.items():
+        found = _at_middles(cat, mission, sources, day, spans, *homes[name])
         if found is not None:
             samples[kind] = found
-    roles = mission.comparisons[comparison].instruments()
-    mounted = mission.instruments[roles["vector"]].orientation
-    samples["vector"] = (("time", "axis"), np.full((spans.numbers.size, 3), np.nan), {"orientation": mounted})
-    return _named(add_geometry(samples), spans.numbers.size)
+    nothing = np.full(spans.numbers.size, np.nan)
+    vector = mission.comparisons[comparison].instruments()["vector"]
+    mounted = {"orientation": mission.instruments[vector].orientation}
+    samples["vector"] = (("time", "axis"), np.stack([nothing] * 3, axis=1), mounted)
+    geometry = add_geometry(samples)
+    known = [name for name in _GEOMETRY if name in geometry]
+    out = {
+        name.replace("_", " "): geometry[name].values.astype(np.float64) if known else nothing
+        for name in known or _GEOMETRY
+    }
+    out |= {"Sun azimuth": nothing, "Sun elevation": nothing}
+    if "sun_direction" in geometry:
+        x, y, z = geometry["sun_direction"].values.T
+        out["Sun azimuth"] = np.rad2deg(np.arctan2(y, x))
+        out["Sun elevation"] = np.rad2deg(np.arcsin(np.clip(z, -1.0, 1.0)))
+    return out
 
 
 def _at_middles(
@@ -259,8 +309,11 @@ def _at_middles(
     spans: Spans,
     instrument: str,
     channel: str,
-) -> Any:
-    """Return a vector channel at the middles of the spans: (dims, values, attributes); None without one."""
+) -> tuple[tuple[str, str], Floats, dict[str, Any]] | None:
+    """Return a vector channel at the middles of the spans: dims, values, attributes; None without one.
+
+    Attitudes are the nearest reading, all else is interpolated; NaN farther than 1.5 cadences from a reading.
+    """
     source = sources.days.get((instrument, day))
     if source is None:
         return None
@@ -269,31 +322,10 @@ def _at_middles(
     values = np.asarray(data[channel].values, dtype=np.float64)
     if stamps.size < 2:
         return None
-    index = _nearest(stamps, spans.middle)
-    chosen, off = values[index], np.abs(stamps[index] - spans.middle)
+    index, distance = _nearest(stamps, spans.middle)
+    chosen = values[index]
     if data[channel].attrs.get("kind") != "attitude":
         chosen = np.stack([np.interp(spans.middle, stamps, column) for column in values.T], axis=1)
-    chosen = np.where((off <= 1.5 * mission.instruments[instrument].cadence)[:, None], chosen, np.nan)
-    return (
-        ("time", "axis" if chosen.shape[1] == 3 else f"{channel}_component"),
-        chosen,
-        dict(data[channel].attrs),
-    )
-
-
-def _named(told: xr.Dataset, count: int) -> dict[str, Floats]:
-    """Return the coordinates by the names that people read; the Sun's direction as two angles."""
-    out = {
-        name.replace("_", " "): np.asarray(told[name].values, dtype=np.float64)
-        for name in _GEOMETRY
-        if name in told and name != "sun_direction"
-    }
-    out = out or {
-        name.replace("_", " "): np.full(count, np.nan) for name in _GEOMETRY if name != "sun_direction"
-    }
-    if "sun_direction" in told:
-        x, y, z = told["sun_direction"].values.T
-        out["Sun azimuth"] = np.rad2deg(np.arctan2(y, x))
-        out["Sun elevation"] = np.rad2deg(np.arcsin(np.clip(z, -1.0, 1.0)))
-        return out
-    return out | {name: np.full(count, np.nan) for name in ("Sun azimuth", "Sun elevation")}
+    chosen = np.where((distance <= 1.5 * mission.instruments[instrument].cadence)[:, None], chosen, np.nan)
+    dim = "axis" if chosen.shape[1] == 3 else f"{channel}_component"
+    return ("time", dim), chosen, dict(data[channel].attrs)

@@ -1,4 +1,4 @@
-"""A batch of days for one worker, and what became of it.
+"""A batch of days for one worker, and its outcome.
 
 `Batch` and `ProductBatch` are what a pipeline's `make_day` and `make_product` are given. `make_days` makes
 each day of a batch and writes those that succeed as one segment of the archive; a day that fails does not
@@ -90,21 +90,20 @@ class ProductBatch(Batch):
 
 @dataclass
 class Outcome:
-    """What a worker made of its batch."""
+    """What a worker made of its batch: a segment of the days that succeeded, and failures of the others."""
 
     segment: Segment | None = None
     failures: dict[np.datetime64, Failure] = field(default_factory=dict)
 
 
 def failure_of(error: BaseException) -> Failure:
-    """Return cause and remedy of an error; what is no error of ours is a bug."""
+    """Return cause and remedy of an error; one that is no `InflightError` is a bug, or of the machine."""
     if isinstance(error, InflightError):
-        told = f"{error.file}: {error.message}" if error.file else error.message
-        return Failure(error.cause, told, error.remedy, error.channel)
+        message = f"{error.file}: {error.message}" if error.file else error.message
+        return Failure(error.cause, message, error.remedy, error.channel)
     cause = cause_of(error)
-    return Failure(
-        cause, f"{type(error).__name__}: {error}", "please report it with the log" if cause == "bug" else ""
-    )
+    remedy = "please report it with the log" if cause == "bug" else ""
+    return Failure(cause, f"{type(error).__name__}: {error}", remedy)
 
 
 def make_days(
@@ -124,7 +123,7 @@ def make_days(
     make : callable
         Returns the dataset and the report of a day.
     unify : callable, optional
-        Gives the datasets of the days variables of one size, as one store needs them.
+        Returns the datasets of the days with variables of one size, as one store needs them.
 
     Returns
     -------
@@ -141,7 +140,7 @@ def make_days(
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:
-            fit = unify([one.dataset for one in made])
-            made = [replace(one, dataset=dataset) for one, dataset in zip(made, fit, strict=True)]
+            unified = unify([one.dataset for one in made])
+            made = [replace(one, dataset=dataset) for one, dataset in zip(made, unified, strict=True)]
             outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
     return outcome

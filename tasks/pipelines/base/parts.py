@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import floor, log10
 from pathlib import Path
@@ -26,14 +27,14 @@ class TextLine(NamedTuple):
 
 @dataclass
 class Part:
-    """One section: what it tells as plain fields, as HTML paragraphs and as figures.
+    """One section of a report: plain fields, HTML paragraphs and figures.
 
     Attributes
     ----------
     key : str
         Its name in the JSON.
     absent : dict of str to str
-        What the span cannot tell, and why.
+        What the span does not suffice for, and why.
     """
 
     key: str
@@ -48,29 +49,29 @@ class Part:
         self.text.append(paragraph(text, kind="quiet" if quiet else ""))
 
     def add_absent(self, what: str, why: str) -> None:
-        """Say what is not there, with its reason."""
+        """List what is absent, with its reason, in `absent` and in the text."""
         self.absent[what] = why
-        whole = why[:1].upper() + why[1:]
-        whole = whole if whole.endswith(".") else f"{whole}."
-        self.text.append(paragraph(f": not told. {whole}", kind="absent", bold=what))
+        sentence = why[:1].upper() + why[1:].removesuffix(".") + "."
+        self.text.append(paragraph(f": not told. {sentence}", kind="absent", bold=what))
 
-    def add_if_possible(self, what: str, make: Callable[[], None]) -> None:
-        """Do a piece of the section; when the span does not suffice for it, say so."""
+    @contextmanager
+    def optional(self, what: str) -> Iterator[None]:
+        """Make a piece of the section; when the span does not suffice for it, list it as absent."""
         try:
-            make()
+            yield
         except InflightError as error:
             remedy = f"; {error.remedy}" if error.remedy else ""
             self.add_absent(what, f"{error.message}{remedy}")
 
 
 def page_sections(parts: Sequence[Part]) -> list[Section]:
-    """Return sections of a page, those that hold anything."""
+    """Return the sections of a page that show anything."""
     return [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
 
 
 @dataclass
 class TablesReport:
-    """What published tables say: fields for programs, and lines for a person.
+    """A report of published tables: fields for programs, and lines for a person.
 
     Attributes
     ----------

@@ -1,13 +1,13 @@
-"""What a way of calibrating is: one class says all that is its own, and nothing else asks which it is.
+"""The protocol `Pipeline`: one way of calibrating a comparison.
 
-A `Pipeline` is made of plain questions, in the order in which a reprocessing asks them:
+Its methods in the order in which a reprocessing calls them:
 
 1. `handles`: is this comparison of this mission its own?
 2. `make_plan`: which days are there to do, and what is each made from?
-3. `make_day`: what is kept of a day's samples (its *statistics*: normal equations, estimates, Gram matrices)?
+3. `make_day`: what are the *statistics* of a day's samples (normal equations, estimates, Gram matrices)?
 4. `solve`: which tables follow from the statistics of all days?
-5. `make_product`: what is a day's field, with the table that holds?
-6. `compare`, `report`, `sections`: how well does it agree, what do the tables say, what is shown of them?
+5. `make_product`: what is a day's field, with the table that is valid?
+6. `compare`, `report`, `sections`: how well does it agree, and what is shown of the tables?
 
 A pipeline holds no state: it is sent to worker processes by its name. To write one, copy
 ``docs/templates/pipeline.py`` and run `inflight.tasks.pipelines.check_pipeline` on it.
@@ -28,7 +28,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Day
 from inflight.figures import Section
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base.compared import CompareResult, Report
+from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
 from inflight.tasks.pipelines.base.publication import Reprocessing, Solved, TableStager
@@ -70,11 +70,11 @@ class Pipeline(ABC):
         Name of the dataset of the days' statistics, ``equations/<comparison>/<statistics>``; empty for a
         pipeline whose tables are made from samples directly, and which has no `make_day`.
     has_products : bool
-        Whether a field comes of it.
+        Whether it makes calibrated fields.
     note : str
-        What is said where a product would be, for a pipeline without.
+        Text in place of a product, for a pipeline without.
     learns_states : bool
-        Whether it tells states of the spacecraft apart, between which the field of currents switches.
+        Whether it finds states of the spacecraft, between which the field of currents switches.
     """
 
     tag: ClassVar[str]
@@ -88,7 +88,7 @@ class Pipeline(ABC):
 
     @abstractmethod
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
-        """Return True for a comparison of a mission that is calibrated in this way.
+        """Return True for a comparison of a mission that this pipeline calibrates.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class Pipeline(ABC):
     # --- what is read, and what has to be done ----------------------------------------------------------
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
-        """Return the channels that are read beside the model's own, by name; none unless overridden."""
+        """Return the channels to read besides those the model needs, by name; none unless overridden."""
         del mission, comparison
         return ()
 
@@ -116,7 +116,7 @@ class Pipeline(ABC):
         Raises
         ------
         MissionError
-            When the settings ask for what this way of calibrating has not.
+            When the settings ask for what this pipeline does not have.
         CatalogError
             When there is no day to work on.
         """
@@ -131,7 +131,7 @@ class Pipeline(ABC):
         )
 
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
-        """Return the days that a run would make, and those it would leave alone."""
+        """Return the days that a run would make, and those that are up to date."""
         del cat
         return [day for batch in plan.batches for day in batch], plan.unchanged
 
@@ -154,12 +154,12 @@ class Pipeline(ABC):
     def linearise_at(
         self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
     ) -> list[float] | None:
-        """Return where the statistics of all days are to be made anew; None when they are near enough.
+        """Return the parameters at which the statistics of all days are to be linearised anew; None for none.
 
         Parameters
         ----------
         last : sequence of float or None
-            Where they were linearised last; None for each day's own start.
+            Those of the last pass; None for each day's own.
         """
         del cat, plan, days, last
         return None
@@ -180,13 +180,13 @@ class Pipeline(ABC):
         Raises
         ------
         CalibrationError
-            When no day tells anything.
+            When no day has usable statistics.
         """
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
         """Return the key of a table: a hash of the statistics and settings it is made from."""
-        told = [name, str(plan.settings.window_days), str(self.versions.tables), plan.context]
-        return hashlib.sha256("".join([*content_keys(days), *told]).encode()).hexdigest()
+        inputs = [name, str(plan.settings.window_days), str(self.versions.tables), plan.context]
+        return hashlib.sha256("".join([*content_keys(days), *inputs]).encode()).hexdigest()
 
     def table_stager(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TableStager:
         """Return what stages the tables of a run."""
@@ -214,7 +214,7 @@ class Pipeline(ABC):
         """Make what needs the reports of the products; nothing unless overridden."""
         del work, days, solved, reports
 
-    # --- what is told of a run --------------------------------------------------------------------------
+    # --- the report of a run ----------------------------------------------------------------------------
 
     def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
         """Return the datasets and tables of a run; `made` days have products now."""
@@ -232,7 +232,7 @@ class Pipeline(ABC):
         """
 
     def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
-        """Yield what a person must know of a run that no day tells, from the extra fields of its report."""
+        """Yield remarks on a run as a whole, in sentences, from the extra fields of its report."""
         for name, why in fields.get("left_out", {}).items():
             yield f"table '{name}' is not made: {why}"
 
@@ -247,7 +247,7 @@ class Pipeline(ABC):
         span: slice,
         progress: Progress,
     ) -> CompareResult[Any]:
-        """Measure what products leave, before and after calibration, and what the residual follows.
+        """Measure the residual of products, before and after calibration, and what it follows.
 
         Parameters
         ----------
@@ -262,13 +262,13 @@ class Pipeline(ABC):
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
-        """Return what the published tables say, and write the page of it when a path is given.
+        """Return the report of the published tables, and write its page when a path is given.
 
         Parameters
         ----------
         cause : str
-            A parameter or cause whose cross-talk with all others is asked for; those that know none ignore
-            it.
+            A parameter or cause whose cross-talk with all others is to be in the report; pipelines without
+            cross-talk ignore it.
 
         Raises
         ------

@@ -59,7 +59,7 @@ class ReprocessSettings(BaseModel):
         Window of the torquers' running mean in ``continuous``, days.
     distribute : bool
         In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
-        step, which hides what the model does not know. Products tell its size either way.
+        step, which hides what the model does not have. Products state its size either way.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -77,7 +77,7 @@ class ReprocessSettings(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a reprocessing has to do; made without changing anything but the registry of models.
+    """What a reprocessing has to do. To plan changes nothing but the registry of models.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Plan:
     no_work : dict
         Days without a measurement to work on, and what is missing.
     recorded : dict
-        What the run's record says was asked for.
+        The settings and the span, as the run's record states them.
     """
 
     settings: ReprocessSettings
@@ -223,7 +223,7 @@ def plan_archive_days(
     version : int
         Of the algorithm that makes them.
     channels : iterable of str
-        Channels to read beside the model's own; those the mission has not are left out.
+        Channels to read, beside those the model needs; those the mission has not are skipped.
 
     Raises
     ------
@@ -232,16 +232,20 @@ def plan_archive_days(
     """
     start, end = span
     used = current_model(cat, mission, settings.comparison)
-    wanted = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
-    needs = tuple(replaceable_needs(mission, used.model, wanted))
-    index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
-    there = [day for day in index.complete_days(needs) if is_within(day, start, end)]
-    if not there:
+    named = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
+    needs = tuple(replaceable_needs(mission, used.model, named))
+    # A day is also made from days around it; the farthest have typical values for a missing channel.
+    after = INPUTS.typical_value_days if any(need.replaceable for need in needs) else 1
+    before = max(after, *(need.days_before for need in needs))
+    first = str(as_day(start) - before * ONE_DAY) if start is not None else None
+    last = str(as_day(end) + after * ONE_DAY) if end is not None else None
+    index = ArchiveIndex.of(cat, needs, slice(first, last))
+    complete = [day for day in index.complete_days(needs) if is_within(day, start, end)]
+    if not complete:
         raise CatalogError(
             "the archive has no day of the span on which every instrument measured",
             remedy="ingest the files first; 'inflight catalog list' shows what is there",
         )
-    asked = day_range(start or there[0], end or there[-1] + ONE_DAY)
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
     planned = plan_days(
         cat,
@@ -251,12 +255,17 @@ def plan_archive_days(
         equations=equations,
         version=version,
         index=index,
-        sources={day: index.sources(needs, day, base) for day in there},
+        sources={day: index.sources(needs, day, base) for day in complete},
         needs=needs,
         inputs=[f"min_coverage={settings.min_coverage}"],
     )
-    recorded = {**planned.recorded, "start": str(there[0]), "end": str(there[-1] + ONE_DAY)}
-    no_work = {day: _missing(index, needs, day) for day in asked if day not in planned.keys}
+    fields = [need for need in needs if need.channel == "field"]
+    no_work = {}
+    for day in day_range(start or complete[0], end or complete[-1] + ONE_DAY):
+        if day not in planned.keys:
+            absent = sorted({need.instrument for need in fields if index.get(need, day) is None})
+            no_work[day] = f"no measurements of {', '.join(absent)}"
+    recorded = {**planned.recorded, "start": str(complete[0]), "end": str(complete[-1] + ONE_DAY)}
     return replace(planned, no_work=no_work, recorded=recorded)
 
 
@@ -268,20 +277,3 @@ def equations_of(comparison: str, statistics: str = "base") -> str:
 def product_of(comparison: str) -> str:
     """Return the dataset of a comparison's products: the main one's are the mission's fields."""
     return "l2/field" if comparison == "main" else f"l2/field-{comparison}"
-
-
-def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
-    """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
-    beside = INPUTS.typical_value_days if any(need.replaceable for need in needs) else 1
-    before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
-    return slice(
-        str(as_day(start) - before) if start is not None else None,
-        str(as_day(end) + beside * ONE_DAY) if end is not None else None,
-    )
-
-
-def _missing(index: ArchiveIndex, needs: Sequence[Need], day: np.datetime64) -> str:
-    gone = sorted(
-        {need.instrument for need in needs if need.channel == "field" and index.get(need, day) is None}
-    )
-    return f"no measurements of {', '.join(gone)}"

@@ -1,4 +1,4 @@
-"""What a run keeps: what became of days, tables made only when their content is new, products as stored."""
+"""What a run stages and registers: outcomes of days, tables whose content is new, products as stored."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Solved:
     notes : dict of str to str
         Tables that could not be made, and why.
     remarks : list of dict
-        What is strange about the tables, as problems of days that are there all the same.
+        Remarks on the tables, as problems of days that are there all the same.
     """
 
     model: Model
@@ -108,7 +108,7 @@ class Solved:
 
 @dataclass(kw_only=True)
 class TableStager:
-    """Stages tables that are not there yet with the same content, and says which to certify.
+    """Stages tables whose content is new, and lists which to certify.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class TableStager:
     key_of : callable
         Returns the key of a table by its name without the comparison: a hash of all it is made from.
     ids, tables : dict
-        The tables kept so far, by name without the comparison.
+        The tables so far, by name without the comparison.
     """
 
     work: Reprocessing
@@ -128,7 +128,7 @@ class TableStager:
     certify: list[Certificate] = field(default_factory=list)
 
     def table(self, name: str, make: Callable[[], xr.Dataset]) -> xr.Dataset:
-        """Return a table, known or made and staged."""
+        """Return a table: the stored one with the same key, else made and staged."""
         cat, called = self.work.cat, f"{self.work.plan.settings.comparison}-{name}"
         key = self.key_of(name)
         known = [record for record in cat.tables(called) if record.key == key and not record.damaged]
@@ -147,7 +147,7 @@ class TableStager:
         return table
 
     def stage_possible(self, makers: Mapping[str, Callable[[], xr.Dataset]]) -> dict[str, str]:
-        """Keep the tables that can be made; return why the others cannot."""
+        """Stage the tables that can be made; return why the others cannot."""
         notes = {}
         for name, make in makers.items():
             try:
@@ -159,7 +159,7 @@ class TableStager:
     def solved(
         self, name: str, model: Model, notes: Mapping[str, str] | None = None, inputs: Sequence[str] = ()
     ) -> Solved:
-        """Return the tables kept, one of which the products of all planned days take.
+        """Return the tables so far, one of which the products of all planned days take.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class TableStager:
         notes : mapping of str to str, optional
             Tables that could not be made, and why.
         inputs : sequence of str
-            What products depend on beside the table.
+            What else products depend on.
         """
         table = self.tables[name]
         used = {
@@ -189,49 +189,44 @@ class TableStager:
 
 
 def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
-    """Return the hash of what a table says of an instant; a product changes only when this does."""
+    """Return the hash of a table's row at an instant; a product changes only when this does."""
     inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
     if inside.size == 0:
         return ""
     row = table.isel(interval=int(inside[-1]))
     digest = hashlib.sha256()
     for name in ("value", "covariance", "determined", "after"):
-        if name not in row:
-            continue
-        digest.update(np.ascontiguousarray(row[name].values).tobytes())
+        if name in row:
+            digest.update(np.ascontiguousarray(row[name].values).tobytes())
     return digest.hexdigest()
 
 
 def adopt_days(
     run: Run, dataset: str, keys: Mapping[np.datetime64, str], days: Iterable[np.datetime64]
 ) -> dict[np.datetime64, Day]:
-    """Take over the days that a killed run had made from the same inputs."""
+    """Adopt the days that a killed run had made from the same inputs, and return them."""
     known = run.adoptable(dataset)
-    adopted = {}
-    for day in days:
-        found = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in known else None
-        if found is not None:
-            adopted[day] = found
-    return adopted
+    adopted = {day: run.adopt(dataset, day, keys[day]) for day in days if (day, keys[day]) in known}
+    return {day: found for day, found in adopted.items() if found is not None}
 
 
 def register_outcome(
     run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
 ) -> list[Day]:
-    """Register an outcome with the run; put failures among those known, and return the days made."""
+    """Register an outcome with the run, add its failures to `failed`, and return the days made."""
     for day, failure in outcome.failures.items():
-        take_failure(run, dataset, day, failure, failed)
+        record_failure(run, dataset, day, failure, failed)
     return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
-def take_failure(
+def record_failure(
     run: Run,
     dataset: str,
     day: np.datetime64,
     failure: Failure,
     failed: dict[np.datetime64, dict[str, str]],
 ) -> None:
-    """Register why a day could not be made with the run; put it among the problems known."""
+    """Register with the run why a day could not be made, and add it to `failed`."""
     run.record(dataset, day, "failed", failure.cause, failure.message)
     failed[day] = {
         "day": str(day),
@@ -243,12 +238,12 @@ def take_failure(
 
 
 def rounded(product: xr.Dataset) -> xr.Dataset:
-    """Round each variable to its stored step and say so, so that a store holds what a user reads."""
-    rounded = {}
+    """Round each variable to its stored step, stated in its attributes: a store holds what a user reads."""
+    variables = {}
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
             values = np.rint(variable.values / step)
             values /= round(1.0 / step)
-            rounded[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
-    return product.assign(rounded)
+            variables[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
+    return product.assign(variables)

@@ -1,7 +1,7 @@
-"""A reprocessing, step by step: statistics of days, tables, products, and what the run tells of itself.
+"""A reprocessing, step by step: statistics of days, tables, products, and the report of the run.
 
-`carry_out` does the same for every pipeline. All batches of a stage are independent; the `Mapper` says where
-they run.
+In go a pipeline and a `Plan`, out comes a published run with its `RunReport`. `carry_out` does the same for
+every pipeline. All batches of a stage are independent; the `Mapper` says where they run.
 """
 
 from __future__ import annotations
@@ -48,9 +48,11 @@ def carry_out(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, ma
         if pipeline.statistics and not statistics.days:
             return _report(pipeline, work, None, _Products())
         solved = pipeline.solve(work, statistics.days)
-        made = _Products(statistics.fresh, plan.unchanged)
-        if pipeline.has_products:
-            made = _make_products(pipeline, work, solved)
+        made = (
+            _make_products(pipeline, work, solved)
+            if pipeline.has_products
+            else _Products(statistics.fresh, plan.unchanged)
+        )
         pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
     return _report(pipeline, work, solved, made)
@@ -66,10 +68,10 @@ class _Statistics:
 
 @dataclass
 class _Products:
-    """Days made in this run, days left alone, and the reports of both."""
+    """Days made in this run, days that are unchanged, and the reports of both."""
 
     done: Sequence[np.datetime64] = ()
-    same: Sequence[np.datetime64] = ()
+    unchanged: Sequence[np.datetime64] = ()
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -150,46 +152,33 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
         for day in plan.days
         if day in solved.used and day not in work.failed
     }
-    same = [day for day, key in keys.items() if day in current and current[day].key == key]
-    todo = [day for day in keys if day not in set(same)]
+    unchanged = [day for day, key in keys.items() if day in current and current[day].key == key]
+    todo = [day for day in keys if day not in set(unchanged)]
     adopted = adopt_days(work.run, plan.product, keys, todo)
-    done = set(adopted)
-    reports: dict[np.datetime64, Mapping[str, Any]] = {}
-    left = [day for day in todo if day not in adopted]
-    for outcome in work.mapper(
-        "produce", product_batch, _product_arguments(pipeline, work, solved, left, keys)
-    ):
-        fresh = register_outcome(work.run, plan.product, outcome, work.failed)
-        done |= {day.day for day in fresh}
-        reports |= {day.day: day.report for day in fresh}
-    reports |= {day: current[day].report for day in same}
-    return _Products(sorted(done), same, reports)
-
-
-def _product_arguments(
-    pipeline: Pipeline,
-    work: Reprocessing,
-    solved: Solved,
-    days: Sequence[np.datetime64],
-    keys: Mapping[np.datetime64, str],
-) -> list[tuple[Pipeline, ProductBatch]]:
-    """Return each batch of days with the one table that all its days take."""
-    plan, out = work.plan, []
-    for number in sorted({solved.used[day].number for day in days}):
-        mine = [day for day in days if solved.used[day].number == number]
-        for job in work.jobs(plan.in_batches(mine), plan.product, keys):
+    todo = [day for day in todo if day not in adopted]
+    # The days of a batch have one table in common.
+    arguments = []
+    for number in sorted({solved.used[day].number for day in todo}):
+        days = [day for day in todo if solved.used[day].number == number]
+        for job in work.jobs(plan.in_batches(days), plan.product, keys):
             parents = {day: (*ids, f"table:{number}") for day, ids in job.parents.items()}
             batch = ProductBatch(
-                cat=work.cat,
+                cat=cat,
                 mission=work.mission,
                 model=solved.model,
                 job=replace(job, parents=parents),
                 settings=plan.settings,
-                table=solved.used[mine[0]].table,
+                table=solved.used[days[0]].table,
                 preflight=plan.model,
             )
-            out.append((pipeline, batch))
-    return out
+            arguments.append((pipeline, batch))
+    done, reports = set(adopted), {}
+    for outcome in work.mapper("produce", product_batch, arguments):
+        fresh = register_outcome(work.run, plan.product, outcome, work.failed)
+        done |= {day.day for day in fresh}
+        reports |= {day.day: day.report for day in fresh}
+    reports |= {day: current[day].report for day in unchanged}
+    return _Products(sorted(done), unchanged, reports)
 
 
 def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made: _Products) -> RunReport:
@@ -197,7 +186,7 @@ def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made:
     counts = {
         "planned": len(plan.days) + len(plan.no_work),
         "done": len(set(made.done) - set(work.failed)),
-        "unchanged": len(made.same),
+        "unchanged": len(made.unchanged),
         "failed": len(work.failed),
         "no_work": len(plan.no_work),
     }
@@ -214,7 +203,7 @@ def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made:
         plan.context,
         counts,
         problems,
-        pipeline.outputs(plan, solved, len(made.done) + len(made.same)),
+        pipeline.outputs(plan, solved, len(made.done) + len(made.unchanged)),
         pipeline.results(work, solved),
     )
 

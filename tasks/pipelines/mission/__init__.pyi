@@ -1,7 +1,7 @@
 from .pipeline import MissionPipeline
-from .report import chain_report
+from .report import mission_fit_report
 
 __all__ = [
     "MissionPipeline",
-    "chain_report",
+    "mission_fit_report",
 ]

@@ -1,13 +1,15 @@
-"""Sections of the whole-mission report on parameters, and on what the model does not hold.
+"""Sections of the whole-mission report on daily parameters, and on what the model does not hold.
 
 Daily parameters: periods, means, steps, clock, temperature. What the model does not hold: the coil's lag, day
-and night, cross-talk. Each function takes `ChainResults` and returns a `ChannelFactor`.
+and night, cross-talk. Each function takes `MissionFitResults` and returns a `Part`. A *deviation* is a
+parameter of one day less the continuous one.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -46,245 +48,259 @@ from inflight.mission_fit import (
     running_mean,
 )
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import ChainResults
-from inflight.tasks.pipelines.mission.sections import SHOWN
-from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods
+from inflight.tasks.pipelines.mission.fit import MissionFitResults
+from inflight.tasks.pipelines.mission.sections import NINE_SHOWN, REPORT
+from inflight.tasks.pipelines.mission.tables import (
+    TABLE,
+    faults_of,
+    middles,
+    spectra_of,
+    stated_periods,
+    time_shifts,
+)
 from inflight.time import DAY, mjd2000, to_tt2000
 
-#: Windows of running means, days (Yin 2010, ch. 4).
-WINDOWS = (60.0, 260.0)
+
+class Deviation(NamedTuple):
+    """A daily parameter less the continuous one, as it is shown.
+
+    Attributes
+    ----------
+    name, short : str
+        Of the parameter, as the table has it and as figures show it.
+    value, sigma : ndarray, shape (interval,)
+        In `unit`; NaN on days without.
+    unit : str
+    """
+
+    name: str
+    short: str
+    value: Floats
+    sigma: Floats
+    unit: str
 
 
-def shown_as(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
+def display_units(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
     """Return factor and unit each daily parameter is shown with."""
     out = {}
-    for name in map(str, daily["parameter"].values):
-        own = [(factor, unit) for part, _, factor, unit in SHOWN if f".{part}[" in name]
-        seconds = str(daily["units"].sel(parameter=name).item()) == "s"
-        out[name] = own[0] if own else ((1e3, "ms") if seconds else (1.0, ""))
+    for name, units in zip(daily["parameter"].values.tolist(), daily["units"].values.tolist(), strict=True):
+        own = [(factor, unit) for group, _, factor, unit in NINE_SHOWN if f".{group}[" in name]
+        out[name] = own[0] if own else ((1e3, "ms") if units == "s" else (1.0, ""))
     return out
 
 
-def left_of(daily: xr.Dataset, name: str, factor: float) -> tuple[Floats, Floats]:
-    """Return a daily parameter less the continuous one, and its sigma; (interval,), times a factor."""
-    one = daily.sel(parameter=name)
-    return factor * (one["value"].values - one["continuous"].values), factor * one["sigma"].values
+def deviations(daily: xr.Dataset) -> list[Deviation]:
+    """Return the deviation of every daily parameter."""
+    out = []
+    for name, (factor, unit) in display_units(daily).items():
+        one = daily.sel(parameter=name)
+        value = factor * (one["value"].values - one["continuous"].values)
+        out.append(Deviation(name, short_parameter(name), value, factor * one["sigma"].values, unit))
+    return out
 
 
-def behaviour(found: ChainResults) -> Part:
-    """What still wanders from day to day: size, periods, running means, steps."""
+def behaviour(found: MissionFitResults) -> Part:
+    """What still varies from day to day: size, periods, running means, steps."""
     part = Part("behaviour", "Behaviour of daily parameters")
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.add_absent("Parameters of each day", found.why("daily-after"))
+        part.add_absent("Parameters of each day", found.why_absent("daily-after"))
         return part
     part.add_text(
         "Each day's own parameters less the continuous ones, everything else at the fit of all days. What "
         "is left here repeats, steps or wanders beyond what a trend can say."
     )
-    _scatter(part, daily)
-    _periods(part, found, daily)
-    _means(part, daily)
-    _steps(part, found, daily)
-    _weekdays(part, daily)
+    series, mjd = deviations(daily), middles(daily)
+    _add_scatter(part, series)
+    _add_periods(part, found, daily)
+    _add_means(part, series, mjd)
+    _add_event_steps(part, found, daily, series)
+    _add_weekdays(part, series, mjd)
     return part
 
 
-def _scatter(part: Part, daily: xr.Dataset) -> None:
+def _add_scatter(part: Part, series: Sequence[Deviation]) -> None:
+    """Add how far parameters scatter from day to day, against their sigma."""
     rows, cells = [], []
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
-        known = np.isfinite(left)
+    for one in series:
+        known = np.isfinite(one.value)
         if not known.any():
             continue
-        size, usual = float(left[known].std()), float(np.median(sigma[known]))
-        pull = float(np.sqrt(np.mean((left[known] / sigma[known]) ** 2)))
-        rows.append({"parameter": name, "unit": unit, "scatter": size, "sigma": usual, "over_sigma": pull})
-        cells.append((short_parameter(name), f"{size:.3g}", f"{usual:.3g}", unit, f"{pull:.2f}"))
+        size, usual = float(one.value[known].std()), float(np.median(one.sigma[known]))
+        ratio = float(np.sqrt(np.mean((one.value[known] / one.sigma[known]) ** 2)))
+        rows.append(
+            {"parameter": one.name, "unit": one.unit, "scatter": size, "sigma": usual, "over_sigma": ratio}
+        )
+        cells.append((one.short, f"{size:.3g}", f"{usual:.3g}", one.unit, f"{ratio:.2f}"))
     part.fields["scatter"] = rows
     part.text.append(html_table(("parameter", "scatter of days", "sigma of a day", "unit", "ratio"), cells))
 
 
-def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
-    known, shown = stated_periods(found.mission), shown_as(daily)
-    short = [name for name, length in found.mission.periods.items() if length < SHORTEST * DAY]
+def _add_periods(part: Part, found: MissionFitResults, daily: xr.Dataset) -> None:
+    """Add the amplitudes of the named periods, and a spectrum of each parameter."""
+    shortest = TABLE.shortest_period_d
+    short = [name for name, length in found.mission.periods.items() if length < shortest * DAY]
     if short:
-        part.add_text(
-            f"Shorter than {SHORTEST:g} days and not in daily values: {', '.join(short)}.", quiet=True
-        )
-    spectra, why = spectra_of(daily, known, shown)
+        text = f"Shorter than {shortest:g} days and not in daily values: {', '.join(short)}."
+        part.add_text(text, quiet=True)
+    spectra, why = spectra_of(daily, stated_periods(found.mission), display_units(daily))
     for reason in dict.fromkeys(why.values()):
-        names = [short_parameter(name) for name, one in why.items() if one == reason]
-        part.add_absent("Periods", f"{', '.join(names)}: {reason}" if spectra else reason)
+        names = ", ".join(short_parameter(name) for name, one in why.items() if one == reason)
+        part.add_absent("Periods", f"{names}: {reason}" if spectra else reason)
     part.fields["periods"] = {name: one.summary() for name, one in spectra.items()}
     unresolved: dict[str, str] = {}
     cells = []
-    for name, one in spectra.items():
-        for period in one.named:
+    for name, spectrum in spectra.items():
+        label = short_parameter(name)
+        for period in spectrum.named:
             if period.resolved:
-                told = with_error(period.amplitude, period.sigma)
-                cells.append(
-                    (short_parameter(name), period.name, told, one.unit, f"{period.false_alarm:.2g}")
-                )
+                size = with_error(period.amplitude, period.sigma)
+                cells.append((label, period.name, size, spectrum.unit, f"{period.false_alarm:.2g}"))
             else:
                 unresolved.setdefault(period.name, period.why)
-        part.plots.append(parameter_spectrum_figure(one, f"Periods in {short_parameter(name)}"))
+        part.plots.append(parameter_spectrum_figure(spectrum, f"Periods in {label}"))
     for name, reason in unresolved.items():
         part.add_absent(f"Period {name}", f"not resolved, {reason}")
     if cells:
         part.text.append(html_table(("parameter", "period", "amplitude", "unit", "chance"), cells))
 
 
-def _means(part: Part, daily: xr.Dataset) -> None:
-    """Draw running means of all parameters; a window that does not fit is told once."""
-    mjd = middles(daily)
+def _add_means(part: Part, series: Sequence[Deviation], mjd: Floats) -> None:
+    """Add running means of all parameters; a window that does not fit is listed once."""
     why: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, _ = left_of(daily, name, factor)
-        means = []
-        for window in WINDOWS:
+    for one in series:
+        means: list[RunningMean] = []
+        for window in REPORT.mean_windows_d:
             try:
-                means.append(running_mean(mjd, left, window, unit=unit))
+                means.append(running_mean(mjd, one.value, window, unit=one.unit))
             except InflightError as error:
                 why.setdefault(f"Running mean of {window:g} d", error.message)
         if means:
-            title = f"Running means of {short_parameter(name)}"
-            part.plots.append(running_means_figure(mjd, left, means, title))
-            part.fields.setdefault("running_means", {})[name] = [_reach(one) for one in means]
+            part.plots.append(running_means_figure(mjd, one.value, means, f"Running means of {one.short}"))
+            known = [(mean, np.isfinite(mean.value)) for mean in means]
+            part.fields.setdefault("running_means", {})[one.name] = [
+                {
+                    "window_days": mean.window,
+                    "days": int(use.sum()),
+                    "lowest": float(mean.value[use].min()),
+                    "highest": float(mean.value[use].max()),
+                    "sigma": float(np.median(mean.sigma[use])),
+                    "unit": mean.unit,
+                }
+                for mean, use in known
+            ]
     for what, reason in why.items():
         part.add_absent(what, reason)
 
 
-def _reach(mean: RunningMean) -> dict[str, Any]:
-    known = np.isfinite(mean.value)
-    return {
-        "window_days": mean.window,
-        "days": int(known.sum()),
-        "lowest": float(mean.value[known].min()),
-        "highest": float(mean.value[known].max()),
-        "sigma": float(np.median(mean.sigma[known])),
-        "unit": mean.unit,
-    }
-
-
-def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
-    """Tell the steps on the mission's event days."""
-    first, last = (int(daily[name].values[index]) for name, index in (("start", 0), ("end", -1)))
-    events = [one for one in found.mission.events if first <= int(to_tt2000(_instant(one.at))) < last]
-    if not events:
-        stated = len(found.mission.events)
+def _add_event_steps(
+    part: Part, found: MissionFitResults, daily: xr.Dataset, series: Sequence[Deviation]
+) -> None:
+    """Add the steps on the mission's event days."""
+    first, last = int(daily["start"].values[0]), int(daily["end"].values[-1])
+    stated = [
+        (one, int(to_tt2000(np.datetime64(str(one.at).removesuffix("Z"), "ns"))))
+        for one in found.mission.events
+    ]
+    inside = [(one, at) for one, at in stated if first <= at < last]
+    if not inside:
         part.add_absent(
             "Steps on event days",
-            f"the mission's file names {stated or 'no'} events{', none in the span' * bool(stated)}",
+            f"the mission's file names {len(stated) or 'no'} events{', none in the span' * bool(stated)}",
         )
         return
-    at = mjd2000(np.array([int(to_tt2000(_instant(one.at))) for one in events], dtype=np.int64))
-    mjd = middles(daily)
-    why: dict[str, str] = {}
-    told: dict[str, Any] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
+    mjd, at = middles(daily), mjd2000(np.array([at for _, at in inside], dtype=np.int64))
+    why: dict[str, None] = {}
+    fields = part.fields["steps"] = {}
+    for one in series:
         try:
-            steps = measure_event_steps(mjd, left, sigma, at, unit=unit)
+            steps = measure_event_steps(mjd, one.value, one.sigma, at, unit=one.unit)
         except InflightError as error:
-            why.setdefault(error.message, name)
+            why.setdefault(error.message)
             continue
-        told[name] = [
-            {"event": one.name, "step": float(size), "sigma": float(own), "found": bool(beyond), "unit": unit}
-            for one, size, own, beyond in zip(events, steps.size, steps.sigma, steps.found, strict=True)
+        numbers = zip(inside, steps.size, steps.sigma, steps.found, strict=True)
+        fields[one.name] = [
+            {
+                "event": event.name,
+                "step": float(size),
+                "sigma": float(sigma),
+                "found": bool(beyond),
+                "unit": one.unit,
+            }
+            for (event, _), size, sigma, beyond in numbers
         ]
-        part.plots.append(event_steps_figure(steps, f"Steps of {short_parameter(name)} on event days"))
-    part.fields["steps"] = told
+        part.plots.append(event_steps_figure(steps, f"Steps of {one.short} on event days"))
     for reason in why:
         part.add_absent("Steps on event days", reason)
 
 
-def _instant(text: Any) -> np.datetime64:
-    return np.datetime64(str(text).removesuffix("Z"), "ns")
-
-
-def _weekdays(part: Part, daily: xr.Dataset) -> None:
-    """Tell whether parameters step on one day of the week."""
-    mjd = middles(daily)
-    why: dict[str, str] = {}
-    told: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
+def _add_weekdays(part: Part, series: Sequence[Deviation], mjd: Floats) -> None:
+    """Add whether parameters step on one day of the week."""
+    why: dict[str, None] = {}
+    fields: dict[str, str] = {}
+    for one in series:
         try:
-            told[name] = find_week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).summary()
+            fields[one.name] = find_week_pattern(mjd, one.value, unit=one.unit).told()
         except InflightError as error:
-            why.setdefault(error.message, name)
-    part.fields["weekdays"] = told
-    if told:
-        part.text.append(
-            html_table(("parameter", "days of the week"), [(short_parameter(k), v) for k, v in told.items()])
-        )
+            why.setdefault(error.message)
+    part.fields["weekdays"] = fields
+    if fields:
+        rows = [(short_parameter(name), text) for name, text in fields.items()]
+        part.text.append(html_table(("parameter", "days of the week"), rows))
     for reason in why:
         part.add_absent("Steps on a day of the week", reason)
 
 
-def clock(found: ChainResults) -> Part:
+def clock(found: MissionFitResults) -> Part:
     """Spans of days on which a clock was wrong."""
     part = Part("clock_faults", "Clock")
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.add_absent("Time shift of each day", found.why("daily-after"))
+        part.add_absent("Time shift of each day", found.why_absent("daily-after"))
         return part
-
-    def make() -> None:
+    with part.optional("Clock faults"):
         faults, shift = faults_of(daily)
-        told = faults.summary()
-        known = np.isfinite(shift)
-        usual = 1e3 * float(np.median(shift[known]))
-        part.fields = {"faults": [vars(one) for one in faults.faults], "told": told, "usual_ms": usual}
+        _, sigma = time_shifts(daily)
+        sentences = faults.told()
+        usual = 1e3 * float(np.median(shift[np.isfinite(shift)]))
+        part.fields = {"faults": [vars(one) for one in faults.faults], "told": sentences, "usual_ms": usual}
         part.add_text(
             f"The time shift is usually {usual:.3f} ms. "
-            + ("; ".join(told) if told else "No span of days stands out.")
+            + ("; ".join(sentences) if sentences else "No span of days stands out.")
         )
-        part.plots.append(clock_figure(faults, shift, _sigma_of_shift(daily)))
-
-    part.add_if_possible("Clock faults", make)
+        part.plots.append(clock_figure(faults, shift, sigma))
     return part
 
 
-def _sigma_of_shift(daily: xr.Dataset) -> Floats:
-    name = next(str(one) for one in daily["parameter"].values if ".seconds" in str(one))
-    return np.asarray(daily["sigma"].sel(parameter=name).values)
-
-
-def temperature(found: ChainResults) -> Part:
+def temperature(found: MissionFitResults) -> Part:
     """Daily parameters against the day's temperature: what they follow still, and the loop."""
     part = Part("temperature", "Against temperature")
-    daily, warm = found.tables.get("daily-after"), found.tables.get("daily-temperature")
-    if daily is None or warm is None:
-        part.add_absent(
-            "Parameters against temperature",
-            found.why("daily-after" if daily is None else "daily-temperature"),
-        )
+    daily, temperatures = found.tables.get("daily-after"), found.tables.get("daily-temperature")
+    if daily is None or temperatures is None:
+        reason = found.why_absent("daily-after", "daily-temperature")
+        part.add_absent("Parameters against temperature", reason)
         return part
-    channel = str(warm["channel"].values[0])
-    degrees = _on_days(warm, daily["start"].values)
+    first = temperatures.isel(channel=0)
+    channel = str(first["channel"].item())
+    means = dict(zip(first["start"].values.tolist(), first["value"].values.tolist(), strict=True))
+    degrees = np.array([means.get(start, np.nan) for start in daily["start"].values.tolist()])
     part.fields = {"channel": channel, "correlation": {}, "loops": {}}
     part.add_text(
         f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous ones."
     )
-    why: dict[str, str] = {}
-    for name, (factor, unit) in shown_as(daily).items():
-        left, sigma = left_of(daily, name, factor)
-        both = np.isfinite(left) & np.isfinite(degrees)
+    why: dict[str, None] = {}
+    for name, short, value, sigma, unit in deviations(daily):
+        both = np.isfinite(value) & np.isfinite(degrees)
         if both.sum() < 3:
-            why.setdefault(f"{int(both.sum())} days have parameter and temperature", name)
+            why.setdefault(f"{int(both.sum())} days have parameter and temperature")
             continue
-        short = short_parameter(name)
-        part.fields["correlation"][name] = float(np.corrcoef(degrees[both], left[both])[0, 1])
+        part.fields["correlation"][name] = float(np.corrcoef(degrees[both], value[both])[0, 1])
         try:
-            loop = hysteresis_loop(middles(daily), degrees, left, unit)
+            loop = hysteresis_loop(middles(daily), degrees, value, unit)
         except InflightError as error:
-            why.setdefault(error.message, name)
-            part.plots.append(
-                temperature_figure(
-                    degrees[both], left[both], sigma[both], f"{short} against temperature", unit
-                )
-            )
+            why.setdefault(error.message)
+            title = f"{short} against temperature"
+            part.plots.append(temperature_figure(degrees[both], value[both], sigma[both], title, unit))
             continue
         part.fields["loops"][name] = {
             "area": loop.area,
@@ -298,36 +314,35 @@ def temperature(found: ChainResults) -> Part:
     return part
 
 
-def _on_days(warm: xr.Dataset, start: np.ndarray) -> Floats:
-    """Return the first channel's daily means at days' starts; NaN where there is none."""
-    known = dict(zip(warm["start"].values.tolist(), warm["value"].values[:, 0].tolist(), strict=True))
-    return np.array([known.get(one, np.nan) for one in start.tolist()])
-
-
-#: Pairs that are listed.
-_PAIRS = 12
+# --- what the model does not hold -----------------------------------------------------------------------
 
 #: Factor and unit of an angle that is shown.
 _ANGLE = (3600.0, "arcsec")
 
 
-def coil_temperature(found: ChainResults) -> Part:
+def coil_temperature(found: MissionFitResults) -> Part:
     """What the scale factors follow: coefficients of the coil's temperature, its lag, and rivals."""
     part = Part("coil_temperature", "Temperature of the coil")
     table = found.tables.get("coil-temperature")
     if table is None:
-        part.add_absent("Lag of the coil's temperature", found.why("coil-temperature"))
+        part.add_absent("Lag of the coil's temperature", found.why_absent("coil-temperature"))
     else:
         fit = CoilFit.of_table(table)
-        part.fields = _values(table) | {"told": fit.summary(), "channel": fit.channel}
+        part.fields = _coefficient_fields(table) | {"told": fit.told(), "channel": fit.channel}
         part.add_text(
             f"Fitted with everything else: {fit.summary()}, to first order about the lag it was aligned with."
         )
-        part.text.append(_value_table(table))
-        part.plots.append(scale_curves_figure(fit, _range(found, fit)))
+        part.text.append(_coefficient_table(part.fields["items"]))
+        low, high = fit.reference - 10.0, fit.reference + 10.0
+        daily = found.tables.get("daily-temperature")
+        if daily is not None and fit.channel in daily["channel"].values:
+            own = daily.sel(channel=fit.channel)
+            low = float((own["value"] - 2.0 * own["spread"]).min())
+            high = float((own["value"] + 2.0 * own["spread"]).max())
+        part.plots.append(scale_curves_figure(fit, np.linspace(low, high, 61)))
     rivals = found.tables.get("temperature-rivals")
     if rivals is None:
-        part.add_absent("Rival temperatures", found.why("temperature-rivals"))
+        part.add_absent("Rival temperatures", found.why_absent("temperature-rivals"))
         return part
     choice = TemperatureChoice.of_table(rivals)
     part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
@@ -337,24 +352,16 @@ def coil_temperature(found: ChainResults) -> Part:
     return part
 
 
-def _range(found: ChainResults, fit: CoilFit) -> np.ndarray:
-    """Return temperatures over the range that days had, degC; ten about the reference when not known."""
-    warm = found.tables.get("daily-temperature")
-    if warm is None or fit.channel not in warm["channel"].values:
-        return np.linspace(fit.reference - 10.0, fit.reference + 10.0, 61)
-    one = warm.sel(channel=fit.channel)
-    low, high = (one["value"] + sign * 2.0 * one["spread"] for sign in (-1.0, 1.0))
-    return np.linspace(float(low.min()), float(high.max()), 61)
-
-
-def _values(table: xr.Dataset) -> dict[str, Any]:
+def _coefficient_fields(table: xr.Dataset) -> dict[str, list[dict[str, Any]]]:
+    """Return the coefficients of a table as plain rows."""
     names = [str(name) for name in table["parameter"].values]
     columns = [table[name].values.tolist() for name in ("value", "sigma", "units", "determined", "retained")]
     keys = ("name", "value", "sigma", "unit", "determined", "retained")
     return {"items": [dict(zip(keys, row, strict=True)) for row in zip(names, *columns, strict=True)]}
 
 
-def _value_table(table: xr.Dataset) -> str:
+def _coefficient_table(items: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows of `_coefficient_fields` as HTML."""
     rows = [
         (
             short_parameter(one["name"]),
@@ -363,115 +370,116 @@ def _value_table(table: xr.Dataset) -> str:
             "yes" if one["determined"] else "no",
             f"{one['retained']:.2g}",
         )
-        for one in _values(table)["items"]
+        for one in items
     ]
     return html_table(("", "value ± sigma", "unit", "determined", "left beside all others"), rows)
 
 
-def day_night(found: ChainResults) -> Part:
-    """The field of day and night beside the model, and what the angles of days do without and with it."""
+def day_night(found: MissionFitResults) -> Part:
+    """The field of day and night beside the model, and what daily angles do without and with it."""
     part = Part("day_night", "Day and night")
     for name, what in (("day-night", "Switched field"), ("day-night-series", "Series along the orbit")):
         table = found.tables.get(name)
         if table is None:
-            part.add_absent(what, found.why(name))
+            part.add_absent(what, found.why_absent(name))
             continue
-        part.fields[name] = _values(table) | {key: table.attrs[key] for key in ("before_nT", "after_nT")}
+        before, after = table.attrs["before_nT"], table.attrs["after_nT"]
+        fields = _coefficient_fields(table)
+        part.fields[name] = fields | {"before_nT": before, "after_nT": after}
         part.add_text(
             f"{what}, vector less scalar sensor, beside everything the model has: residual of all days "
-            f"{table.attrs['before_nT']:.5g} nT without and {table.attrs['after_nT']:.5g} nT with it."
+            f"{before:.5g} nT without and {after:.5g} nT with it."
         )
-        part.text.append(_value_table(table))
+        part.text.append(_coefficient_table(fields["items"]))
         if name == "day-night-series":
             part.plots.append(day_night_figure(DayNightField.of_table(table)))
     ignored, added = found.tables.get("daily-after"), found.tables.get("day-night-daily")
     if ignored is None or added is None:
-        part.add_absent(
-            "Wander of the angles", found.why("daily-after" if ignored is None else "day-night-daily")
-        )
+        part.add_absent("Wander of the angles", found.why_absent("daily-after", "day-night-daily"))
         return part
-    _wander(part, found, ignored, added)
+    _add_angles(part, found, ignored, added)
     return part
 
 
-def _wander(part: Part, found: ChainResults, ignored: xr.Dataset, added: xr.Dataset) -> None:
-    """Draw the angles of days without the field and with it; tell the amplitudes of the named periods."""
+def _add_angles(part: Part, found: MissionFitResults, ignored: xr.Dataset, added: xr.Dataset) -> None:
+    """Add the angles of days with the field ignored and in the model, and the amplitudes of named periods."""
     angles = [name for name in map(str, added["parameter"].values) if ".misalignment[" in name]
     known = stated_periods(found.mission)
-    days = np.ptp(middles(added))
-    # Spectra take a second each: none where no period can be told.
-    resolves = days >= MIN_CYCLES * min(known.values())
-    shown = dict.fromkeys(angles, _ANGLE)
+    # Spectra take a second each: none where no period can be resolved.
+    resolves = np.ptp(middles(added)) >= MIN_CYCLES * min(known.values())
+    units = dict.fromkeys(angles, _ANGLE)
     spectra = [
-        spectra_of(one.sel(parameter=angles), known, shown)[0] if resolves else {} for one in (ignored, added)
+        spectra_of(one.sel(parameter=angles), known, units)[0] if resolves else {} for one in (ignored, added)
     ]
-    told: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     cells = []
     for name in angles:
-        pair = [_less_continuous(one, name) for one in (ignored, added)]
-        size = [float(np.nanstd(one["value"].values)) for one in pair]
-        told[name] = {"scatter": size, "unit": _ANGLE[1], "periods": {}}
-        rows = zip(*(one[name].named for one in spectra if name in one), strict=True)
-        for without, *others in rows:
-            if without.resolved and others:
-                both = (without, others[0])
-                told[name]["periods"][without.name] = [[one.amplitude, one.sigma] for one in both]
-                cells.append(
-                    (short_parameter(name), without.name, *(with_error(o.amplitude, o.sigma) for o in both))
+        pair = []
+        for table in (ignored, added):
+            one = table.sel(parameter=[name])
+            pair.append(
+                one.assign(
+                    value=_ANGLE[0] * (one["value"] - one["continuous"]),
+                    sigma=_ANGLE[0] * one["sigma"],
+                    units=("parameter", [_ANGLE[1]]),
                 )
+            )
+        scatter = [float(np.nanstd(one["value"].values)) for one in pair]
+        fields[name] = {"scatter": scatter, "unit": _ANGLE[1], "periods": {}}
+        if all(name in one for one in spectra):
+            for both in zip(*(one[name].named for one in spectra), strict=True):
+                if both[0].resolved:
+                    fields[name]["periods"][both[0].name] = [[one.amplitude, one.sigma] for one in both]
+                    sizes = (with_error(one.amplitude, one.sigma) for one in both)
+                    cells.append((short_parameter(name), both[0].name, *sizes))
         title = f"{short_parameter(name)} of each day less the continuous one"
         part.plots.append(with_and_without_figure(pair[0], pair[1], name, title))
-    part.fields["wander"] = told
+    part.fields["wander"] = fields
     if cells:
         part.text.append(html_table(("angle", "period", "ignored, arcsec", "in the model, arcsec"), cells))
     else:
         part.add_absent("Periods of the angles", "the span resolves none of the named periods")
 
 
-def _less_continuous(daily: xr.Dataset, name: str) -> xr.Dataset:
-    one = daily.sel(parameter=[name])
-    return one.assign(
-        value=_ANGLE[0] * (one["value"] - one["continuous"]),
-        sigma=_ANGLE[0] * one["sigma"],
-        units=("parameter", [_ANGLE[1]]),
-    )
-
-
-def cross_talk(found: ChainResults, asked: str = "") -> Part:
+def cross_talk(found: MissionFitResults, cause: str = "") -> Part:
     """What an ignored cause does to the nine, and parameters of the whole model to each other."""
     part = Part("cross_talk", "Cross-talk")
-    nine, every = found.tables.get("cross-talk"), found.tables.get("cross-talk-all")
+    nine, joint = found.tables.get("cross-talk"), found.tables.get("cross-talk-all")
     if nine is None:
-        part.add_absent("Shift of the nine", found.why("cross-talk"))
+        part.add_absent("Shift of the nine", found.why_absent("cross-talk"))
     else:
-        _of_nine(part, nine)
-    if every is None:
-        part.add_absent("Shift of all parameters", found.why("cross-talk-all"))
+        _add_nine_shifts(part, nine)
+    if joint is None:
+        part.add_absent("Shift of all parameters", found.why_absent("cross-talk-all"))
         return part
-    _of_all(part, every)
-    if asked:
-        part.fields["asked"] = asked_for(every, nine, asked)
+    _add_joint_shifts(part, joint)
+    if cause:
+        part.fields["asked"] = cross_talk_of(joint, nine, cause)
     return part
 
 
-def _of_nine(part: Part, table: xr.Dataset) -> None:
-    part.fields["nine"] = _matrix(table) | {
-        name: table[name].values.tolist() for name in ("before", "after", "retained")
+def _add_nine_shifts(part: Part, table: xr.Dataset) -> None:
+    """Add what each ignored cause does to the nine parameters fitted alone."""
+    listed = ("ignored", "parameter", "value", "sigma", "units", "size", "size_units")
+    part.fields["nine"] = {
+        name: table[name].values.tolist() for name in (*listed, "before", "after", "retained")
     }
     part.add_text(
         "What a cause of the stated size, that is in the readings and not in the model, does to the nine "
         "parameters when they alone are fitted. Drawn are causes of three components at most."
     )
-    every = [str(name) for name in table["ignored"].values]
-    kinds = Counter(name.partition("[")[0] for name in every)
-    names = [name for name in every if kinds[name.partition("[")[0]] <= len(AXES)]
-    part.plots.append(ignored_effects_figure(CrossTalkTable.of_table(table, names)))
+    causes = [str(name) for name in table["ignored"].values]
+    components = Counter(name.partition("[")[0] for name in causes)
+    drawn = [name for name in causes if components[name.partition("[")[0]] <= len(AXES)]
+    part.plots.append(ignored_effects_figure(CrossTalkTable.of_table(table, drawn)))
     whole = CrossTalkTable.of_table(table)
+    columns = zip(whole.parameters, whole.units, strict=True)
     head = (
         "ignored",
-        *(f"{short_parameter(n)} ({u})" for n, u in zip(whole.parameters, whole.units, strict=True)),
+        *(f"{short_parameter(name)} ({unit})" for name, unit in columns),
+        "before, nT",
+        "left, nT",
     )
-    head += ("before, nT", "left, nT")
     rows = [
         (short_parameter(one.label), *(f"{x:+.2g}" for x in shift), f"{before:.2g}", f"{after:.2g}")
         for one, shift, before, after in zip(
@@ -481,16 +489,12 @@ def _of_nine(part: Part, table: xr.Dataset) -> None:
     part.text.append(html_table(head, rows, kind="wide", folded="all causes"))
 
 
-def _matrix(table: xr.Dataset) -> dict[str, Any]:
-    listed = ("ignored", "parameter", "value", "sigma", "units", "size", "size_units")
-    return {name: table[name].values.tolist() for name in listed}
-
-
-def _of_all(part: Part, table: xr.Dataset) -> None:
+def _add_joint_shifts(part: Part, table: xr.Dataset) -> None:
+    """Add the pairs of parameters of different effects whose errors are most correlated."""
     names = [str(name) for name in table["parameter"].values]
-    related = table["correlation"].values
+    correlation = table["correlation"].values
     pairs = [
-        (abs(related[i, j]), i, j)
+        (abs(correlation[i, j]), i, j)
         for i in range(len(names))
         for j in range(i)
         if names[i].partition(".")[0] != names[j].partition(".")[0]
@@ -500,20 +504,19 @@ def _of_all(part: Part, table: xr.Dataset) -> None:
         "what the first does to the second when it is left out, everything else answering."
     )
     rows = []
-    for _, i, j in sorted(pairs, reverse=True)[:_PAIRS]:
-        told = with_error(float(table["value"].values[i, j]), float(table["sigma"].values[i, j]))
+    for _, i, j in sorted(pairs, reverse=True)[: REPORT.listed_pairs]:
+        shift = with_error(float(table["value"].values[i, j]), float(table["sigma"].values[i, j]))
         size = f"{table['size'].values[i]:.3g} {table['size_units'].values[i]}"
-        rows.append((names[i], size, names[j], told, str(table["units"].values[j]), f"{related[i, j]:+.3f}"))
-    part.fields["pairs"] = [
-        dict(zip(("ignored", "size", "parameter", "shift", "unit", "correlation"), row, strict=True))
-        for row in rows
-    ]
+        unit = str(table["units"].values[j])
+        rows.append((names[i], size, names[j], shift, unit, f"{correlation[i, j]:+.3f}"))
+    keys = ("ignored", "size", "parameter", "shift", "unit", "correlation")
+    part.fields["pairs"] = [dict(zip(keys, row, strict=True)) for row in rows]
     part.text.append(html_table(("ignored", "size", "does to", "by", "unit", "correlation"), rows))
     groups = ["calibration"] * 9 + ["model"] * (len(names) - 9)
-    part.plots.append(cross_talk_figure(CrossTalk(tuple(unique_labels(names)), tuple(groups), related)))
+    part.plots.append(cross_talk_figure(CrossTalk(tuple(unique_labels(names)), tuple(groups), correlation)))
 
 
-def asked_for(every: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str, Any]:
+def cross_talk_of(joint: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str, Any]:
     """Return what one cause does: to all others fitted together, and to the nine fitted alone.
 
     Raises
@@ -521,22 +524,21 @@ def asked_for(every: xr.Dataset, nine: xr.Dataset | None, name: str) -> dict[str
     SettingsError
         When there is no such cause.
     """
-    tables = {"together": every, "alone": nine}
-    held = {key: one for key, one in tables.items() if one is not None and name in one["ignored"].values}
-    if not held:
-        known = sorted({str(n) for one in tables.values() if one is not None for n in one["ignored"].values})
+    tables = {"together": joint} | ({} if nine is None else {"alone": nine})
+    with_cause = {key: table for key, table in tables.items() if name in table["ignored"].values}
+    if not with_cause:
+        known = sorted({str(one) for table in tables.values() for one in table["ignored"].values})
         raise SettingsError(
             f"--cross-talk: there is no parameter {name!r}", remedy=f"choose one of {', '.join(known)}"
         )
     out: dict[str, Any] = {"ignored": name}
-    for key, table in held.items():
+    for key, table in with_cause.items():
         row = table.sel(ignored=name)
         out["size"], out["size_unit"] = float(row["size"]), str(row["size_units"].item())
+        columns = (row[one].values.tolist() for one in ("parameter", "value", "sigma", "units"))
         out[key] = [
-            {"parameter": str(n), "shift": float(v), "sigma": float(s), "unit": str(u)}
-            for n, v, s, u in zip(
-                *(row[one].values for one in ("parameter", "value", "sigma", "units")), strict=True
-            )
-            if np.isfinite(v)
+            {"parameter": str(parameter), "shift": shift, "sigma": sigma, "unit": str(unit)}
+            for parameter, shift, sigma, unit in zip(*columns, strict=True)
+            if np.isfinite(shift)
         ]
     return out

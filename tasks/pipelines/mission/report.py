@@ -1,9 +1,13 @@
-"""All results of a mission's chain: as fields for programs, and as one page that needs nothing but itself."""
+"""The report of a whole-mission fit: fields for programs, lines for a person, and one self-contained page.
+
+`mission_fit_report` reads the published tables (`read_mission_fit`) and makes each part of `SECTIONS`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +15,8 @@ from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import Part
-from inflight.tasks.pipelines.mission.fit import ChainResults, chain_results
+from inflight.tasks.pipelines.base import Part, TextLine
+from inflight.tasks.pipelines.mission.fit import MissionFitResults, read_mission_fit
 from inflight.tasks.pipelines.mission.parameter_sections import (
     behaviour,
     clock,
@@ -22,6 +26,7 @@ from inflight.tasks.pipelines.mission.parameter_sections import (
     temperature,
 )
 from inflight.tasks.pipelines.mission.sections import (
+    REPORT,
     coefficients,
     current_steps,
     jumps,
@@ -34,7 +39,7 @@ from inflight.tasks.pipelines.mission.sections import (
 from inflight.tasks.report import write_page
 
 #: In the order of the page.
-SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
+SECTIONS: tuple[Callable[[MissionFitResults], Part], ...] = (
     residual,
     coefficients,
     trend,
@@ -52,11 +57,11 @@ SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class ChainReport:
-    """Results of a chain, section by section; `path` is the page, when one was written."""
+@dataclass
+class MissionFitReport:
+    """Results of a whole-mission fit, section by section; `path` is the page, when one was written."""
 
-    found: ChainResults
+    found: MissionFitResults
     parts: tuple[Part, ...]
     path: Path | None = None
 
@@ -74,35 +79,85 @@ class ChainReport:
             "path": str(self.path) if self.path else "",
         }
 
+    def summary(self) -> list[TextLine]:
+        """Return residual, trend, coefficients far from their priors, clock faults, and what is absent."""
+        sections = {part.key: part.fields for part in self.parts}
+        size, trends = sections["residual"], sections["trend"]
+        product = size["products_nT"]
+        after = f", {product:.4g} nT in the products of all days together" if isfinite(product) else ""
+        own = f"{size['own_fit_nT']:.4g} nT with each day's own nine"
+        lines = [
+            f"residual {size['before_nT']:.4g} nT before, {own}{after}",
+            f"scale factors: {trends['kind']}; {trends.get('told', 'no rivals compared')}",
+            *_coefficient_lines(sections["coefficients"]["items"]),
+            *(sections["clock_faults"].get("told") or []),
+            *_cross_talk_lines(sections["cross_talk"].get("asked", {})),
+        ]
+        absent = [f"  not told: {what}: {why}" for part in self.parts for what, why in part.absent.items()]
+        first, last = self.found.span
+        title = f"{self.found.version}: {len(self.found.days)} days, {first} to {last}"
+        return [
+            TextLine(title, "bold"),
+            *(TextLine(f"  {line}") for line in lines),
+            *(TextLine(line, "dim") for line in absent),
+        ]
 
-def chain_report(
-    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, asked: str = ""
-) -> ChainReport:
-    """Tell what the whole chain found, and write the page of it when a path is given.
+
+def mission_fit_report(
+    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, cause: str = ""
+) -> MissionFitReport:
+    """Return what the published whole-mission fit found, and write the page of it when a path is given.
 
     Parameters
     ----------
     output : Path, optional
         Where the page goes; written whole, by one rename.
-    asked : str
-        A parameter or cause: what it does to all others when it is ignored is told, too.
+    cause : str
+        A parameter or cause; the report then says what it does to all others when it is ignored.
 
     Raises
     ------
     SettingsError, CatalogError
-        As `inflight.tasks.pipelines.mission.fit.chain_results`.
+        As `inflight.tasks.pipelines.mission.fit.read_mission_fit`.
     """
-    found = chain_results(cat, mission, comparison)
-    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, asked) for make in SECTIONS)
+    found = read_mission_fit(cat, mission, comparison)
+    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, cause) for make in SECTIONS)
     if output is not None:
-        write_page(output, chain_page(found, parts))
-    return ChainReport(found, parts, output)
+        first, last = found.span
+        title = f"{mission.mission}: all days together, {first} to {last}"
+        made = f"{found.version}; {len(found.days)} days; inflight {__version__}."
+        footer = " ".join(text for text in (made, mission.acknowledgement) if text)
+        sections = [(part.heading, part.text, part.plots) for part in parts]
+        write_page(output, html_page(title, sections, footer))
+    return MissionFitReport(found, parts, output)
 
 
-def chain_page(found: ChainResults, parts: tuple[Part, ...]) -> str:
-    """Return the page as HTML."""
-    first, last = found.span
-    title = f"{found.mission.mission}: all days together, {first} to {last}"
-    made = f"{found.version}; {len(found.days)} days; inflight {__version__}."
-    footer = " ".join(part for part in (made, found.mission.acknowledgement) if part)
-    return html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
+def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
+    """Return how many coefficients are determined, and those far from what was known, farthest first."""
+    known = sum(one["determined"] for one in items)
+    head = f"{len(items)} coefficients, {known} determined;"
+    far = [one for one in items if abs(one["shift_sigma"] or 0.0) > REPORT.far_sigma]
+    if not far:
+        return [f"{head} none is beyond {REPORT.far_sigma:g} sigma of what was known before"]
+    return [
+        f"{head} beyond {REPORT.far_sigma:g} sigma of what was known before:",
+        *(
+            f"  {one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']} "
+            f"({one['shift_sigma']:+.1f})"
+            for one in sorted(far, key=lambda one: -abs(one["shift_sigma"]))
+        ),
+    ]
+
+
+def _cross_talk_lines(found: Mapping[str, Any]) -> list[str]:
+    """Return what one ignored cause does to the nine alone, and with all else fitted; largest first."""
+    out = []
+    for key, how in (("alone", "the nine fitted alone"), ("together", "everything else fitted")):
+        if rows := found.get(key):
+            out.append(f"ignoring {found['ignored']} = {found['size']:g} {found['size_unit']}, {how}:")
+            rows = sorted(rows, key=lambda one: -abs(one["shift"]) / max(one["sigma"], 1e-300))
+            out += [
+                f"  {one['parameter']} {one['shift']:+.4g} ± {one['sigma']:.2g} {one['unit']}"
+                for one in rows[: REPORT.listed_shifts]
+            ]
+    return out

@@ -1,12 +1,13 @@
 """Sections of the whole-mission report: what was fitted, currents that step, torquers, offsets.
 
-Each function takes `ChainResults` and returns a `ChannelFactor`: fields, paragraphs and figures.
+Each function takes `MissionFitResults` and returns a `Part`: fields, paragraphs and figures. A piece whose
+table is absent, or that the span does not suffice for, is listed with the reason.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import xarray as xr
 from bokeh.layouts import column
 
 from inflight.arrays import Floats
-from inflight.calibration import PARAMETER_GROUPS, Jumps, table_jumps, trend_jumps, vector_sensor_of
+from inflight.calibration import PARAMETER_GROUPS, table_jumps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
 from inflight.errors import SamplesError, SettingsError
 from inflight.figures import (
@@ -47,76 +48,116 @@ from inflight.mission_fit import (
 )
 from inflight.model import component_names
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import ChainResults
+from inflight.tasks.pipelines.mission.fit import MissionFitResults
 from inflight.tasks.pipelines.mission.tables import node_times
 from inflight.time import Int64, to_utc
 
+
+@dataclass(frozen=True, kw_only=True)
+class MissionReportSettings:
+    """What the report of a whole-mission fit lists.
+
+    Attributes
+    ----------
+    far_sigma : float
+        Coefficients farther from what was known before, in its sigmas, are named; convention.
+    listed_shifts : int
+        Shifts by one ignored cause that the command line lists, at most; assumed.
+    listed_pairs : int
+        Pairs of correlated parameters that the page lists, at most; assumed.
+    mean_windows_d : tuple of float
+        Windows of running means, days (Yin 2010, ch. 4).
+    """
+
+    far_sigma: float = 3.0
+    listed_shifts: int = 15
+    listed_pairs: int = 12
+    mean_windows_d: tuple[float, ...] = (60.0, 260.0)
+
+
+REPORT = MissionReportSettings()
+
 #: How the nine parameters are shown: part, title, factor, unit.
-SHOWN = (
+NINE_SHOWN = (
     ("scale_factor", "Scale factors", 1e6, "ppm"),
     ("misalignment", "Misalignment angles", 3600.0, "arcsec"),
     ("offset", "Offsets", 1.0, "nT"),
 )
 
+_AXES = ("x", "y", "z")
+
 
 def matrix_table(corner: str, rows: Sequence[str], columns: Sequence[str], value: Any, sigma: Any) -> str:
     """Return a table of values with errors, rows by columns."""
     cells = [
-        [name, *(with_error(float(one), float(own)) for one, own in zip(*pair, strict=True))]
+        [name, *(with_error(float(v), float(s)) for v, s in zip(*pair, strict=True))]
         for name, pair in zip(rows, zip(value, sigma, strict=True), strict=True)
     ]
     return html_table([corner, *columns], cells)
 
 
-def residual(found: ChainResults) -> Part:
+def residual(found: MissionFitResults) -> Part:
     """How far the residual falls, day by day."""
     part = Part("residual", "Residual")
     table = found.tables["continuous"]
     before = np.array([float(day["before"].values[0]) for day in found.read])
     own = np.array([float(day["after"].values[0]) for day in found.read])
-    nan = float("nan")
-    after = np.array([float(found.reports.get(day.day, {}).get("after_nT", nan)) for day in found.days])
+    after = np.array([float(found.reports.get(day.day, {}).get("after_nT", np.nan)) for day in found.days])
     weight = np.maximum(table["count"].values, 0.0)
-    rms = [_rms(one, weight) for one in (before, own, after)]
-    part.fields = dict(zip(("before_nT", "own_fit_nT", "products_nT"), rms, strict=True))
-    part.add_text(
-        f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters and all else as "
-        f"known before; {rms[2]:.4g} nT in the products, with the values of all days together."
-        if np.isfinite(rms[2])
-        else f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters."
+
+    def rms(values: Floats) -> float:
+        use = np.isfinite(values) & (weight > 0)
+        return float(np.sqrt(np.average(values[use] ** 2, weights=weight[use]))) if use.any() else np.nan
+
+    size = part.fields = {"before_nT": rms(before), "own_fit_nT": rms(own), "products_nT": rms(after)}
+    has_products = np.isfinite(size["products_nT"])
+    text = (
+        f"{size['before_nT']:.4g} nT before, {size['own_fit_nT']:.4g} nT with each day's own nine parameters"
     )
+    if has_products:
+        text += (
+            f" and all else as known before; {size['products_nT']:.4g} nT in the products, with the values "
+        )
+        text += "of all days together"
+    part.add_text(f"{text}.")
     if not np.isfinite(after).all():
         count = int(np.isfinite(after).sum())
         part.add_absent(
             "Residual of all products",
             f"{count} of {after.size} days have products of this fit; 'inflight reprocess' makes them",
         )
-    shown, name = (after, "all days together") if np.isfinite(rms[2]) else (own, "own nine")
-    part.plots.append(daily_figure(to_utc(table["start"].values), before, shown, nan, ("before", name)))
+    drawn, name = (after, "all days together") if has_products else (own, "own nine")
+    part.plots.append(daily_figure(to_utc(table["start"].values), before, drawn, np.nan, ("before", name)))
     return part
 
 
-def _rms(values: Floats, weight: Floats) -> float:
-    use = np.isfinite(values) & (weight > 0)
-    return float(np.sqrt(np.average(values[use] ** 2, weights=weight[use]))) if use.any() else float("nan")
-
-
-def coefficients(found: ChainResults) -> Part:
-    """Every coefficient: value, sigma, unit, whether the data tell it, and how far it went."""
+def coefficients(found: MissionFitResults) -> Part:
+    """Every coefficient: value, sigma, unit, whether the data determine it, and how far it went."""
     part = Part("coefficients", "Coefficients")
     rows = coefficient_rows(found)
     part.fields = {"items": rows}
     known = sum(row["determined"] for row in rows)
-    far = [row for row in rows if abs(row["shift_sigma"] or 0.0) > 3.0]
     part.add_text(
         f"{len(rows)} coefficients, {known} of them determined by the data. The error is that of days "
         "that differ, correlated in time. Shift: value less what was known before, in sigmas of that; what "
         "the vector sensor and the scalar sensor share shows only as their difference."
     )
-    if far:
-        told = "; ".join(f"{row['name']} ({row['shift_sigma']:+.1f})" for row in far)
-        part.add_text(f"Beyond three sigmas of what was known: {told}.")
-    part.text.append(_coefficient_table(rows))
+    if far := [row for row in rows if abs(row["shift_sigma"] or 0.0) > REPORT.far_sigma]:
+        listed = "; ".join(f"{row['name']} ({row['shift_sigma']:+.1f})" for row in far)
+        part.add_text(f"Beyond three sigmas of what was known: {listed}.")
+    cells = [
+        (
+            row["name"],
+            with_error(row["value"], row["sigma"]),
+            row["unit"],
+            "yes" if row["determined"] else "no",
+            with_error(row["prior"], row["prior_sigma"]),
+            "" if row["shift_sigma"] is None else f"{row['shift_sigma']:+.2f}",
+        )
+        for row in rows
+    ]
+    head = ("coefficient", "value ± sigma", "unit", "determined", "known before", "shift")
+    part.text.append(html_table(head, cells, kind="wide", folded="all values", opened=True))
     drawn = [row for row in rows if row["shift_sigma"] is not None]
     shift = np.array([row["shift_sigma"] for row in drawn])
     sigma = np.array([row["sigma"] / row["prior_sigma"] for row in drawn])
@@ -125,64 +166,37 @@ def coefficients(found: ChainResults) -> Part:
     return part
 
 
-def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
+def coefficient_rows(found: MissionFitResults) -> list[dict[str, Any]]:
     """Return the coefficients as plain rows; a shift is None where nothing was known beforehand."""
-    table, prior, units = found.tables["trend"], _priors(found), _units(found)
-    rows = []
-    for index, name in enumerate(map(str, table["parameter"].values)):
-        value, sigma = float(table["value"].values[index]), float(table["sigma"].values[index])
-        at, known = prior.get(name, (float("nan"), float("nan")))
-        shift = (value - at) / known if known > 0 and np.isfinite(at) else None
+    prior: dict[str, tuple[float, float]] = {}
+    units: dict[str, str] = {}
+    for term in free_terms(found.model):
+        values = np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])
+        known = zip(values.tolist(), map(float, term.sigma), strict=True)
+        prior |= dict(zip(term.columns, known, strict=True))
+        for timed in term.entry.parameters.values():
+            units |= dict.fromkeys(timed.columns, timed.parameter.unit)
+    rows, table = [], found.tables["trend"]
+    for name in map(str, table["parameter"].values):
+        one = table.sel(parameter=name)
+        value, (before, sigma) = float(one["value"]), prior.get(name, (np.nan, np.nan))
         rows.append(
             {
                 "name": name,
                 "value": value,
-                "sigma": sigma,
-                "unit": units.get(name.split("*")[0], str(table["units"].values[index])),
-                "determined": bool(table["determined"].values[index]),
-                "time": str(table["time"].values[index]),
-                "prior": at,
-                "prior_sigma": known,
-                "shift_sigma": shift,
+                "sigma": float(one["sigma"]),
+                "unit": units.get(name.split("*")[0], str(one["units"].item())),
+                "determined": bool(one["determined"]),
+                "time": str(one["time"].item()),
+                "prior": before,
+                "prior_sigma": sigma,
+                "shift_sigma": (value - before) / sigma if sigma > 0 and np.isfinite(before) else None,
             }
         )
     return rows
 
 
-def _priors(found: ChainResults) -> dict[str, tuple[float, float]]:
-    """Return what was known of each coefficient: value and sigma."""
-    out = {}
-    for term in free_terms(found.model):
-        values = np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])
-        for name, value, sigma in zip(term.columns, values, term.sigma, strict=True):
-            out[name] = (float(value), float(sigma))
-    return out
-
-
-def _units(found: ChainResults) -> dict[str, str]:
-    """Return the units the model states, by column."""
-    return {
-        name: timed.parameter.unit
-        for term in free_terms(found.model)
-        for timed in term.entry.parameters.values()
-        for name in timed.columns
-    }
-
-
-def _coefficient_table(rows: Sequence[dict[str, Any]]) -> str:
-    head = ("coefficient", "value ± sigma", "unit", "determined", "known before", "shift")
-    cells = []
-    for row in rows:
-        shift = "" if row["shift_sigma"] is None else f"{row['shift_sigma']:+.2f}"
-        determined = "yes" if row["determined"] else "no"
-        before = with_error(row["prior"], row["prior_sigma"])
-        cells.append(
-            (row["name"], with_error(row["value"], row["sigma"]), row["unit"], determined, before, shift)
-        )
-    return html_table(head, cells, kind="wide", folded="all values", opened=True)
-
-
-def trend(found: ChainResults) -> Part:
+def trend(found: MissionFitResults) -> Part:
     """The scale factors in time, with the trends that were compared."""
     part = Part("trend", "Continuous parameters")
     table = found.tables["continuous"]
@@ -195,17 +209,16 @@ def trend(found: ChainResults) -> Part:
     )
     daily = found.tables.get("daily-after")
     if daily is None:
-        part.add_absent("Parameters of each day", found.why("daily-after"))
+        part.add_absent("Parameters of each day", found.why_absent("daily-after"))
     names = [str(name) for name in table["parameter"].values]
-    for kind_of, title, factor, unit in SHOWN:
-        own = [name for name in names if f".{kind_of}[" in name]
-        points = (daily if daily is not None else table).sel(parameter=own)
+    for group, title, factor, unit in NINE_SHOWN:
+        own = [name for name in names if f".{group}[" in name]
+        points = (table if daily is None else daily).sel(parameter=own)
         part.plots.append(continuous_figure(points, table.sel(parameter=own), title, factor, unit))
     choice = found.tables.get("trend-choice")
     if choice is None:
-        part.add_absent(
-            "Rival trends", found.skipped.get("trend-choice", "the trend was stated, or too few days")
-        )
+        reason = found.skipped.get("trend-choice", "the trend was stated, or too few days")
+        part.add_absent("Rival trends", reason)
         return part
     comparison = rivals_of(choice)
     part.add_text(comparison.summary() + ".")
@@ -232,25 +245,26 @@ def rivals_of(table: xr.Dataset) -> TrendComparison:
     return TrendComparison(tuple(rivals), str(table.attrs["chosen"]), int(table.attrs["folds"]), unit)
 
 
-def jumps(found: ChainResults) -> Part:
+def jumps(found: MissionFitResults) -> Part:
     """Steps of a table of windows at their boundaries against the continuous parameters'."""
-    part = Part("jumps", "Jumps between intervals")
+    part, what = Part("jumps", "Jumps between intervals"), "Jumps of a table of windows"
     window = found.tables.get("window")
     if window is None:
-        part.add_absent("Jumps of a table of windows", found.why("window"))
+        part.add_absent(what, found.why_absent("window"))
         return part
-
-    def make() -> None:
-        steps = table_jumps(window)
-        inside = (steps.at > found.tables["continuous"]["start"].values[0]) & (
-            steps.at < found.tables["continuous"]["end"].values[-1]
-        )
-        own = Jumps(
-            steps.at[inside], steps.mean[inside], steps.rms[inside], steps.sigma[inside], steps.strength
+    with part.optional(what):
+        steps, continuous = table_jumps(window), found.tables["continuous"]
+        inside = (steps.at > continuous["start"].values[0]) & (steps.at < continuous["end"].values[-1])
+        own = replace(
+            steps,
+            at=steps.at[inside],
+            mean=steps.mean[inside],
+            rms=steps.rms[inside],
+            sigma=steps.sigma[inside],
         )
         if not own.at.size:
-            part.add_absent("Jumps of a table of windows", "the span holds no boundary between two windows")
-            return
+            part.add_absent(what, "the span holds no boundary between two windows")
+            return part
         common = trend_jumps(lambda times: nine_at(found, times), own.at)
         sizes = [float(np.sqrt(np.mean(one.rms**2))) for one in (own, common)]
         part.fields = {
@@ -264,12 +278,10 @@ def jumps(found: ChainResults) -> Part:
             f"{sizes[0]:.3g} nT rms over directions, the continuous one by {sizes[1]:.2g} nT."
         )
         part.plots.append(boundary_steps_figure(own, common))
-
-    part.add_if_possible("Jumps of a table of windows", make)
     return part
 
 
-def nine_at(found: ChainResults, times: Int64) -> Floats:
+def nine_at(found: MissionFitResults, times: Int64) -> Floats:
     """Return the nine fitted parameters at TT2000 times; (time, 9)."""
     own = vector_sensor_of(found.fitted)
     columns = []
@@ -280,70 +292,61 @@ def nine_at(found: ChainResults, times: Int64) -> Floats:
     return np.concatenate(columns, axis=1)
 
 
-_AXES = ("x", "y", "z")
-
-#: Rough directions that are drawn apart.
-_DIRECTIONS = ((-1, "drops"), (1, "rises"))
-
-
-def current_steps(found: ChainResults) -> Part:
+def current_steps(found: MissionFitResults) -> Part:
     """The field of the current that steps, from superposed epochs."""
     part = Part("current_steps", "Currents that step")
     table, epochs = found.tables.get("current-steps"), found.epochs
     if table is None or epochs is None:
-        part.add_absent("Field of a current from its steps", found.why("current-steps"))
+        part.add_absent("Field of a current from its steps", found.why_absent("current-steps"))
         return part
     names = [str(name) for name in table["current"].values]
-    told = " and ".join(name.replace("_", " ") for name in names)
+    title = " and ".join(name.replace("_", " ") for name in names)
     value, sigma = table["value"].values, table["sigma"].values
+    count, days, placebo = (table.attrs[name] for name in ("epochs", "days", "placebo"))
     part.fields = {
         "currents": names,
-        "epochs": int(table.attrs["epochs"]),
-        "days": int(table.attrs["days"]),
+        "epochs": int(count),
+        "days": int(days),
         "value": value,
         "sigma": sigma,
         "determined": table["determined"].values,
         "unit": "nT/A",
         "at": "difference",
-        "placebo": float(table.attrs["placebo"]),
+        "placebo": float(placebo),
     }
-    count, days = table.attrs["epochs"], table.attrs["days"]
     part.add_text(
-        f"{count} steps of the {told} on {days} days. The residual's own steps tell the field per ampere at "
+        f"{count} steps of the {title} on {days} days. The residual's own steps tell the field per ampere at "
         "the vector sensor less that at the scalar sensor; what follows the orbit does not enter. Where "
-        f"nothing steps the same contrasts scatter by {table.attrs['placebo']:.2f} of their white noise."
+        f"nothing steps the same contrasts scatter by {placebo:.2f} of their white noise."
     )
     part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
-    _confounding(part, table)
-    part.add_if_possible("Split into both sensors' fields", lambda: _split(part, found, table))
-    for direction, name in _DIRECTIONS:
+    confounders = zip(
+        *(table[name].values.tolist() for name in ("confounder", "correlation", "slope")), strict=True
+    )
+    rows = part.fields["confounding"] = [
+        {"channel": str(name), "correlation": correlation, "slope": slope}
+        for name, correlation, slope in confounders
+    ]
+    if rows:
+        cells = [(one["channel"], f"{one['correlation']:+.3f}", f"{one['slope']:+.3g}") for one in rows]
+        part.add_text("Channels that step with it: the coefficient holds their field times the last column.")
+        part.text.append(html_table(("channel", "correlation of steps", "its step for 1 A"), cells))
+    with part.optional("Split into both sensors' fields"):
+        _add_dipole_split(part, found, table)
+    for direction, name in ((-1, "drops"), (1, "rises")):
         chosen = epochs.isel(epoch=np.flatnonzero(np.sign(epochs["step"].values[:, 0]) == direction))
         if not chosen.sizes["epoch"]:
             part.add_absent(f"Mean curve of {name}", f"no epoch is one of {name}")
             continue
-        stacked = partial(_stacked, part, chosen, value[0], told)
-        part.add_if_possible(f"Mean curve of {name}", stacked)
+        with part.optional(f"Mean curve of {name}"):
+            # Both share their axis of time, so they are one figure of the page.
+            part.plots.append(column(*stack_figures(stack_epochs(chosen, value[0]), title)))
     return part
 
 
-def _confounding(part: Part, table: xr.Dataset) -> None:
-    names = [str(name) for name in table["confounder"].values]
-    numbers = zip(table["correlation"].values, table["slope"].values, strict=True)
-    rows = [(name, float(one), float(slope)) for name, (one, slope) in zip(names, numbers, strict=True)]
-    part.fields["confounding"] = [
-        {"channel": name, "correlation": one, "slope": slope} for name, one, slope in rows
-    ]
-    if not rows:
-        return
-    cells = [(name, f"{one:+.3f}", f"{slope:+.3g}") for name, one, slope in rows]
-    part.add_text("Channels that step with it: the coefficient holds their field times the last column.")
-    part.text.append(html_table(("channel", "correlation of steps", "its step for 1 A"), cells))
-
-
-def _split(part: Part, found: ChainResults, table: xr.Dataset) -> None:
-    """Tell both sensors' shares where they stand on one line through the dipole."""
-    entry = found.mission.comparisons[found.comparison]
-    instruments = entry.instruments()
+def _add_dipole_split(part: Part, found: MissionFitResults, table: xr.Dataset) -> None:
+    """Add both sensors' shares where they stand on one line through the dipole."""
+    instruments = found.mission.comparisons[found.comparison].instruments()
     places = [found.mission.instruments[instruments[role]].position for role in ("vector", "scalar")]
     if any(place is None for place in places):
         raise SettingsError("the mission does not say where both sensors stand", remedy="state 'position'")
@@ -370,60 +373,59 @@ def _split(part: Part, found: ChainResults, table: xr.Dataset) -> None:
     part.text.append(matrix_table("nT/A, dipole", ("vector sensor", "scalar sensor"), _AXES, *rows))
 
 
-def _stacked(part: Part, epochs: xr.Dataset, value: np.ndarray, name: str) -> None:
-    # Both share their axis of time, so they are one figure of the page.
-    part.plots.append(column(*stack_figures(stack_epochs(epochs, value), name)))
-
-
-def panels(found: ChainResults) -> Part:
-    """How the solar current's field turns with local time, and which model of panels foretells it."""
+def panels(found: MissionFitResults) -> Part:
+    """How the solar current's field turns with local time, and which model of panels predicts it."""
     part = Part("panels", "Solar panels")
     epochs = found.epochs
     if epochs is None:
-        part.add_absent("Field by local time", found.why("panels"))
+        part.add_absent("Field by local time", found.why_absent("panels"))
         return part
-    part.add_if_possible("Choice of the panels' model", lambda: _choice(part, found, epochs))
-    part.add_if_possible("Field by local time", lambda: _by_local_time(part, epochs))
+    with part.optional("Choice of the panels' model"):
+        _add_panel_models(part, found)
+    with part.optional("Field by local time"):
+        _add_local_time(part, epochs)
     return part
 
 
-def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
+def _add_panel_models(part: Part, found: MissionFitResults) -> None:
+    """Add the models of panels by their held-out scores, and the coefficients of the chosen one."""
     table = found.tables.get("panels")
     if table is None:
-        raise SamplesError(found.why("panels"))
-    names = [str(name) for name in table["model"].values]
-    scores = {name: table[name].values for name in ("score", "behind", "behind_sigma", "ties")}
-    chosen = str(table.attrs["chosen"])
+        raise SamplesError(found.why_absent("panels"))
+    keys = ("score", "behind", "behind_sigma", "ties")
+    rows = zip(*(table[key].values.tolist() for key in keys), strict=True)
+    models = [
+        {"model": str(name), **dict(zip(keys, row, strict=True))}
+        for name, row in zip(table["model"].values, rows, strict=True)
+    ]
+    chosen, sentence = str(table.attrs["chosen"]), str(table.attrs["sentence"]).replace("_", " ")
     value, sigma = table["value"].values, table["sigma"].values
-    sentence = str(table.attrs["sentence"]).replace("_", " ")
     part.fields |= {
         "chosen": chosen,
         "sentence": sentence,
         "value": value,
         "sigma": sigma,
         "unit": "nT/A",
-        "models": [
-            {"model": name, **{key: one[index].item() for key, one in scores.items()}}
-            for index, name in enumerate(names)
-        ],
+        "models": models,
     }
     part.add_text(f"{sentence}. Taken: {chosen.replace('_', ' ')}, the simplest that is as good.")
     cells = [
         (
-            name.replace("_", " "),
-            f"{scores['score'][index]:.4f}",
-            "best" if index == 0 else with_error(scores["behind"][index], scores["behind_sigma"][index]),
-            "yes" if scores["ties"][index] else "no",
+            one["model"].replace("_", " "),
+            f"{one['score']:.4f}",
+            "best" if index == 0 else with_error(one["behind"], one["behind_sigma"]),
+            "yes" if one["ties"] else "no",
         )
-        for index, name in enumerate(names)
+        for index, one in enumerate(models)
     ]
     head = ("model", "held-out square over variance", "behind the best", "as good")
     part.text.append(html_table(head, cells))
-    rows = [chosen if len(value) == 1 else f"panel {index + 1}" for index in range(len(value))]
-    part.text.append(matrix_table("nT/A, difference", rows, _AXES, value, sigma))
+    names = [chosen if len(value) == 1 else f"panel {index + 1}" for index in range(len(value))]
+    part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
 
 
-def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
+def _add_local_time(part: Part, epochs: xr.Dataset) -> None:
+    """Add the field per ampere in bins of local time, where the steps fill two at least."""
     local_time = node_times(epochs)
     if local_time is None:
         raise SamplesError(
@@ -438,46 +440,52 @@ def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
             f"{known.size} bins with days enough",
             remedy="a turn of local time takes 260.5 days",
         )
+    columns = (course.local_time, course.value, course.sigma, course.epochs)
     part.fields["by_local_time"] = [
         {"local_time_h": hour, "value": value, "sigma": sigma, "epochs": int(count)}
-        for hour, value, sigma, count in zip(
-            course.local_time[known],
-            course.value[known],
-            course.sigma[known],
-            course.epochs[known],
-            strict=True,
-        )
+        for hour, value, sigma, count in zip(*(one[known] for one in columns), strict=True)
     ]
     part.plots.append(local_time_figure(course, select_panel_model(epochs, local_time).chosen))
 
 
-def torquers(found: ChainResults) -> Part:
+def torquers(found: MissionFitResults) -> Part:
     """The band of the torquers' modulation before and after, the matrix, and the running mean of currents."""
     part = Part("torquers", "Magneto-torquers")
     matrix, equations = found.tables.get("torquer-band"), found.band
     if matrix is None or equations is None:
-        part.add_absent("Matrix from the band at 20 s", found.why("torquer-band"))
+        part.add_absent("Matrix from the band at 20 s", found.why_absent("torquer-band"))
     else:
-        _matrix(part, matrix, equations)
+        _add_torquer_matrix(part, matrix, equations)
     daily, mean = found.tables.get("torquer-band-daily"), found.tables.get("torquer-band-mean")
     if daily is None or mean is None:
-        part.add_absent(
-            "Matrix of each day", found.why("torquer-band-daily" if daily is None else "torquer-band-mean")
-        )
+        part.add_absent("Matrix of each day", found.why_absent("torquer-band-daily", "torquer-band-mean"))
     else:
         part.plots += coefficient_figures(daily, mean)
     running = found.tables.get("torquer-mean")
     if running is None:
-        part.add_absent("Running mean of the currents", found.why("torquer-mean"))
-    else:
-        _running(part, running)
+        part.add_absent("Running mean of the currents", found.why_absent("torquer-mean"))
+        return part
+    currents = FilledRunningMean(
+        day=to_utc(running["start"].values).astype("datetime64[D]").astype(np.int64),
+        window=float(running.attrs.get("window_days", CURRENT_WINDOW_DAYS)),
+        **{name: running[name].values for name in ("value", "sigma", "coverage", "state", "daily")},
+    )
+    low, high, best = currents.coverage.min(), currents.coverage.max(), int(np.argmax(currents.coverage))
+    part.fields["running_mean"] = {
+        "sentence": currents.sentence,
+        "coverage": [float(low), float(high)],
+        "best_day_A": currents.value[best],
+        "best_day_sigma_A": currents.sigma[best],
+    }
+    part.add_text(f"{currents.sentence}; the window is covered by {low:.0%} to {high:.0%}.")
+    part.plots += torquer_mean_figures(currents, remanent_field(currents))
     return part
 
 
-def _matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
+def _add_torquer_matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
+    """Add the matrix of nT/A that the band tells, and the level of the band before and after it."""
     value, sigma = matrix["value"].values, matrix["sigma"].values
     day, before, after = band_levels(equations, value)
-    axes = [str(name) for name in matrix["axis"].values]
     size = [float(np.sqrt(np.mean(one**2))) for one in (before, after)]
     part.fields["matrix"] = {
         "value": value,
@@ -493,7 +501,8 @@ def _matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
         "modulation's 20 s alone. When the vector sensor's matrix is right, its negative is added to the "
         f"scalar sensor's. The band holds {size[0]:.3g} nT before and {size[1]:.3g} nT with it."
     )
-    columns = [f"coil {one}" for one in matrix["coil"].values]
+    axes, coils = ([str(name) for name in matrix[dim].values] for dim in ("axis", "coil"))
+    columns = [f"coil {name}" for name in coils]
     part.text.append(matrix_table("field along", axes, columns, value, sigma))
     part.plots.append(band_level_figure(day, before, after))
 
@@ -510,65 +519,43 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
     """
     gram, rows = equations["gram"].values, equations["rows"].values
     step = np.append(-value.reshape(-1), 1.0)
-    after = np.einsum("i,tij,j->t", step, gram, step)
+    squares = gram[:, -1, -1], np.einsum("i,tij,j->t", step, gram, step)
     day, which = np.unique(equations["day"].values, return_inverse=True)
     count = np.maximum(np.bincount(which, weights=rows), 1.0)
-    sums = [np.bincount(which, weights=one) for one in (gram[:, -1, -1], after)]
+    before, after = (np.sqrt(np.maximum(np.bincount(which, weights=one), 0.0) / count) for one in squares)
     first = np.array([equations["start"].values[which == index].min() for index in range(day.size)])
-    before, left = (np.sqrt(np.maximum(one, 0.0) / count) for one in sums)
-    return first, before, left
+    return first, before, after
 
 
-def _running(part: Part, table: xr.Dataset) -> None:
-    days = to_utc(table["start"].values).astype("datetime64[D]").astype(np.int64)
-    arrays = {name: table[name].values for name in ("value", "sigma", "coverage", "state", "daily")}
-    mean = FilledRunningMean(
-        day=days, window=float(table.attrs.get("window_days", CURRENT_WINDOW_DAYS)), **arrays
-    )
-    last = int(np.argmax(mean.coverage))
-    part.fields["running_mean"] = {
-        "sentence": mean.sentence,
-        "coverage": [float(mean.coverage.min()), float(mean.coverage.max())],
-        "best_day_A": mean.value[last],
-        "best_day_sigma_A": mean.sigma[last],
-    }
-    part.add_text(
-        f"{mean.sentence}; the window is covered by {mean.coverage.min():.0%} to {mean.coverage.max():.0%}."
-    )
-    part.plots += torquer_mean_figures(mean, remanent_field(mean))
-
-
-def offsets(found: ChainResults) -> Part:
+def offsets(found: MissionFitResults) -> Part:
     """Daily offsets along z from the spread of the products' residual."""
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
     table = found.tables.get("z-offset")
     if table is None:
-        part.add_absent("Offsets of each day", found.why("z-offset"))
+        part.add_absent("Offsets of each day", found.why_absent("z-offset"))
         return part
-    name = str(table["parameter"].values[0])
-    columns = {
-        key: table[key].values[:, 0] for key in ("value", "sigma", "wrong_sign", "slope", "sigma_slope")
-    }
-    seen, nan = table["determined"].values[:, 0].astype(bool), np.full(table.sizes["interval"], np.nan)
-    told = OffsetsFromSpread(
-        nan,
-        nan,
-        **columns,
+    own = table.isel(parameter=0)
+    seen, unknown = own["determined"].values.astype(bool), np.full(table.sizes["interval"], np.nan)
+    daily = OffsetsFromSpread(
+        unknown,
+        unknown,
+        **{name: own[name].values for name in ("value", "sigma", "wrong_sign", "slope", "sigma_slope")},
         seen=seen,
-        start=table["start"].values,
-        end=table["end"].values,
-        axis=name.rsplit("[", maxsplit=1)[-1].rstrip("]"),
+        start=own["start"].values,
+        end=own["end"].values,
+        axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
     )
+    size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
     part.fields = {
         "days": int(seen.size),
         "seen": int(seen.sum()),
-        "rms_nT": float(np.sqrt(np.mean(told.value**2))),
-        "slope_rms_nT": float(np.sqrt(np.mean(told.slope**2))),
+        "rms_nT": size,
+        "slope_rms_nT": slope,
     }
     part.add_text(
         f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
-        f"(hollow marks: the others); the offsets it tells are {part.fields['rms_nT']:.3g} nT rms, those of "
-        f"the slope {part.fields['slope_rms_nT']:.3g} nT. A spread has no sign: it takes the slope's."
+        f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
+        f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
     )
-    part.plots.append(offsets_figure(told))
+    part.plots.append(offsets_figure(daily))
     return part

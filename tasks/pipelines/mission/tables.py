@@ -1,14 +1,18 @@
-"""Tables beside the whole-mission fit, from the days' stored statistics: the archive is not read again.
+"""Tables of the whole-mission fit, from the days' stored statistics: the archive is not read again.
 
-What the model may lack: the coil's lag and its rivals, day and night, cross-talk (`beside_makers`). How daily
-parameters scatter after the fit of all days: values of each day, faults of clocks, periods (`daily_after`).
+Each function takes statistics of days, or another table, and returns one table; `fit_mission_tables` calls
+them in turn. What the model may lack: the coil's lag and its rivals, day and night, cross-talk
+(`auxiliary_table_makers`). How daily parameters scatter after the fit of all days: values of each day, faults
+of clocks, periods (`daily_after` and what is made from it). The formulas stand in `inflight.mission_fit`.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,25 +30,34 @@ from inflight.mission_fit import (
     MissionFit,
     ParameterSpectrum,
     compare_temperatures_jointly,
+    concat_band_equations,
     daily_parameters,
+    filled_running_mean,
     find_clock_faults,
     fit_coil_lag,
     fit_day_night_jointly,
     joint_cross_talk,
     nine_parameter_cross_talk,
     node_local_time,
+    offsets_from_spread,
     parameter_spectrum,
+    residual_noise,
     shift_columns,
     temperature_entry,
     with_auxiliary_columns,
 )
 from inflight.model import Model
 from inflight.tasks.archive import channels_by_name
-from inflight.tasks.pipelines.mission.day import Witnesses, means_of_channels, strips_of
-from inflight.time import DAY, SECOND, mjd2000
+from inflight.tasks.pipelines.mission.day import (
+    AuxiliaryChannels,
+    auxiliary_columns_of,
+    means_of_channels,
+    unpack_part,
+)
+from inflight.time import DAY, SECOND, day_of, mjd2000
 
-#: The tables of this module.
-BESIDE = (
+#: The tables of `auxiliary_table_makers`.
+AUXILIARY_TABLES = (
     "coil-temperature",
     "temperature-rivals",
     "day-night",
@@ -55,99 +68,280 @@ BESIDE = (
 )
 
 
-def beside_makers(
+@dataclass(frozen=True, kw_only=True)
+class TableSettings:
+    """Numbers of the tables.
+
+    Attributes
+    ----------
+    least_spread_days : int
+        Fewest days whose spread of the residual tells what the noise alone makes of it; assumed.
+    shortest_period_d : float
+        Shortest period that daily values are examined for, days; assumed.
+    same_period : float
+        Two stated periods closer than this part of them are one; assumed.
+    most_turns : int
+        Orbits a day: the slow wave of a temperature repeats so often (an orbit of 93 min, as CHAMP's).
+    """
+
+    least_spread_days: int = 5
+    shortest_period_d: float = 10.0
+    same_period: float = 1e-3
+    most_turns: int = 15
+
+
+TABLE = TableSettings()
+
+
+# --- from the parts of days -----------------------------------------------------------------------------
+
+
+def own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
+    """Return each day's own nine parameters: what they do from day to day, nothing held at the common fit.
+
+    Parameters
+    ----------
+    read : sequence of Dataset
+        Statistics of days that were fitted.
+    found : MissionFit
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, parameter: `value`, `sigma`, `covariance` (interval, parameter, other), `after`
+        (interval), nT; `units` (parameter); `start`, `end` (interval), TT2000.
+    """
+    joined = {
+        name: np.concatenate([day[name].values for day in read])
+        for name in ("fit", "fit_covariance", "after", "start", "end")
+    }
+    each, names = ("interval", "parameter"), list(found.fit.trends)[:9]
+    sigma = np.sqrt(np.diagonal(joined["fit_covariance"], axis1=1, axis2=2))
+    return xr.Dataset(
+        {
+            "value": (each, joined["fit"]),
+            "sigma": (each, sigma),
+            "covariance": ((*each, "other"), joined["fit_covariance"]),
+            "after": ("interval", joined["after"]),
+            "units": ("parameter", np.array([found.fit.units[name] for name in names], dtype="U8")),
+            "start": ("interval", joined["start"]),
+            "end": ("interval", joined["end"]),
+        },
+        coords={"parameter": names, "other": names},
+    )
+
+
+def torquer_band(read: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return the equations of the torquers' band of all days, as `inflight.mission_fit.band_equations`.
+
+    Raises
+    ------
+    SamplesError
+        When no day has any.
+    """
+    parts = unpack_part(read, "band")
+    if not parts:
+        raise SamplesError(
+            "no day has a stretch of torquer currents at a cadence that holds their band",
+            remedy="see the missing days of the torquers' channel",
+        )
+    return concat_band_equations(parts)
+
+
+def torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
+    """Return the running mean of the torquer currents, A, as `inflight.mission_fit.FilledRunningMean.table`.
+
+    Parameters
+    ----------
+    read : sequence of Dataset
+        Statistics of days.
+    window : float
+        Days.
+
+    Raises
+    ------
+    SamplesError
+        When no day has torquer currents.
+    """
+    means = means_of_channels(read)
+    torquers = [means[name] for name in means if name.endswith(("[x]", "[y]", "[z]"))]
+    if len(torquers) != 3:
+        raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
+    value = np.stack([one[:, 0] for one in torquers], axis=1)
+    count = np.min([one[:, 2] for one in torquers], axis=0)
+    known = np.isfinite(count)
+    start = np.concatenate([day["start"].values for day in read])
+    days = day_of(start).astype("datetime64[D]").astype(np.int64)
+    mean = filled_running_mean(days[known], value[known], count[known], window=window)
+    return mean.table().assign_attrs(window_days=window)
+
+
+def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return daily means of the temperatures, those the model uses first.
+
+    Parameters
+    ----------
+    read : sequence of Dataset
+        Statistics of days.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, channel: `value`, `spread` within the day, `sigma` (that of a mean whose spread is one
+        slow wave: the spread over the root of the turns, at most the spread), degC; `start`, `end`. NaN on
+        days without readings.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no temperature, or none was archived.
+    """
+    used = {name for entry in model.effects for name in entry.effect.channels}
+    means = means_of_channels(read)
+    stated = AuxiliaryChannels.of(mission, model.comparison).temperatures
+    names = sorted(stated, key=lambda name: name not in used)
+    known = [name for name in names if name in means and np.isfinite(means[name][:, 0]).any()]
+    if not known:
+        raise SamplesError(
+            f"no day has one of the temperatures {', '.join(names) or '(none are stated)'}",
+            remedy="state a channel of kind 'temperature' in the mission's file",
+        )
+    mean, spread, count = np.stack([means[name] for name in known], axis=1).transpose(2, 0, 1)
+    each, units = ("interval", "channel"), {"units": "degC"}
+    return xr.Dataset(
+        {
+            "value": (each, mean, units),
+            "spread": (each, spread, units),
+            "sigma": (each, spread / np.sqrt(np.clip(count, 1, TABLE.most_turns)), units),
+            "start": ("interval", np.concatenate([day["start"].values for day in read]), {"scale": "TT2000"}),
+            "end": ("interval", np.concatenate([day["end"].values for day in read]), {"scale": "TT2000"}),
+        },
+        coords={"channel": known},
+    )
+
+
+def node_times(epochs: xr.Dataset) -> Floats | None:
+    """Return the local time of the ascending node at each epoch, h; None where the orbit is not known."""
+    if not {"local_time", "orbit_phase", "latitude"} <= set(map(str, epochs.data_vars)):
+        return None
+    return node_local_time(*(epochs[name].values for name in ("local_time", "orbit_phase", "latitude")))
+
+
+def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset:
+    """Return the daily offsets along z from the spread of the products' residual (Yin 2010, eq. 3.6).
+
+    Parameters
+    ----------
+    reports : mapping of datetime64[D] to mapping
+        Of products; ``spread`` holds what `inflight.mission_fit.day_statistics` returned.
+
+    Raises
+    ------
+    CalibrationError
+        When too few days have a spread, or their noise cannot be told.
+    """
+    spreads = [reports[day]["spread"] for day in sorted(reports) if reports[day].get("spread")]
+    if len(spreads) < TABLE.least_spread_days:
+        raise CalibrationError(
+            f"{len(spreads)} days tell the spread of their residual, {TABLE.least_spread_days} needed",
+            remedy="make the products of more days",
+        )
+    dims = dict.fromkeys(spreads[0], ("interval",)) | {
+        "covariance": ("interval", "statistic", "other"),
+        "direction_mean": ("interval", "axis"),
+        "direction_square": ("interval", "axis"),
+    }
+    statistics = xr.Dataset(
+        {name: (dims[name], np.array([one[name] for one in spreads])) for name in spreads[0]}
+    )
+    return offsets_from_spread(statistics, *residual_noise(statistics)).table()
+
+
+# --- what the model may lack ----------------------------------------------------------------------------
+
+
+def auxiliary_table_makers(
     mission: Mission, model: Model, equations: NormalEquations, read: Sequence[xr.Dataset], found: MissionFit
 ) -> dict[str, Callable[[], xr.Dataset]]:
-    """Return what makes each table of this module.
+    """Return what makes each of `AUXILIARY_TABLES`.
 
     Parameters
     ----------
     model : Model
-        The one the days were looked at with.
+        The one the days' statistics were made with.
     equations : NormalEquations
         The days'; those that could be fitted.
     read : sequence of Dataset
         The same days, with their parts.
-    found : Continuous
+    found : MissionFit
     """
-    strips, units = strips_of(read), found.fit.units
+    columns, units = auxiliary_columns_of(read), found.fit.units
+
+    def coil_lag() -> xr.Dataset:
+        """Return the coil's lag, fitted about the one that its temperature was aligned with, s."""
+        entry, aligned = temperature_entry(model), 0.0
+        if entry is not None:
+            instrument, channel = channels_by_name(mission)[entry.effect.channels[0]]
+            aligned = mission.instruments[instrument].channels[channel].lag / SECOND
+        return fit_coil_lag(equations, columns, found, model, aligned).table()
+
+    def temperature_rivals() -> xr.Dataset:
+        channels = AuxiliaryChannels.of(mission, model.comparison).temperatures
+        if not channels:
+            raise CalibrationError(
+                "the vector sensor has no temperature", remedy="state a channel of kind 'temperature'"
+            )
+        return compare_temperatures_jointly(equations, columns, found, model, channels).table()
+
+    def day_night_series() -> xr.Dataset:
+        return fit_day_night_jointly(equations, columns, found, model, SERIES).field.table()
 
     @cache
     def switched() -> JointDayNight:
-        return fit_day_night_jointly(equations, strips, found, model, SWITCHED)
+        return fit_day_night_jointly(equations, columns, found, model, SWITCHED)
+
+    def day_night() -> xr.Dataset:
+        return switched().field.table()
+
+    def day_night_daily() -> xr.Dataset:
+        return switched().daily()
+
+    def nine_cross_talk() -> xr.Dataset:
+        return nine_parameter_cross_talk(_with_day_night(equations, columns), units, model).table()
 
     return {
-        "coil-temperature": lambda: fit_coil_lag(
-            equations, strips, found, model, _lag(mission, model)
-        ).table(),
-        "temperature-rivals": lambda: _rivals(mission, model, equations, strips, found),
+        "coil-temperature": coil_lag,
+        "temperature-rivals": temperature_rivals,
         # Before the switched field, whose equations are kept for the daily parameters.
-        "day-night-series": lambda: _field(fit_day_night_jointly(equations, strips, found, model, SERIES)),
-        "day-night": lambda: _field(switched()),
-        "day-night-daily": lambda: switched().daily(),
-        "cross-talk": lambda: nine_parameter_cross_talk(
-            _with_daylight(equations, strips), units, model
-        ).table(),
+        "day-night-series": day_night_series,
+        "day-night": day_night,
+        "day-night-daily": day_night_daily,
+        "cross-talk": nine_cross_talk,
         "cross-talk-all": lambda: joint_cross_talk(equations, units, model),
     }
 
 
-def _field(one: JointDayNight) -> xr.Dataset:
-    return one.field.table()
-
-
-def _lag(mission: Mission, model: Model) -> float:
-    """Return the lag with which the model's temperature was aligned, s."""
-    entry = temperature_entry(model)
-    if entry is None:
-        return 0.0
-    instrument, channel = channels_by_name(mission)[entry.effect.channels[0]]
-    return mission.instruments[instrument].channels[channel].lag / SECOND
-
-
-def _rivals(
-    mission: Mission,
-    model: Model,
-    equations: NormalEquations,
-    strips: Sequence[xr.Dataset | None],
-    found: MissionFit,
-) -> xr.Dataset:
-    channels = Witnesses.of(mission, model.comparison).temperatures
-    if not channels:
-        raise CalibrationError(
-            "the vector sensor has no temperature", remedy="state a channel of kind 'temperature'"
-        )
-    return compare_temperatures_jointly(equations, strips, found, model, channels).table()
-
-
-def _with_daylight(equations: NormalEquations, strips: Sequence[xr.Dataset | None]) -> NormalEquations:
+def _with_day_night(equations: NormalEquations, columns: Sequence[xr.Dataset | None]) -> NormalEquations:
     """Return the equations with the field of day and night as a cause, where any day knows its orbit."""
-    names = {str(one) for strip in strips if strip is not None for one in strip["beside"].values}
-    beside = sorted(name for name in names if name.startswith(SWITCHED))
+    names = {str(name) for part in columns if part is not None for name in part["beside"].values}
+    day_night = sorted(name for name in names if name.startswith(SWITCHED))
     try:
-        return with_auxiliary_columns(equations, strips, beside) if beside else equations
+        return with_auxiliary_columns(equations, columns, day_night) if day_night else equations
     except CalibrationError:
         return equations
 
 
-#: Shortest period that daily values are asked for, days.
-SHORTEST = 10.0
-
-#: Two stated periods closer than this part of them are one.
-_SAME = 1e-3
-
-#: Orbits of a day: the slow wave of a temperature repeats so often.
-_TURNS = 15
+# --- daily parameters after the fit ---------------------------------------------------------------------
 
 
 def daily_after(equations: NormalEquations, found: MissionFit) -> xr.Dataset:
-    """Return each day's nine parameters and time shift, everything else at the continuous fit.
+    """Return each day's nine parameters and time shift, everything else at the common fit.
 
     Parameters
     ----------
     equations : NormalEquations
         Wide ones of the days.
-    found : Continuous
+    found : MissionFit
         Fitted to them.
     """
     return daily_parameters(equations, found, shift_columns(found.model))
@@ -158,13 +352,13 @@ def middles(table: xr.Dataset) -> Floats:
     return mjd2000(table["start"].values // 2 + table["end"].values // 2)
 
 
-def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
-    """Return the clock faults that daily time shifts tell, and these shifts (interval,), s.
+def time_shifts(daily: xr.Dataset) -> tuple[Floats, Floats]:
+    """Return the time shift of each day and its sigma; (interval,), s.
 
     Raises
     ------
     CalibrationError
-        When no day tells a time shift, or too few do.
+        When data move no time shift.
     """
     names = [str(name) for name in daily["parameter"].values if ".seconds" in str(name)]
     if not names:
@@ -172,7 +366,19 @@ def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
             "the model has no time shift that data may move",
             remedy="give the model an effect 'time_shift' with a sigma",
         )
-    value, sigma = (daily[part].sel(parameter=names[0]).values for part in ("value", "sigma"))
+    own = daily.sel(parameter=names[0])
+    return own["value"].values, own["sigma"].values
+
+
+def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
+    """Return the clock faults that daily time shifts show, and these shifts; (interval,), s.
+
+    Raises
+    ------
+    CalibrationError
+        As `time_shifts`, and when too few days have one.
+    """
+    value, sigma = time_shifts(daily)
     return find_clock_faults(middles(daily), value, sigma), value
 
 
@@ -184,7 +390,7 @@ def faults_table(daily: xr.Dataset) -> xr.Dataset:
     xarray.Dataset
         dim interval: `value`, time shift less what is usual around the day, and `sigma`, what days scatter
         by, s; `fault`, the number of the fault a day belongs to, 0 for none; `start`, `end`. The attribute
-        ``told`` says each fault.
+        ``told`` describes each fault.
 
     Raises
     ------
@@ -207,68 +413,17 @@ def faults_table(daily: xr.Dataset) -> xr.Dataset:
     )
 
 
-def node_times(epochs: xr.Dataset) -> Floats | None:
-    """Return the local time of the ascending node at each epoch, h; None where the orbit is not known."""
-    if not {"local_time", "orbit_phase", "latitude"} <= set(map(str, epochs.data_vars)):
-        return None
-    return node_local_time(*(epochs[name].values for name in ("local_time", "orbit_phase", "latitude")))
-
-
-def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Return daily means of the temperatures, those the model uses first.
-
-    Parameters
-    ----------
-    read : sequence of Dataset
-        The chain's days.
-
-    Returns
-    -------
-    xarray.Dataset
-        dims interval, channel: `value`, `spread` within the day, `sigma` (that of a mean whose spread is one
-        slow wave: the spread over the root of the turns, at most the spread), degC; `start`, `end`. NaN on
-        days without readings.
-
-    Raises
-    ------
-    SamplesError
-        When the mission has no temperature, or none was archived.
-    """
-    used = {name for entry in model.effects for name in entry.effect.channels}
-    told = means_of_channels(read)
-    names = sorted(Witnesses.of(mission, model.comparison).temperatures, key=lambda name: name not in used)
-    known = [name for name in names if name in told and np.isfinite(told[name][:, 0]).any()]
-    if not known:
-        raise SamplesError(
-            f"no day has one of the temperatures {', '.join(names) or '(none are stated)'}",
-            remedy="state a channel of kind 'temperature' in the mission's file",
-        )
-    mean, spread, count = np.stack([told[name] for name in known], axis=1).transpose(2, 0, 1)
-    sigma = spread / np.sqrt(np.clip(count, 1, _TURNS))
-    each, units = ("interval", "channel"), {"units": "degC"}
-    return xr.Dataset(
-        {
-            "value": (each, mean, units),
-            "spread": (each, spread, units),
-            "sigma": (each, sigma, units),
-            "start": ("interval", np.concatenate([day["start"].values for day in read]), {"scale": "TT2000"}),
-            "end": ("interval", np.concatenate([day["end"].values for day in read]), {"scale": "TT2000"}),
-        },
-        coords={"channel": known},
-    )
-
-
 def stated_periods(mission: Mission | None) -> dict[str, float]:
-    """Return the periods that daily parameters are asked for, days: the orbit's, and the mission's own.
+    """Return the periods that daily parameters are examined for, days: the orbit's, and the mission's own.
 
-    Those shorter than ten days do not show in daily values.
+    Those shorter than `TableSettings.shortest_period_d` do not show in daily values.
     """
     out = dict(KNOWN_PERIODS)
     for name, length in (mission.periods if mission is not None else {}).items():
         days = length / DAY
-        if days < SHORTEST:
+        if days < TABLE.shortest_period_d:
             continue
-        same = next((key for key, other in out.items() if abs(other - days) < _SAME * days), None)
+        same = next((key for key, other in out.items() if abs(other - days) < TABLE.same_period * days), None)
         if same is None:
             out[f"{name}, {days:g} d"] = days
         else:
@@ -277,25 +432,30 @@ def stated_periods(mission: Mission | None) -> dict[str, float]:
 
 
 def spectra_of(
-    daily: xr.Dataset, known: Mapping[str, float], shown: Mapping[str, tuple[float, str]]
+    daily: xr.Dataset, known: Mapping[str, float], units: Mapping[str, tuple[float, str]]
 ) -> tuple[dict[str, ParameterSpectrum], dict[str, str]]:
     """Return the spectrum of each daily parameter less the continuous one, and why some have none.
 
     Parameters
     ----------
     known : mapping of str to float
-        Periods to tell by name, days.
-    shown : mapping of str to (float, str)
+        Periods to name, days.
+    units : mapping of str to (float, str)
         Factor and unit of parameters; as they are where absent.
     """
     found, why, mjd = {}, {}, middles(daily)
     for name in map(str, daily["parameter"].values):
         one = daily.sel(parameter=name)
-        factor, unit = shown.get(name, (1.0, str(one["units"].item())))
-        left = factor * (one["value"].values - one["continuous"].values)
+        factor, unit = units.get(name, (1.0, str(one["units"].item())))
+        deviation = factor * (one["value"].values - one["continuous"].values)
         try:
             found[name] = parameter_spectrum(
-                mjd, left, factor * one["sigma"].values, known, shortest=SHORTEST, unit=unit
+                mjd,
+                deviation,
+                factor * one["sigma"].values,
+                known,
+                shortest=TABLE.shortest_period_d,
+                unit=unit,
             )
         except InflightError as error:
             why[name] = error.message
@@ -309,7 +469,7 @@ def periods_of(daily: xr.Dataset, known: Mapping[str, float]) -> xr.Dataset:
     -------
     xarray.Dataset
         dims parameter, period: `value`, `sigma` (in `units`), `false_alarm`, `determined`; `days` (period);
-        NaN where the span does not resolve a period, which the attribute ``told`` says of each parameter.
+        NaN where the span does not resolve a period, as the attribute ``told`` says for each parameter.
 
     Raises
     ------
@@ -319,8 +479,7 @@ def periods_of(daily: xr.Dataset, known: Mapping[str, float]) -> xr.Dataset:
     found, why = spectra_of(daily, known, {})
     if not found:
         raise CalibrationError(next(iter(why.values())), remedy="use a longer span")
-    each = ("parameter", "period")
-    rows = [one.named for one in found.values()]
+    each, rows = ("parameter", "period"), [one.named for one in found.values()]
     return xr.Dataset(
         {
             name: (each, np.array([[getattr(peak, field) for peak in row] for row in rows]))

@@ -1,7 +1,8 @@
 """The statistics of a day against a scalar instrument: samples, the nine-parameter fit, normal equations.
 
-The fit is `inflight.calibration.fit_block` (nine parameters: Olsen et al. 2003, eq. 1); its normal equations
-are what tables of windows and spans are added up from.
+`fit_day` reads a day's samples and fits the nine parameters to them with `inflight.calibration.fit_block`
+(Olsen et al. 2003, eq. 1); `calibrate_day` makes of it what is stored. Tables of windows and spans are solved
+from sums of these normal equations.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
-from inflight.arrays import Floats
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
@@ -28,7 +29,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag, count_flags
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
-from inflight.tasks.pipelines.base import Batch, Job
+from inflight.tasks.pipelines.base import Batch
 from inflight.time import SECOND, day_bounds, usual_step
 
 
@@ -40,41 +41,54 @@ class FittedDay:
     ----------
     samples : xarray.Dataset
     fit : BlockFit
-    at : Reference
-        What the equations are expressed at.
-    step : int
-        Usual spacing of the samples, ns.
+    reference : Reference
+        Parameters that the equations are expressed at.
+    attributes : dict
+        What the day's equations are stored with: comparison, model, cadence (ns) and filter.
     report : dict
         What was used and what came of it.
     """
 
     samples: xr.Dataset
     fit: BlockFit
-    at: Reference
-    step: int
+    reference: Reference
+    attributes: dict[str, Any]
     report: dict[str, Any]
 
 
 def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
-    A day whose fields were measured and whose housekeeping was not leaves empty equations: it tells
-    nothing of the parameters, and gets its product with those of the days around.
+    A day whose fields were measured and whose housekeeping was not has empty equations: it tells nothing of
+    the parameters, and gets its product with those of the days around.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `inflight.calibration.NormalEquations`, and the exact fit of the day: `fit` (block, column),
+        `fit_covariance` (block, column, other), whose last column, the residual's, is NaN; `before` and
+        `after` (block), nT; `used` (block), a number of samples.
+    dict
+        As `FittedDay.report`.
 
     Raises
     ------
     CalibrationError
         As `fit_day`.
     """
-    done = fit_day(batch, day)
-    attributes = {
-        "comparison": batch.model.comparison,
-        "model": batch.model.sha,
-        "cadence_ns": done.step,
-        "filter": "raw",
+    fitted = fit_day(batch, day)
+    fit = fitted.fit
+    equations = NormalEquations.from_fit(fit, fitted.reference, day_bounds(day), fitted.attributes)
+    covariance = np.full((1, fit.value.size + 1, fit.value.size + 1), np.nan)
+    covariance[0, :-1, :-1] = fit.covariance
+    own_fit = {
+        "fit": (("block", "column"), np.append(fit.value, np.nan)[None]),
+        "fit_covariance": (("block", "column", "other"), covariance),
+        "before": (("block",), np.array([fit.before])),
+        "after": (("block",), np.array([fit.after])),
+        "used": (("block",), np.array([fit.used], dtype=np.int64)),
     }
-    equations = NormalEquations.from_fit(done.fit, done.at, day_bounds(day), attributes)
-    return equations.dataset.assign(fit_variables(done.fit)), done.report
+    return equations.dataset.assign(own_fit), fitted.report
 
 
 def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
@@ -87,135 +101,72 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     CalibrationError
         When too few samples are usable, fewer than the settings' `min_coverage`, or the fit does not settle.
     """
-    begun = _Begun.of(batch, day)
-    least = batch.settings.min_coverage
-    return begun.without_fit() if begun.lacks_channels(least) else begun.fitted(least)
+    mission, model, job = batch.mission, batch.model, batch.job
+    samples = load_samples(batch.cat, mission, model, day, list(job.needs), job.index, geometry=False)
+    start, end = day_bounds(day)
+    reference = prior = reference_of(model, (start + end) // 2)
+    if batch.reference is not None:
+        reference = Reference(np.asarray(batch.reference, dtype=np.float64), prior.sigma, prior.name)
+    parts = remove_other_effects(model, samples)
+    vector = mission.comparisons[model.comparison].instruments()["vector"]
+    step = usual_step(np.asarray(samples["tt2000"].values), mission.instruments[vector].cadence)
+
+    def coverage(rows: npt.NDArray[np.bool_]) -> float:
+        return float(rows.sum() * step / (end - start))
+
+    def is_enough(rows: npt.NDArray[np.bool_]) -> bool:
+        return bool(rows.sum() > prior.value.size and coverage(rows) >= batch.settings.min_coverage)
+
+    good = usable_samples(samples, *parts)
+    if is_enough(good):
+        fit = fit_block(*parts, good, reference, prior, sub_block_count(good.sum() * step / SECOND))
+        residual = {"before_nT": fit.before, "after_nT": fit.after}
+    elif is_enough(_measured_fields(samples)):
+        fit, residual = empty_block(reference, prior), {}
+    else:
+        raise _too_few_samples(batch, day, samples, good, coverage(good))
+    report = {
+        "coverage": coverage(good) if fit.used else 0.0,
+        "used": fit.used,
+        "passes": fit.passes,
+        **residual,
+        "reference": reference.value.tolist(),
+        "shared": batch.reference is not None,
+        "strength_nT": float(np.nanmedian(parts[2][good] if fit.used else samples["scalar"].values)),
+        "seconds": samples.sizes["time"] * step / SECOND,
+    }
+    attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
+    return FittedDay(samples, fit, reference, attributes, report)
 
 
-@dataclass(frozen=True)
-class _Begun:
-    """A day's samples before the fit, what other effects add removed; `step` in ns."""
-
-    job: Job
-    day: np.datetime64
-    samples: xr.Dataset
-    prior: Reference
-    at: Reference
-    parts: tuple[Floats, Floats, Floats]
-    good: np.ndarray[Any, np.dtype[np.bool_]]
-    step: int
-    shared: bool
-
-    @classmethod
-    def of(cls, batch: Batch, day: np.datetime64) -> _Begun:
-        mission, model, job, reference = batch.mission, batch.model, batch.job, batch.reference
-        samples = load_samples(batch.cat, mission, model, day, list(job.needs), job.index, geometry=False)
-        start, end = day_bounds(day)
-        prior = reference_of(model, (start + end) // 2)
-        at = (
-            prior
-            if reference is None
-            else Reference(np.asarray(reference, dtype=np.float64), prior.sigma, prior.name)
-        )
-        parts = remove_other_effects(model, samples)
-        cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
-        step = usual_step(np.asarray(samples["tt2000"].values), cadence)
-        good = usable_samples(samples, *parts)
-        return cls(job, day, samples, prior, at, parts, good, step, reference is not None)
-
-    def lacks_channels(self, min_coverage: float) -> bool:
-        """Return True when the fields suffice for a fit, and only missing channels forbid it."""
-        least = self.prior.value.size
-        flag = self.samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
-        fields = [np.asarray(self.samples[role].values, dtype=np.float64) for role in ("vector", "scalar")]
-        there = (flag == 0) & np.isfinite(fields[0].sum(axis=1)) & (fields[1] > 0)
-        enough = there.sum() > least and self._coverage(there) >= min_coverage
-        return bool(enough and (self.good.sum() <= least or self._coverage(self.good) < min_coverage))
-
-    def fitted(self, min_coverage: float) -> FittedDay:
-        """Fit the day; raises as `fit_day`."""
-        coverage, prior = self._coverage(self.good), self.prior
-        _require(self.good, coverage, min_coverage, len(prior.value), self.job, self.samples, self.day)
-        sub_blocks = sub_block_count(self.good.sum() * self.step / SECOND)
-        fit = fit_block(*self.parts, self.good, self.at, prior, sub_blocks)
-        return self._told(fit, coverage, {"before_nT": fit.before, "after_nT": fit.after})
-
-    def without_fit(self) -> FittedDay:
-        """Return the day as one that tells nothing."""
-        return self._told(empty_block(self.at, self.prior), 0.0, {})
-
-    def _told(self, fit: BlockFit, coverage: float, residual: dict[str, float]) -> FittedDay:
-        scalar = self.parts[2][self.good] if fit.used else self.samples["scalar"].values
-        report = {
-            "coverage": coverage,
-            "used": fit.used,
-            "passes": fit.passes,
-            **residual,
-            "reference": self.at.value.tolist(),
-            "shared": self.shared,
-            "strength_nT": float(np.nanmedian(scalar)),
-            "seconds": self.samples.sizes["time"] * self.step / SECOND,
-        }
-        return FittedDay(self.samples, fit, self.at, self.step, report)
-
-    def _coverage(self, rows: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
-        start, end = day_bounds(self.day)
-        return float(rows.sum() * self.step / (end - start))
+def _measured_fields(samples: xr.Dataset) -> npt.NDArray[np.bool_]:
+    """Return which samples have both fields, whatever other channels are missing; (time,)."""
+    flag = samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
+    vector, scalar = (np.asarray(samples[role].values, dtype=np.float64) for role in ("vector", "scalar"))
+    return np.asarray((flag == 0) & np.isfinite(vector.sum(axis=1)) & (scalar > 0))
 
 
-def _require(
-    good: np.ndarray[Any, np.dtype[np.bool_]],
-    coverage: float,
-    min_coverage: float,
-    parameters: int,
-    job: Job,
-    samples: xr.Dataset,
-    day: np.datetime64,
-) -> None:
-    """Raise `CalibrationError` when a day has too few usable samples."""
-    if good.sum() <= parameters:
-        told = count_flags(samples["flag"].values) or "a channel the model needs is missing"
-        raise CalibrationError(
-            f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
-            remedy="look at the day's deliveries, or exclude the day",
-            **_poorest(job, samples, day),
-        )
-    if coverage < min_coverage:
-        raise CalibrationError(
-            f"{coverage:.1%} of the day is usable, at least {min_coverage:.1%} is needed",
-            remedy="lower 'min_coverage' or exclude the day",
-            **_poorest(job, samples, day),
-        )
-
-
-def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str]:
-    """Return channel and files of the field that has the fewest readings of a day, as an error names them."""
-    fields = [need for need in job.needs if need.name in FIELD_ROLES]
-    count = samples.sizes["time"]
+def _too_few_samples(
+    batch: Batch, day: np.datetime64, samples: xr.Dataset, good: npt.NDArray[np.bool_], coverage: float
+) -> CalibrationError:
+    """Return the error of a day with too few usable samples; it names the field with the fewest readings."""
 
     def readings(need: Need) -> int:
-        values = samples[need.name].values.reshape(count, -1)
+        values = samples[need.name].values.reshape(samples.sizes["time"], -1)
         return int((np.isfinite(values).all(axis=1) & values.any(axis=1)).sum())
 
-    poorest = min(fields, key=readings)
-    source = job.index.get(poorest, day)
-    files = source.report.get("files", ()) if source is not None else ()
-    return {
-        "file": ", ".join(files),
-        "channel": f"{poorest.instrument}.{poorest.channel}",
-        "day": str(day),
-    }
-
-
-def fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
-    """Return the exact fit of the block beside its equations; the residual's column is empty."""
-    width = fit.value.size + 1
-    covariance = np.full((1, width, width), np.nan)
-    covariance[0, :-1, :-1] = fit.covariance
-    return {
-        "fit": (("block", "column"), np.append(fit.value, np.nan)[None]),
-        "fit_covariance": (("block", "column", "other"), covariance),
-        "before": (("block",), np.array([fit.before])),
-        "after": (("block",), np.array([fit.after])),
-        "used": (("block",), np.array([fit.used], dtype=np.int64)),
-    }
+    poorest = min((need for need in batch.job.needs if need.name in FIELD_ROLES), key=readings)
+    source = batch.job.index.get(poorest, day)
+    message = f"{coverage:.1%} of the day is usable, at least {batch.settings.min_coverage:.1%} is needed"
+    remedy = "lower 'min_coverage' or exclude the day"
+    if good.sum() <= 9:
+        flags = count_flags(samples["flag"].values) or "a channel the model needs is missing"
+        message = f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {flags}"
+        remedy = "look at the day's deliveries, or exclude the day"
+    return CalibrationError(
+        message,
+        remedy=remedy,
+        file=", ".join(source.report.get("files", ()) if source is not None else ()),
+        channel=f"{poorest.instrument}.{poorest.channel}",
+        day=str(day),
+    )

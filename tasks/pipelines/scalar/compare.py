@@ -1,18 +1,16 @@
 """Compare the model with a scalar instrument: size of the residual before and after, and where it fails.
 
-Days of products are read one after the other; what is kept of each (means of short spans, histograms,
-spectra) is small, however long the mission. Structures of the residual are looked for in these means
-(`inflight.residual`).
+In go the products of days, out comes a `CompareReport` with what is drawn of it. Products are read one day
+after the other into a `Digest`: means of short spans, histograms, spectra. Structures of the residual are
+found in these means (`inflight.residual`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
@@ -53,190 +51,45 @@ from inflight.tasks.pipelines.base import (
     rows_of_day,
     scalar_channels,
 )
-from inflight.tasks.pipelines.scalar.compare_page import Drawn, Spectra, compare_parts, page_title
+from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
 from inflight.tasks.report import Progress
-from inflight.time import DAY, SECOND, day_bounds, usual_step
-
-#: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
-_ROWS, _SHORTEST = 400_000, 60.0
-
-#: Means tell periods of so many of their lengths and more, and apart by less than whole days can.
-_SEAM = 4.0
-
-_BINS = 160
-
-#: Rows on either side over which a channel rises or falls.
-_REACH = 2
+from inflight.time import DAY, SECOND, Int64, day_bounds, usual_step
 
 
-@dataclass
-class _Digest:
-    """Aggregates of a span: what figures and dependences are made from."""
+@dataclass(frozen=True, kw_only=True)
+class CompareSettings:
+    """How the products of a comparison are summarised.
 
-    length: float
-    rows: list[dict[str, Floats]] = field(default_factory=list)
-    before: list[Size] = field(default_factory=list)
-    after: list[Size] = field(default_factory=list)
-    floors: list[NoiseFloor] = field(default_factory=list)
-    power_before: dict[tuple[int, float], Power] = field(default_factory=dict)
-    power: dict[tuple[int, float], Power] = field(default_factory=dict)
-    counts: dict[str, Floats] = field(default_factory=dict)
-    skipped: int = 0
-    outliers: int = 0
-
-
-def compare_samples(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], span: slice, tell: Progress
-) -> CompareResult[CompareReport]:
-    """Measure the residual of each sample of published products, before and after calibration.
-
-    Parameters
+    Attributes
     ----------
-    days : sequence of Day
-        Of the products.
-    span : slice
-        Of which the normal equations tell what the data determine.
-    tell : callable
-        Called with (stage, done, total).
+    most_rows : int
+        Means of short spans that dependences and figures are made from, at most, in all; assumed.
+    shortest_span_s : float
+        Least length of such a span, s; assumed.
+    least_spans : float
+        Means show periods of so many of their lengths and more; spectra of days show the shorter ones;
+        assumed.
+    bins : int
+        Bins of a histogram; assumed.
+    half_width : float
+        Of a histogram, in standard deviations of the first day; assumed.
+    branch_rows : int
+        Rows on either side over which a channel rises or falls; assumed.
     """
-    digest = _digest_of(cat, mission, comparison, days, tell)
-    rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
-    coordinates = {one.name: one for one in _coordinates(rows, mission)}
-    block, block_name = blocks_of(rows["tt2000"], len(days))
-    found = measure_dependences(coordinates.values(), rows["after"], block)
-    direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
-    spectra = _spectra(digest, rows, direction, mission)
-    determined, directions = _determined(cat, mission, comparison, span)
-    tables = _tables(cat, comparison, days)
-    report = CompareReport(
-        comparison,
-        days[-1].context or "",
-        join_sizes(digest.before),
-        join_sizes(digest.after),
-        join_floors(digest.floors),
-        [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
-        rank_dependences(coordinates, found, rows["after"], direction, block),
-        directions,
-        determined,
-        block_name,
-        spectra.lines,
-        daily_scatter(tables[0], day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
-        skipped=digest.skipped,
-        outliers=digest.outliers,
-        acknowledgement=mission.acknowledgement,
-    )
-    drawn = Drawn(digest.counts, rows, spectra, found, tables)
-    return CompareResult(report, page_title(report, mission), compare_parts(report, drawn))
+
+    most_rows: int = 400_000
+    shortest_span_s: float = 60.0
+    least_spans: float = 4.0
+    bins: int = 160
+    half_width: float = 8.0
+    branch_rows: int = 2
 
 
-def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the table of daily fits, and the one products use."""
-    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
-    return daily, used
+COMPARE = CompareSettings()
 
-
-def _digest_of(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
-) -> _Digest:
-    """Read the days one after the other; what stays of each is small, however long the mission."""
-    digest = _Digest(max(_SHORTEST, 86_400.0 * len(days) / _ROWS))
-    sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
-    for done, day in enumerate(days):
-        tell("compare", done, len(days))
-        _take(digest, cat, mission, comparison, sources, day)
-    tell("compare", len(days), len(days))
-    return digest
-
-
-def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) -> tuple[list[str], list[str]]:
-    """Return the parameters, and the combinations of them, that the span's equations determine."""
-    equations = load_equations(cat, cat.days(equations_of(comparison), span, states=("published",)))
-    model = current_model(cat, mission, comparison).model
-    solution = span_solution(equations, model)
-    names = reference_of(model, int(equations.dataset["start"].values[0])).columns
-    known = [name for name, sure in zip(names, solution.determined, strict=True) if sure]
-    return known, describe_directions(solution, names)
-
-
-def _told_of_day(day: Day, before: Size, after: Size) -> dict[str, Any]:
-    return {
-        "day": str(day.day),
-        "version": day.version,
-        "before_nT": before.rms,
-        "after_nT": after.rms,
-        "before_less_mean_nT": before.std,
-        "after_less_mean_nT": after.std,
-        "samples": after.count,
-    }
-
-
-def _take(
-    digest: _Digest, cat: Catalog, mission: Mission, comparison: str, sources: Sources, day: Day
-) -> None:
-    """Add one day to the digest."""
-    product = cat.read(day)
-    flag = product["flag"].values
-    good = (flag & np.uint32(UNUSABLE)) == 0
-    after = np.where(good, product["residual"].values, np.nan)
-    before = np.where(good, product["residual_preflight"].values, np.nan)
-    digest.before.append(size_of(before))
-    digest.after.append(size_of(after))
-    _count(digest, before, after)
-    # Outliers belong to the size of the residual, but would hide its structure.
-    clear = (flag & np.uint32(Flag.OUTLIER)) == 0
-    digest.skipped += int((~good).sum())
-    digest.outliers += int((good & ~clear).sum())
-    after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
-    _add_spectra(digest, product, before, after)
-    spans = Spans.of(np.asarray(product["tt2000"].values, dtype=np.int64), digest.length)
-    digest.rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
-
-
-def _count(digest: _Digest, before: Floats, after: Floats) -> None:
-    """Add to the histograms; the first day sets their range."""
-    if "edges" not in digest.counts:
-        wide = 8.0 * max(digest.after[-1].std, 1e-3)
-        digest.counts["edges"] = np.linspace(-wide, wide, _BINS + 1)
-        digest.counts |= {"before": np.zeros(_BINS), "after": np.zeros(_BINS)}
-    for name, values, size in (("before", before, digest.before[-1]), ("after", after, digest.after[-1])):
-        shifted = values[np.isfinite(values)] - size.mean
-        digest.counts[name] += np.histogram(shifted, digest.counts["edges"])[0]
-
-
-def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Floats) -> None:
-    """Add a day's noise floor and spectra; missing rows are gaps there too."""
-    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-    step = usual_step(stamps, SECOND)
-    slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
-    grid = np.full((int(slot[-1]) + 1, 5), np.nan)
-    direction = direction_of(product["field_sensor"].values)
-    grid[slot] = np.column_stack([before, after, direction])
-    cadence = step / SECOND
-    digest.floors.append(noise_floor(grid[:, 1], cadence))
-    # Whole days alone share their frequencies: a day of a leap second, or one begun late, is brought to them.
-    whole = np.full((max(DAY // step, 1), 5), np.nan)
-    count = min(len(whole), len(grid))
-    whole[:count] = grid[:count]
-    add_power(digest.power_before, stretch_power(whole[:, 0], whole[:, 2:], cadence))
-    add_power(digest.power, stretch_power(whole[:, 1], whole[:, 2:], cadence))
-
-
-def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:
-    """Return the spectra of days and of weeks, and the lines in them."""
-    stated = {name: period / SECOND for name, period in mission.periods.items()}
-    seconds = rows["tt2000"] / SECOND
-    orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
-    known, seam = known_periods(stated, orbit), _SEAM * digest.length
-    fast, before = finest_power(digest.power), finest_power(digest.power_before)
-    slow, slow_lines = record_lines((seconds, rows["after"], direction), digest.length, known, shortest=seam)
-    lines: list[Line] = find_lines(fast, known, longest=seam if slow else np.inf) if fast else []
-    lines += slow_lines
-    lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
-    return Spectra(fast, before, slow, lines, known)
-
-
-_NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}
+#: Columns of rows that are no coordinates.
+_RESIDUAL_COLUMNS = {"tt2000", "before", "after", "low", "high"}
 
 _UNITS = {
     "time": "d",
@@ -252,23 +105,201 @@ _UNITS = {
 } | {f"field component {axis}": "nT" for axis in "xyz"}
 
 
+def compare_samples(
+    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], span: slice, progress: Progress
+) -> CompareResult[CompareReport]:
+    """Measure the residual of each sample of published products, before and after calibration.
+
+    Parameters
+    ----------
+    days : sequence of Day
+        Of the products.
+    span : slice
+        Its normal equations tell what the data determine.
+    progress : callable
+        Called with (stage, done, total).
+    """
+    digest = digest_days(cat, mission, comparison, days, progress)
+    rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
+    coordinates = {one.name: one for one in _coordinates(rows, mission)}
+    block, block_name = blocks_of(rows["tt2000"], len(days))
+    found = measure_dependences(coordinates.values(), rows["after"], block)
+    direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
+    spectra = _spectra(digest, rows, direction, mission)
+    determined, directions = _determined(cat, mission, comparison, span)
+    # The table of daily fits, and the one products use.
+    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    report = CompareReport(
+        comparison=comparison,
+        context=days[-1].context or "",
+        before=join_sizes(digest.before),
+        after=join_sizes(digest.after),
+        floor=join_floors(digest.floors),
+        by_day=[
+            {
+                "day": str(day.day),
+                "version": day.version,
+                "before_nT": before.rms,
+                "after_nT": after.rms,
+                "before_less_mean_nT": before.std,
+                "after_less_mean_nT": after.std,
+                "samples": after.count,
+            }
+            for day, before, after in zip(days, digest.before, digest.after, strict=True)
+        ],
+        fails_where=rank_dependences(coordinates, found, rows["after"], direction, block),
+        directions=directions,
+        determined=determined,
+        block=block_name,
+        lines=spectra.lines,
+        daily_scatter=daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
+        skipped=digest.skipped,
+        outliers=digest.outliers,
+        acknowledgement=mission.acknowledgement,
+    )
+    data = FigureData(digest.counts, rows, spectra, found, (daily, used))
+    return CompareResult(report, page_title(report, mission), compare_parts(report, data))
+
+
+@dataclass
+class Digest:
+    """What is kept of the days' products: small, however long the mission.
+
+    Attributes
+    ----------
+    length : float
+        Of the short spans, s.
+    rows : list of dict
+        Of each day, means over the short spans, as `rows_of_day`.
+    before, after : list of Size
+    floors : list of NoiseFloor
+        Of the residual after calibration.
+    power_before, power : dict
+        Spectra by the length of their stretches.
+    counts : dict of str to ndarray
+        Histograms ``before`` and ``after`` over ``edges``, nT, each about the day's mean.
+    skipped, outliers : int
+        Samples without a usable measurement, and outliers.
+    """
+
+    length: float
+    rows: list[dict[str, Floats]] = field(default_factory=list)
+    before: list[Size] = field(default_factory=list)
+    after: list[Size] = field(default_factory=list)
+    floors: list[NoiseFloor] = field(default_factory=list)
+    power_before: dict[tuple[int, float], Power] = field(default_factory=dict)
+    power: dict[tuple[int, float], Power] = field(default_factory=dict)
+    counts: dict[str, Floats] = field(default_factory=dict)
+    skipped: int = 0
+    outliers: int = 0
+
+    def add_sizes(self, before: Floats, after: Floats) -> None:
+        """Add a day's sizes and histograms; the first day sets the range."""
+        self.before.append(size_of(before))
+        self.after.append(size_of(after))
+        if "edges" not in self.counts:
+            wide = COMPARE.half_width * max(self.after[-1].std, 1e-3)
+            self.counts["edges"] = np.linspace(-wide, wide, COMPARE.bins + 1)
+            self.counts |= {"before": np.zeros(COMPARE.bins), "after": np.zeros(COMPARE.bins)}
+        for name, values, size in (
+            ("before", before, self.before[-1]),
+            ("after", after, self.after[-1]),
+        ):
+            shifted = values[np.isfinite(values)] - size.mean
+            self.counts[name] += np.histogram(shifted, self.counts["edges"])[0]
+
+    def add_spectra(self, stamps: Int64, before: Floats, after: Floats, direction: Floats) -> None:
+        """Add a day's noise floor and spectra; missing rows are gaps there too.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64, shape (time,)
+            TT2000.
+        before, after : ndarray, shape (time,)
+            nT; NaN where they are not to be used.
+        direction : ndarray, shape (time, 3)
+            Of the field.
+        """
+        step = usual_step(stamps, SECOND)
+        slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
+        grid = np.full((int(slot[-1]) + 1, 5), np.nan)
+        grid[slot] = np.column_stack([before, after, direction])
+        cadence = step / SECOND
+        self.floors.append(noise_floor(grid[:, 1], cadence))
+        # Only whole days share their frequencies: a day with a leap second, or begun late, is cut or padded.
+        whole = np.full((max(DAY // step, 1), 5), np.nan)
+        count = min(len(whole), len(grid))
+        whole[:count] = grid[:count]
+        add_power(self.power_before, stretch_power(whole[:, 0], whole[:, 2:], cadence))
+        add_power(self.power, stretch_power(whole[:, 1], whole[:, 2:], cadence))
+
+
+def digest_days(
+    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
+) -> Digest:
+    """Read the products of days one after the other and return what is kept of them."""
+    digest = Digest(max(COMPARE.shortest_span_s, 86_400.0 * len(days) / COMPARE.most_rows))
+    sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
+    for done, day in enumerate(days):
+        progress("compare", done, len(days))
+        product = cat.read(day)
+        stamps, flag = np.asarray(product["tt2000"].values, dtype=np.int64), product["flag"].values
+        good = (flag & np.uint32(UNUSABLE)) == 0
+        before, after = (
+            np.where(good, product[name].values, np.nan) for name in ("residual_preflight", "residual")
+        )
+        digest.add_sizes(before, after)
+        # Outliers belong to the size of the residual, but would hide its structure.
+        clear = (flag & np.uint32(Flag.OUTLIER)) == 0
+        digest.skipped += int((~good).sum())
+        digest.outliers += int((good & ~clear).sum())
+        before, after = (np.where(clear, values, np.nan) for values in (before, after))
+        digest.add_spectra(stamps, before, after, direction_of(product["field_sensor"].values))
+        spans = Spans.of(stamps, digest.length)
+        digest.rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
+    progress("compare", len(days), len(days))
+    return digest
+
+
+def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) -> tuple[list[str], list[str]]:
+    """Return the parameters, and the combinations of them, that the span's equations determine."""
+    equations = load_equations(cat, cat.days(equations_of(comparison), span, states=("published",)))
+    model = current_model(cat, mission, comparison).model
+    solution = span_solution(equations, model)
+    names = reference_of(model, int(equations.dataset["start"].values[0])).columns
+    known = [name for name, sure in zip(names, solution.determined, strict=True) if sure]
+    return known, describe_directions(solution, names)
+
+
+def _spectra(digest: Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:
+    """Return the spectra of days and of weeks, and the lines in them."""
+    stated = {name: period / SECOND for name, period in mission.periods.items()}
+    seconds = rows["tt2000"] / SECOND
+    orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
+    known, shortest = known_periods(stated, orbit), COMPARE.least_spans * digest.length
+    fast, before = finest_power(digest.power), finest_power(digest.power_before)
+    slow, slow_lines = record_lines(
+        (seconds, rows["after"], direction), digest.length, known, shortest=shortest
+    )
+    lines: list[Line] = find_lines(fast, known, longest=shortest if slow else np.inf) if fast else []
+    lines += slow_lines
+    lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
+    return Spectra(fast, before, slow, lines, known)
+
+
 def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordinate]:
     """Yield everything the residual may follow: time, geometry, field, every channel with its branches."""
     channels = scalar_channels(mission)
-    days = (rows["tt2000"] - rows["tt2000"][0]) / DAY
-    yield Coordinate("time", "d", "time", days)
+    yield Coordinate("time", "d", "time", (rows["tt2000"] - rows["tt2000"][0]) / DAY)
     for name, values in rows.items():
-        if name in _NO_COORDINATE:
+        if name in _RESIDUAL_COLUMNS:
             continue
         if name in channels:
-            told = channels[name][2]
-            yield Coordinate(name, told.unit, told.kind, values, rising_or_falling(values, _REACH))
+            channel = channels[name][2]
+            branch = rising_or_falling(values, COMPARE.branch_rows)
+            yield Coordinate(name, channel.unit, channel.kind, values, branch)
         else:
-            yield Coordinate(name, _UNITS.get(name, ""), _kind(name), values)
-
-
-def _kind(name: str) -> str:
-    """Return what sort of coordinate a name is, as `inflight.residual.dependence` knows them."""
-    if name.startswith("Sun "):
-        return "sun_angle"
-    return "_".join(name.removesuffix(" x").removesuffix(" y").removesuffix(" z").split())
+            # As `inflight.residual.dependence` knows kinds: all three components of one are of a kind.
+            kind = "_".join(name.removesuffix(" x").removesuffix(" y").removesuffix(" z").split())
+            kind = "sun_angle" if name.startswith("Sun ") else kind
+            yield Coordinate(name, _UNITS.get(name, ""), kind, values)

@@ -1,4 +1,7 @@
-"""The page of a comparison: the report's numbers and figures in one static HTML file."""
+"""What is shown of a comparison with a scalar instrument: its numbers and figures, section by section.
+
+In go the report and the aggregates of `compare_samples`, out come sections that are made when shown.
+"""
 
 from __future__ import annotations
 
@@ -36,16 +39,16 @@ from inflight.residual import (
 from inflight.tasks.pipelines.base import CompareReport, scatter_html, structures_html
 from inflight.time import to_utc
 
-#: Points of the figure of the residual in time.
+#: Points of the figure of the residual in time, at most: what a browser can draw.
 _POINTS = 20_000
 
 #: Lines of the spectrum in the page's table.
-_SHOWN = 24
+_LISTED = 24
 
 
 @dataclass(frozen=True)
 class Spectra:
-    """Spectra of days (after, before) and of weeks, the lines in them, and the periods that are known."""
+    """Spectra of days (after, before) and of weeks, the lines in them, and the periods that are known (s)."""
 
     fast: Power | None
     before: Power | None
@@ -55,8 +58,20 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """Aggregates that the figures are drawn from: histograms, means of short spans, spectra, tables."""
+class FigureData:
+    """Aggregates that the figures are drawn from.
+
+    Attributes
+    ----------
+    counts : dict of str to ndarray
+        Histograms ``before`` and ``after`` over ``edges``, nT.
+    rows : dict of str to ndarray
+        Means of short spans, as `rows_of_day`.
+    spectra : Spectra
+    found : list of Dependence
+    tables : tuple of Dataset
+        Of the daily fits, and the one products use.
+    """
 
     counts: dict[str, Floats]
     rows: dict[str, Floats]
@@ -65,47 +80,15 @@ class Drawn:
     tables: tuple[xr.Dataset, xr.Dataset]
 
 
-def compare_parts(report: CompareReport, drawn: Drawn) -> list[LazySection]:
+def compare_parts(report: CompareReport, data: FigureData) -> list[LazySection]:
     """Return everything that is shown of a comparison, as the page and the explorer have it."""
     return [
-        ("Residual", lambda: _residual(report, drawn)),
-        ("Where it fails", lambda: _failing(report)),
-        ("What the residual follows", lambda: _following(report, drawn)),
-        ("Spectrum", lambda: (_lines(report), _spectrum_figures(drawn.spectra))),
-        ("Parameters", lambda: _parameters(report, drawn)),
+        ("Residual", lambda: _residual(report, data)),
+        ("Where it fails", lambda: _structures(report)),
+        ("What the residual follows", lambda: _dependences(report, data)),
+        ("Spectrum", lambda: (_lines(report), _spectrum_figures(data.spectra))),
+        ("Parameters", lambda: _parameters(report, data)),
     ]
-
-
-def _residual(report: CompareReport, drawn: Drawn) -> SectionBody:
-    rows, counts = drawn.rows, drawn.counts
-    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
-    before = np.array([entry["before_nT"] for entry in report.by_day])
-    after = np.array([entry["after_nT"] for entry in report.by_day])
-    plots = [
-        daily_figure(day, before, after, report.floor.level_nT),
-        histogram_figure(counts["edges"], counts["before"], counts["after"]),
-        series_figure(*_thinned(rows)),
-    ]
-    return _told(report), plots
-
-
-def _failing(report: CompareReport) -> SectionBody:
-    axes = [
-        axis_figure(one.response)
-        for one in report.fails_where
-        if isinstance(one, RankedDependence) and one.response is not None
-    ]
-    return structures_html(report), axes
-
-
-def _following(report: CompareReport, drawn: Drawn) -> SectionBody:
-    order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
-    return [_legend(report)], [dependence_figure(one) for one in order]
-
-
-def _parameters(report: CompareReport, drawn: Drawn) -> SectionBody:
-    plots = [*parameter_figures(*drawn.tables), excess_scatter_figure(report.daily_scatter)]
-    return [*_known(report), scatter_html(report)], plots
 
 
 def page_title(report: CompareReport, mission: Mission) -> str:
@@ -114,8 +97,33 @@ def page_title(report: CompareReport, mission: Mission) -> str:
     return f"{mission.mission}: model against measurement, {first} to {last}"
 
 
-def _thinned(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
-    """Return UTC, mean, lowest and highest of at most `_POINTS` groups of rows: what a browser can draw."""
+def _residual(report: CompareReport, data: FigureData) -> SectionBody:
+    """Return sizes before and after, by day, as a histogram and in time."""
+    head = ("nT", "rms", "mean", "std", "robust sigma", "least", "largest", "samples")
+    cells = [
+        (name, *(f"{v:.4f}" for v in (s.rms, s.mean, s.std, s.robust, s.least, s.largest)), f"{s.count}")
+        for name, s in (("pre-flight model", report.before), ("calibrated", report.after))
+    ]
+    note = (
+        f"Noise floor {report.floor.level_nT:.4f} nT, 95 % interval {report.floor.low_nT:.4f} to "
+        f"{report.floor.high_nT:.4f} (white level of the calibrated residual between a tenth of the Nyquist "
+        f"frequency and the Nyquist frequency, what falls with the frequency taken off). "
+        f"{report.skipped} samples without a measurement are "
+        f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
+    )
+    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
+    before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
+    counts = data.counts
+    plots = [
+        daily_figure(day, before, after, report.floor.level_nT),
+        histogram_figure(counts["edges"], counts["before"], counts["after"]),
+        series_figure(*thin_series(data.rows)),
+    ]
+    return [html_table(head, cells), note], plots
+
+
+def thin_series(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
+    """Return UTC, mean, lowest and highest of groups of rows: at most as many as a browser can draw."""
     shown = np.flatnonzero(np.isfinite(rows["after"]))
     if not shown.size:
         return to_utc(np.empty(0, dtype=np.int64)), np.empty(0), np.empty(0), np.empty(0)
@@ -129,27 +137,29 @@ def _thinned(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
     )
 
 
-def _told(report: CompareReport) -> list[str]:
-    rows = [
-        ("pre-flight model", report.before),
-        ("calibrated", report.after),
+def _structures(report: CompareReport) -> SectionBody:
+    """Return the structures of the residual, strongest first, and the axes that a field along one follows."""
+    axes = [
+        axis_figure(one.response)
+        for one in report.fails_where
+        if isinstance(one, RankedDependence) and one.response is not None
     ]
-    head = ("nT", "rms", "mean", "std", "robust sigma", "least", "largest", "samples")
-    cells = [
-        (name, *(f"{v:.4f}" for v in (s.rms, s.mean, s.std, s.robust, s.least, s.largest)), f"{s.count}")
-        for name, s in rows
-    ]
-    note = (
-        f"Noise floor {report.floor.level_nT:.4f} nT, 95 % interval {report.floor.low_nT:.4f} to "
-        f"{report.floor.high_nT:.4f} (white level of the calibrated residual between a tenth of the Nyquist "
-        f"frequency and the Nyquist frequency, what falls with the frequency taken off). "
-        f"{report.skipped} samples without a measurement are "
-        f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
+    return structures_html(report), axes
+
+
+def _dependences(report: CompareReport, data: FigureData) -> SectionBody:
+    """Return the mean residual against every coordinate, clear dependences first."""
+    text = (
+        f"Mean residual in bins of each coordinate, clear ones first; bands and bars are one sigma between "
+        f"blocks of one {report.block}. Where a channel's rising and falling branches differ by five sigma, "
+        "both are drawn."
     )
-    return [html_table(head, cells), note]
+    order = sorted(data.found, key=lambda one: (not one.is_clear, -one.amplitude))
+    return [text], [dependence_figure(one) for one in order]
 
 
-def _known(report: CompareReport) -> list[str]:
+def _parameters(report: CompareReport, data: FigureData) -> SectionBody:
+    """Return what the span's data determine, and how the daily parameters scatter."""
     names = ", ".join(name.split(".", 1)[-1] for name in report.determined) or "none"
     text = [f"Parameters that the span's data determine by themselves: {names}."]
     if len(report.determined) < len(report.directions) or not report.determined:
@@ -158,30 +168,24 @@ def _known(report: CompareReport) -> list[str]:
             "best known first; everything else stays at its prior:"
         )
         text.append(bullet_list(report.directions, before=before, ordered=True))
-    return text
-
-
-def _legend(report: CompareReport) -> str:
-    return (
-        f"Mean residual in bins of each coordinate, clear ones first; bands and bars are one sigma between "
-        f"blocks of one {report.block}. Where a channel's rising and falling branches differ by five sigma, "
-        "both are drawn."
-    )
+    plots = [*parameter_figures(*data.tables), excess_scatter_figure(report.daily_scatter)]
+    return [*text, scatter_html(report)], plots
 
 
 def _spectrum_figures(spectra: Spectra) -> list[Any]:
     """Return the spectra of days along each series, then those of weeks."""
-    drawn, plots = drawn_periods(spectra.known), []
-    if spectra.fast is not None:
-        earlier = spectra.before
-        same = earlier is not None and earlier.frequency.size == spectra.fast.frequency.size
+    periods, plots = drawn_periods(spectra.known), []
+    fast, before, slow = spectra.fast, spectra.before, spectra.slow
+    if fast is not None:
+        if before is not None and before.frequency.size != fast.frequency.size:
+            before = None
         for index, series in enumerate(SERIES):
-            before = earlier.density[index] if earlier is not None and same else None
-            after = spectra.fast.density[index]
-            plots.append(spectrum_figure(spectra.fast.frequency, before, after, drawn, spectra.lines, series))
-    if spectra.slow is not None:
-        slow = spectra.slow
-        plots.append(spectrum_figure(slow.frequency, None, slow.density[0], drawn, spectra.lines))
+            own = None if before is None else before.density[index]
+            plots.append(
+                spectrum_figure(fast.frequency, own, fast.density[index], periods, spectra.lines, series)
+            )
+    if slow is not None:
+        plots.append(spectrum_figure(slow.frequency, None, slow.density[0], periods, spectra.lines))
     return plots
 
 
@@ -208,7 +212,7 @@ def _lines(report: CompareReport) -> list[str]:
                 for a, s in zip(line.amplitude, line.sigma, strict=True)
             ),
         )
-        for line in report.lines[:_SHOWN]
+        for line in report.lines[:_LISTED]
     ]
     more = len(report.lines) - len(rows)
     note = (f"{more} weaker ones are in the JSON. " if more > 0 else "") + (

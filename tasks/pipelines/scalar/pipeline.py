@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import linearisation_error
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.figures import Section
@@ -34,7 +33,6 @@ from inflight.tasks.pipelines.base import (
 from inflight.tasks.pipelines.scalar.calibrate import calibrate_day
 from inflight.tasks.pipelines.scalar.product import level2_day
 from inflight.tasks.pipelines.scalar.tables import (
-    MOST_BEND,
     daily_table,
     load_equations,
     relinearise_at,
@@ -46,9 +44,9 @@ from inflight.tasks.report import Progress
 class ScalarPipeline(Pipeline):
     """Nine parameters of a vector sensor from the field strength that a scalar instrument measures.
 
-    A day leaves its normal equations; tables of days, windows, months and the span are solved from their sums
-    (`inflight.calibration`). The product is the calibrated field, its residual the difference of the field
-    strengths.
+    Statistics of a day are its normal equations; tables of days, windows, months and the span are solved from
+    their sums (`inflight.calibration`). The product is the calibrated field, its residual the difference of
+    the field strengths.
     """
 
     tag = "scalar"
@@ -68,17 +66,12 @@ class ScalarPipeline(Pipeline):
         """Return the solution of all days, when the equations' linearisation error there is too large."""
         equations = load_equations(cat, list(days.values()))
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
-        again = relinearise_at(equations, plan.model, strength)
-        # Days that are sure of their own fit stay linearised there: a pass at the same place moves nothing.
-        if again is None or (
-            last is not None and linearisation_error(again, np.asarray(last), strength) <= MOST_BEND
-        ):
-            return None
-        return [float(value) for value in again]
+        value = relinearise_at(equations, plan.model, strength, last)
+        return None if value is None else value.tolist()
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
-        plan, keep = work.plan, self.table_stager(work, days)
+        plan, stager = work.plan, self.table_stager(work, days)
         equations, model = load_equations(work.cat, list(days.values())), plan.model
         edges = {
             "window": window_edges(min(days), max(days), plan.settings.window_days),
@@ -86,10 +79,10 @@ class ScalarPipeline(Pipeline):
         }
         if plan.settings.table == "monthly":
             edges["monthly"] = month_edges(min(days), max(days))
-        keep.table("daily", partial(daily_table, equations, model))
+        stager.table("daily", partial(daily_table, equations, model))
         for name, bounds in edges.items():
-            keep.table(name, partial(window_table, equations, model, bounds, name))
-        return keep.solved(plan.settings.table, model)
+            stager.table(name, partial(window_table, equations, model, bounds, name))
+        return stager.solved(plan.settings.table, model)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's calibrated field; see `level2_day`."""
@@ -123,7 +116,7 @@ class ScalarPipeline(Pipeline):
         )
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
-        """Return parameters over days with errors, their newest values, and the zero level."""
+        """Return parameters over days with errors, and their newest values."""
         from inflight.tasks.pipelines.scalar.sections import table_sections
 
         return table_sections(cat, comparison)

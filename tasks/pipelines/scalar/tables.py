@@ -1,8 +1,8 @@
 """Calibration tables from stored normal equations: a day, a window of days, the whole span.
 
 Normal equations of days are sums: those of a window are added and solved with the model's prior
-(`inflight.calibration.NormalEquations`). Where the solution lies so far from where the equations were
-linearised that the neglected second order exceeds `MOST_BEND`, `relinearise_at` asks for another pass.
+(`inflight.calibration.NormalEquations`). Where the linearisation error of the solution exceeds
+`MAX_LINEARISATION_ERROR`, `relinearise_at` says where to make the equations anew.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from inflight.model import Model
 from inflight.time import day_bounds
 
 #: Equations are linearised again when the linearisation error of the residual exceeds this; nT.
-MOST_BEND = 1e-3
+MAX_LINEARISATION_ERROR = 1e-3
 
 
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
@@ -84,28 +84,28 @@ def window_table(
     equations: NormalEquations, model: Model, edges: Sequence[np.datetime64], kind: str
 ) -> xr.Dataset:
     """Return the table of windows solved from the sums of their blocks; empty windows are left out."""
-    bounds = [day_bounds(edge)[0] for edge in edges]
     rows = []
-    for start, end in itertools.pairwise(bounds):
+    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         part = equations.within(start, end)
         if len(part):
-            rows.append(_interval(part, model, start, end))
+            rows.append(_solved_interval(part, model, start, end))
     return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
 
 
 def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
-    """Return the row of a span of which the data tell nothing: what the model says, as unsure as it is."""
+    """Return the row of a span without usable data: the model's values, with their prior uncertainty."""
     prior = reference_of(model, (start + end) // 2)
-    nothing, nan = empty_block(prior, prior), float("nan")
-    return Interval(start, end, prior.value, nothing.covariance, nothing.solution, 0.0, nan, nan, len(part))
+    empty = empty_block(prior, prior)
+    return Interval(start, end, prior.value, empty.covariance, empty.solution, 0.0, np.nan, np.nan, len(part))
 
 
-def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    """Return the row of a span: the sum of its blocks, solved with the model's prior."""
     if not len(part.filled):
         return _prior_interval(part, model, start, end)
     part = part.filled
-    centre = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
-    prior = reference_of(model, centre)
+    middle = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
+    prior = reference_of(model, middle)
     common = part.at(prior.value)
     solution = common.solve(prior.sigma, prior.value)
     value, covariance = common.physical(solution)
@@ -134,11 +134,25 @@ def _attributes(model: Model, kind: str) -> dict[str, str]:
     return {"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name}
 
 
-def relinearise_at(equations: NormalEquations, model: Model, strength: float) -> Floats | None:
-    """Return where the equations should be linearised again, or None when they are good enough.
+def relinearise_at(
+    equations: NormalEquations, model: Model, strength: float, last: Sequence[float] | None = None
+) -> Floats | None:
+    """Return where the equations should be linearised again, or None when they are near enough.
 
-    Each block states where it was linearised. A solution that bends the residual by more than
-    `MOST_BEND` against that asks for another pass.
+    Each block states where it was linearised. When the linearisation error of the solution there exceeds
+    `MAX_LINEARISATION_ERROR`, another pass is needed.
+
+    Parameters
+    ----------
+    strength : float
+        Of the field, nT.
+    last : sequence of float, optional
+        Where all blocks were linearised last. Days whose own fit is certain stay linearised there, so a pass
+        at the same place changes nothing.
+
+    Returns
+    -------
+    ndarray, shape (9,), or None
     """
     equations = equations.filled
     if not len(equations):
@@ -147,4 +161,9 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
     places = equations.dataset["linearised_at"].values[:, :-1]
-    return value if max(linearisation_error(value, at, strength) for at in places) > MOST_BEND else None
+
+    def is_far(place: Floats) -> bool:
+        return linearisation_error(value, place, strength) > MAX_LINEARISATION_ERROR
+
+    again = any(is_far(place) for place in places) and (last is None or is_far(np.asarray(last)))
+    return value if again else None

@@ -25,7 +25,7 @@ from inflight.tasks.pipelines.base import (
     ReprocessSettings,
     Solved,
     UsedTable,
-    take_failure,
+    record_failure,
     window_edges,
 )
 from inflight.tasks.pipelines.states.day import states_window
@@ -110,7 +110,7 @@ def solve_windows(work: Reprocessing, version: int) -> Solved:
         alone = next(fresh) if learnt is None else cat.table_by_id(learnt.id)
         if isinstance(alone, Failure):
             for day in group:
-                take_failure(work.run, plan.product, day, alone, work.failed)
+                record_failure(work.run, plan.product, day, alone, work.failed)
             continue
         bounds = day_bounds(group[0])[0], day_bounds(group[-1])[1]
         if key in known.joined:

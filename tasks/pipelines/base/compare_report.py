@@ -1,4 +1,4 @@
-"""A comparison measured: its numbers for programs and people, and its figures, drawn when asked for."""
+"""The report of a comparison: numbers for programs and people, and figures that are drawn when shown."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Structure(Protocol):
 
     @property
     def coordinate(self) -> str:
-        """What the residual follows."""
+        """The coordinate that the residual follows."""
 
     @property
     def amplitude(self) -> float:
@@ -34,11 +34,11 @@ class Structure(Protocol):
 
     @property
     def sentence(self) -> str:
-        """What a physicist would say of it."""
+        """The structure in one sentence."""
 
 
 class Report(Protocol):
-    """What a comparison or a set of tables says; `path` is its page, when one was written."""
+    """Report of a comparison or of tables; `path` is its page, when one was written."""
 
     path: Path | None
 
@@ -54,7 +54,35 @@ Report_co = TypeVar("Report_co", bound=Report, covariant=True)
 
 @dataclass
 class CompareReport:
-    """What `compare` found; `path` is the page, when one was written."""
+    """What `compare` found.
+
+    Attributes
+    ----------
+    context : str
+        Id in the catalog of mission, model and version of the newest product.
+    before, after : Size
+        Of the residual, before and after calibration.
+    floor : NoiseFloor
+        Of the residual after calibration.
+    by_day : list of dict
+        Sizes of each day.
+    fails_where : sequence of Structure
+        Structures of the residual, strongest first.
+    directions : list of str
+        Combinations of parameters that the span determines.
+    determined : list of str
+        Parameters that it determines by themselves.
+    block : str
+        Length of the blocks between which uncertainties are measured.
+    lines : list of Line
+        Of the spectrum.
+    daily_scatter : list of ParameterScatter
+        Of parameters from day to day.
+    path : Path, optional
+        Of the page, when one was written.
+    skipped, outliers : int
+        Samples without a usable measurement, and outliers.
+    """
 
     comparison: str
     context: str
@@ -133,15 +161,15 @@ class CompareReport:
 
 @dataclass(frozen=True)
 class CompareResult(Generic[Report_co]):
-    """A comparison measured: its numbers, and its figures, drawn when asked for.
+    """A report with everything that is shown of it.
 
     Attributes
     ----------
     report : CompareReport or DualCompareReport
     title : str
         Of the page.
-    parts : sequence of Later
-        Everything that is shown: the explorer makes what is looked at, the page all of it.
+    parts : sequence of LazySection
+        Sections by heading, made when called: the explorer makes the one in view, the page all of them.
     """
 
     report: Report_co
