@@ -285,10 +285,10 @@ def _lists_its_variables(case: _Case) -> Iterator[str]:
             pass
         else:
             yield "a variable that is not there is read; let Source.read refuse it"
-    gone = case.variables[-1]
-    with case.open_source(case.path, case.files.model_copy(update={"drop": [gone]})) as source:
+    excluded = case.variables[-1]
+    with case.open_source(case.path, case.files.model_copy(update={"drop": [excluded]})) as source:
         try:
-            source.read(gone)
+            source.read(excluded)
         except ContentError:
             return
     yield "a variable under 'drop' is read; give files.drop to Source as 'dropped'"
