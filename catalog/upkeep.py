@@ -142,21 +142,7 @@ def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair
         # Asked again under the write lock: a run may have published meanwhile.
         found = [_contents(session, *store) for store in damaged]
         for damage in found:
-            # Pointers and validities are taken away; rows and files stay.
-            row = session.scalars(select(StoreRow).where(StoreRow.path == damage.path)).one()
-            row.notes = [*row.notes, DAMAGED + ", ".join(damage.files)]
-            message = f"its store is damaged: {damage.path}/{damage.files[0]}"
-            published = session.scalars(
-                select(DayRow)
-                .join(CurrentRow, CurrentRow.day_id == DayRow.id)
-                .where(DayRow.store_id == row.id)
-            ).all()
-            for day in published:
-                failed = DayRow(run_id=run.id, dataset_id=day.dataset_id, day=day.day, context=day.context)
-                failed.state, failed.cause, failed.message = "failed", "transient", message
-                session.add(failed)
-            session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([day.id for day in published])))
-            session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))
+            _withdraw(session, run.id, damage)
     return found
 
 
@@ -172,6 +158,22 @@ def _contents(session: Session, path: str, item: str, files: tuple[str, ...]) ->
         select(TableRow.id).join(StoreRow, StoreRow.id == TableRow.store_id).where(StoreRow.path == path)
     )
     return Repair(item, path, files, tuple(map(str, days)), tuple(tables))
+
+
+def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
+    """Take the pointers and validities of one store away and record why; rows and files stay."""
+    store = session.scalars(select(StoreRow).where(StoreRow.path == damage.path)).one()
+    store.notes = [*store.notes, DAMAGED + ", ".join(damage.files)]
+    message = f"its store is damaged: {damage.path}/{damage.files[0]}"
+    rows = session.scalars(
+        select(DayRow).join(CurrentRow, CurrentRow.day_id == DayRow.id).where(DayRow.store_id == store.id)
+    ).all()
+    for row in rows:
+        failed = DayRow(run_id=run_id, dataset_id=row.dataset_id, day=row.day, context=row.context)
+        failed.state, failed.cause, failed.message = "failed", "transient", message
+        session.add(failed)
+    session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
+    session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))
 
 
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:
