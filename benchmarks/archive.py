@@ -51,8 +51,8 @@ def simulated_workspace(
     workspace = Workspace.create(folder, "champ")
     _adapt(folder, settings.cadence, model)
     mission, catalog = workspace.mission(), Catalog(folder)
-    wanted = day_range(start, np.datetime64(start) + np.timedelta64(days, "D"))
-    batches = [wanted[at : at + _BATCH] for at in range(0, days, _BATCH)]
+    dates = day_range(start, np.datetime64(start) + np.timedelta64(days, "D"))
+    batches = [dates[at : at + _BATCH] for at in range(0, days, _BATCH)]
     with catalog.run("simulate", {"days": days}) as run:
         jobs = [(folder, run.id, mission.text, settings, batch) for batch in batches]
         for segments in _spread(jobs, workers):

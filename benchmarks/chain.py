@@ -36,17 +36,17 @@ def whole_chain(days: int, keep: Path | None = None, workers: int = 2) -> list[s
         clone(source, folder)
         command = [sys.executable, "-m", "benchmarks.chain", str(folder), str(workers)]
         done = subprocess.run(command, check=True, capture_output=True, text=True)
-        told = json.loads(done.stdout.strip().splitlines()[-1])
+        measured = json.loads(done.stdout.strip().splitlines()[-1])
         floor = _floor(folder)
-    stages = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in told["stages"].items())
+    stages = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in measured["stages"].items())
     return [
-        f"the whole chain, {days} days at 1 Hz, {workers} processes: {told['seconds']:.0f} s "
-        f"({told['seconds'] / days * 1e3:.0f} ms a day; {stages})",
-        f"  3000 days at this pace: {told['seconds'] / days * 50:.0f} min (aim 10)",
-        f"  peak {told['MiB']:.0f} MiB, largest worker {told['worker_MiB']:.0f} MiB (aim 2048)",
+        f"the whole chain, {days} days at 1 Hz, {workers} processes: {measured['seconds']:.0f} s "
+        f"({measured['seconds'] / days * 1e3:.0f} ms a day; {stages})",
+        f"  3000 days at this pace: {measured['seconds'] / days * 50:.0f} min (aim 10)",
+        f"  peak {measured['MiB']:.0f} MiB, largest worker {measured['worker_MiB']:.0f} MiB (aim 2048)",
         f"  reading the input and copying the output once, one process: {floor:.0f} s; "
-        f"ratio {told['seconds'] / floor:.1f} (aim 2)",
-        f"  residual {told['before_nT']:.2f} -> {told['after_nT']:.4f} nT",
+        f"ratio {measured['seconds'] / floor:.1f} (aim 2)",
+        f"  residual {measured['before_nT']:.2f} -> {measured['after_nT']:.4f} nT",
     ]
 
 
@@ -80,10 +80,10 @@ def _child(folder: str, workers: str) -> None:
     with dask_client(int(workers)) if int(workers) > 1 else nullcontext() as client:
         settings = ReprocessSettings(table="continuous")
         report = reprocess(Catalog(Path(folder)), mission, settings=settings, client=client, progress=tell)
-    told = {"seconds": time.perf_counter() - begun, "stages": stages}
-    told["MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    told["worker_MiB"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    print(json.dumps(told | report.extra["residual"]))
+    measured = {"seconds": time.perf_counter() - begun, "stages": stages}
+    measured["MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    measured["worker_MiB"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(json.dumps(measured | report.extra["residual"]))
 
 
 if __name__ == "__main__":

@@ -144,11 +144,11 @@ def main() -> None:
             mean, within = middle(blocks, channel)
             print(f"  {channel}: {mean:.2f} degC, changes by {within:.4f} K rms within a block")
             if within < 1e-6:
-                print("    does not move: nothing can be told of it")
+                print("    does not move: its coefficient cannot be fitted")
                 continue
             moving.append(channel)
-            value, sigma, told = along_field(blocks, channel, mean)
-            print(f"    along the field {value:.1f} +- {sigma:.1f} ppm/K, detectable {3 * sigma:.1f}; {told}")
+            value, sigma, text = along_field(blocks, channel, mean)
+            print(f"    along the field {value:.1f} +- {sigma:.1f} ppm/K, detectable {3 * sigma:.1f}; {text}")
         if moving:
             equations = concat_equations([coil_equations(one, {}, mean) for one in blocks])
             choice = compare_temperatures(equations, moving, each=_EACH, prior=(1e-3, 1e-12, 3600.0))

@@ -1,4 +1,4 @@
-"""Correcting a million samples of two sensors: time and memory, beside reading the memory once.
+"""Correcting a million samples of two sensors: time and memory, compared with reading the memory once.
 
 ``python -m benchmarks.dual`` prints it: 10 Hz, three components each, 4 units that switch 300 times, and an
 ambient field that wanders. The least of several processor times counts, because the machine may be shared.
@@ -37,7 +37,7 @@ def mission() -> tuple[Readings, Floats]:
 
 
 def peak_memory(task: Callable[[], object]) -> float:
-    """Return the most memory that a task holds at once, beside what was there, MB."""
+    """Return the most memory that a task holds at once, less what was there before, MB."""
     tracemalloc.start()
     task()
     _, most = tracemalloc.get_traced_memory()
@@ -51,7 +51,7 @@ def processing_time() -> list[str]:
     training: Training = train(readings.select(slice(0, TRAINED)))
     found = correction_by_states(readings, training)
 
-    # A new object each time: what is derived of readings is kept with them.
+    # A new object each time: what is derived of readings is cached with them.
     def again() -> Readings:
         return readings.select(slice(None))
 
@@ -66,15 +66,15 @@ def processing_time() -> list[str]:
             before = time.process_time()
             rival()
             least[name] = min(least[name], time.process_time() - before)
-    left = found.field - stray
-    left -= np.nanmean(left, axis=0)
+    remaining = found.field - stray
+    remaining -= np.nanmean(remaining, axis=0)
     return [
         f"{SAMPLES} samples x 2 sensors x 3 axes, {SWITCHES} switches of {UNITS} units",
         *(f"{name:>22}: {took:8.3f} s" for name, took in least.items()),
         f"{'memory of processing':>22}: {peak_memory(rivals['processing']):8.0f} MB"
         f" (readings {2 * readings.inboard.nbytes / 1e6:.0f} MB)",
         f"{'known samples':>22}: {np.mean(found.state >= 0):8.4f}",
-        f"{'stray field left':>22}: {np.sqrt(np.nanmean(left**2)):8.3f} nT of {np.std(stray):.3f} nT",
+        f"{'stray field left':>22}: {np.sqrt(np.nanmean(remaining**2)):8.3f} nT of {np.std(stray):.3f} nT",
     ]
 
 

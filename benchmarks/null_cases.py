@@ -46,9 +46,9 @@ def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[in
     dict of int to list of str
         By `Table.passing`, in any form; residuals with nothing to add are not in it.
     """
-    wanted = list(range(len(search.raw.residuals))) if residuals is None else list(residuals)
+    residual_indices = list(range(len(search.raw.residuals))) if residuals is None else list(residuals)
     out: dict[int, list[str]] = {}
-    for place in suspects(search, wanted):
+    for place in suspects(search, residual_indices):
         table = replace_residual(search, place).table()
         passing = np.any(list(table.passing(search.rules).values()), axis=0)
         names = [table.options[int(at)].name for at in np.flatnonzero(passing)]
@@ -149,13 +149,13 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[GramBlocks, list[s
     refined = [name for term in search.library.refined for name in term.columns]
     names = list(dict.fromkeys([*base, *refined, *search.time_variable.names]))
     small = search.raw.select(names)
-    kept = [*range(len(names)), *(len(names) + np.asarray(residuals))]
+    selected = [*range(len(names)), *(len(names) + np.asarray(residuals))]
     return (
         replace(
             small,
-            names=tuple(small.names[place] for place in kept),
-            gram=small.gram[:, kept][:, :, kept],
-            scale=small.scale[kept],
+            names=tuple(small.names[place] for place in selected),
+            gram=small.gram[:, selected][:, :, selected],
+            scale=small.scale[selected],
         ),
         base,
         refined,
@@ -177,7 +177,7 @@ def _timed(search: Search, residuals: Sequence[int]) -> Floats:
     found = drifts(small, search.time_variable) + steps(small, search.time_variable)
     reached = np.zeros(len(residuals), dtype=bool)
     for batch in batch_changes(found):
-        functions = {name: told for change in batch for name, told in change.functions.items()}
+        functions = {name: function for change in batch for name, function in change.functions.items()}
         wide, present = _absorbed(search, small.expand(functions), base, refined)
         columns = [wide.index(list(change.functions)) for change in batch]
         reached |= _reached(search, wide, present, columns, np.array(wide.residuals, dtype=np.int64))
@@ -195,7 +195,7 @@ def _episode(search: Search, residual: int) -> bool:
     found = episodes(small, evidence, carriers, evidence.residuals[residual])
     if not found:
         return False
-    functions = {name: told for change in found for name, told in change.functions.items()}
+    functions = {name: function for change in found for name, function in change.functions.items()}
     wide, present = _absorbed(search, small.expand(functions), base, refined)
     columns = [wide.index(list(change.functions)) for change in found]
     scores = score(wide, present, columns, wide.residuals[0], make_folds(len(wide), True))

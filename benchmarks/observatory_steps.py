@@ -172,8 +172,8 @@ def _steps(record: Record, at: Floats, value: Floats, sigma: Floats) -> None:
             if not np.isfinite(size):
                 print(f"  {what} at '{name}': too near an end of the record")
                 continue
-            told = "a step" if found else "no step"
-            print(f"  {what} at '{name}': {size:+.4f} +- {own:.4f} {unit}, {told}")
+            verdict = "a step" if found else "no step"
+            print(f"  {what} at '{name}': {size:+.4f} +- {own:.4f} {unit}, {verdict}")
 
 
 def jumps(record: Record) -> None:
@@ -188,7 +188,7 @@ def jumps(record: Record) -> None:
         except InflightError as error:
             print(f"  windows: {error.message}")
             return
-        told = report.extra["residual"]
+        residual = report.extra["residual"]
         table = cat.table_by_id(cat.tables(f"{record.comparison}-window")[-1].id)
         product = cat.open("l2/field" if record.comparison == "main" else f"l2/field-{record.comparison}")
         mean = np.nanmedian(product["field_sensor"].values, axis=0)
@@ -200,8 +200,8 @@ def jumps(record: Record) -> None:
             return
         steps = ", ".join(f"{a:+.3f} +- {b:.3f}" for a, b in zip(found.mean, found.sigma, strict=True))
         print(
-            f"  windows of {record.window_days} d: residual {told['before_nT']:.3f} -> "
-            f"{told['after_nT']:.4f} nT; jumps {steps} nT"
+            f"  windows of {record.window_days} d: residual {residual['before_nT']:.3f} -> "
+            f"{residual['after_nT']:.4f} nT; jumps {steps} nT"
         )
 
 

@@ -50,8 +50,8 @@ def _child(folder: str, days: str, workers: str, batch_days: str) -> None:
         seconds = time.perf_counter() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    told = {"seconds": seconds, "MiB": peak, "worker_MiB": children, "done": report.days["done"]}
-    print(json.dumps(told | report.extra["residual"]))
+    measured = {"seconds": seconds, "MiB": peak, "worker_MiB": children, "done": report.days["done"]}
+    print(json.dumps(measured | report.extra["residual"]))
 
 
 def memory_and_speed(source: Path, workers: int = 2) -> list[str]:
@@ -61,12 +61,12 @@ def memory_and_speed(source: Path, workers: int = 2) -> list[str]:
         for days, processes in ((30, 1), (90, 1), (90, workers)):
             folder = Path(scratch) / f"{days}-{processes}"
             clone(source, folder)
-            told = measured_reprocess(folder, days, processes, 10)
+            measured = measured_reprocess(folder, days, processes, 10)
             lines.append(
-                f"  {days:3d} days, {processes} process(es): {told['seconds']:6.1f} s, "
-                f"{told['seconds'] / days * 1e3:5.0f} ms/day, peak {told['MiB']:5.0f} MiB "
-                f"(largest worker {told['worker_MiB']:.0f} MiB), "
-                f"residual {told['before_nT']:.2f} -> {told['after_nT']:.3f} nT"
+                f"  {days:3d} days, {processes} process(es): {measured['seconds']:6.1f} s, "
+                f"{measured['seconds'] / days * 1e3:5.0f} ms/day, peak {measured['MiB']:5.0f} MiB "
+                f"(largest worker {measured['worker_MiB']:.0f} MiB), "
+                f"residual {measured['before_nT']:.2f} -> {measured['after_nT']:.3f} nT"
             )
         same = fingerprints(Path(scratch) / "90-1") == fingerprints(Path(scratch) / f"90-{workers}")
         lines.append(f"  {workers} processes and one give the same bytes: {'yes' if same else 'NO'}")

@@ -157,16 +157,16 @@ def spin_eight() -> list[str]:
         for one, other in ((found.residual, tones), (found.design, slopes))
     ]
 
-    def told(name: str, key: str) -> str:
+    def timing(name: str, key: str) -> str:
         return f"{name:<28} {took[key]:8.1f} ms, {took[key] / took['read']:.1f} times the reading"
 
     return [
         f"a day at 4 Hz, 28,800 spins, {joint.tones.summary()}",
         f"{'reading and decoding it':<28} {took['read']:8.1f} ms",
-        told("cutting into sub-intervals", "cut"),
-        told("one pass of all tones", "pass"),
-        told(f"joint estimate, {joint.passes} passes", "joint"),
-        told(f"selection, {chosen.passes} passes", "selection"),
+        timing("cutting into sub-intervals", "cut"),
+        timing("one pass of all tones", "pass"),
+        timing(f"joint estimate, {joint.passes} passes", "joint"),
+        timing(f"selection, {chosen.passes} passes", "selection"),
         f"{'one pass by a loop':<28} {slow:8.0f} ms, {slow / took['pass']:.0f} times the pass "
         f"(from {_LOOPED} sub-intervals)",
         f"largest difference to the loop: tones {apart[0]:.0e}, derivatives {apart[1]:.0e} of the largest",

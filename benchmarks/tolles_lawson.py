@@ -42,7 +42,7 @@ class Half:
     columns: Floats
     total: Floats
 
-    def left(self, coefficient: Floats) -> float:
+    def remaining(self, coefficient: Floats) -> float:
         """Return the std that a set of coefficients leaves, nT."""
         return float((self.total - self.columns @ coefficient).std())
 
@@ -75,7 +75,7 @@ class Record:
 class Score:
     """What estimators fitted on one part leave in another, nT, and how much they were held back."""
 
-    left: dict[str, float] = field(default_factory=dict)
+    remaining: dict[str, float] = field(default_factory=dict)
     amount: float = float("nan")
 
 
@@ -142,17 +142,17 @@ def judge(fitted: Half, held_out: Half, published: Floats, step_s: float, band: 
     margin = round(EDGE_S / step_s)
     folds = block_folds(len(fitted.total), round(1.0 / (band.low_hz * step_s)), margin)
     score = Score()
-    score.left["untouched"] = float(held_out.total.std())
-    score.left["published, fitted on both"] = held_out.left(published)
-    score.left["least squares"] = held_out.left(least_squares(fitted.columns, fitted.total))
+    score.remaining["untouched"] = float(held_out.total.std())
+    score.remaining["published, fitted on both"] = held_out.remaining(published)
+    score.remaining["least squares"] = held_out.remaining(least_squares(fitted.columns, fitted.total))
     least = cautious_ridge(fitted.columns, fitted.total, GROUPS, folds, by_error=False)
-    score.left["ridge, least loss"] = held_out.left(least.coefficient)
+    score.remaining["ridge, least loss"] = held_out.remaining(least.coefficient)
     together = {"all": list(range(fitted.columns.shape[1]))}
     unscaled = cautious_ridge(fitted.columns, fitted.total, together, folds)
-    score.left["ridge, one size for all, one error"] = held_out.left(unscaled.coefficient)
-    score.left["groups one by one"] = held_out.left(forward(fitted, folds))
+    score.remaining["ridge, one size for all, one error"] = held_out.remaining(unscaled.coefficient)
+    score.remaining["groups one by one"] = held_out.remaining(forward(fitted, folds))
     cautious = cautious_ridge(fitted.columns, fitted.total, GROUPS, folds)
-    score.left["ridge, one error"] = held_out.left(cautious.coefficient)
+    score.remaining["ridge, one error"] = held_out.remaining(cautious.coefficient)
     score.amount = cautious.amount
     return score
 
@@ -190,7 +190,7 @@ def windows(record: Record, step: int = 50) -> list[tuple[float, float]]:
             record.rows.step_s,
             record.band,
         )
-        found.append((score.left["untouched"], score.left["ridge, one error"]))
+        found.append((score.remaining["untouched"], score.remaining["ridge, one error"]))
     return found
 
 
@@ -198,9 +198,9 @@ def separation(halves: Mapping[str, Half]) -> list[str]:
     """Say what each group keeps when the others are taken out."""
     lines = [f"  {'':12s}" + "".join(f"{name:>22s}" for name in GROUPS)]
     for label, half in halves.items():
-        kept = retained(half.columns, GROUPS)
+        parts = retained(half.columns, GROUPS)
         lines.append(
-            f"  {label:12s}" + "".join(f"{kept[g].min():12.4f} to {kept[g].max():6.4f}" for g in GROUPS)
+            f"  {label:12s}" + "".join(f"{parts[g].min():12.4f} to {parts[g].max():6.4f}" for g in GROUPS)
         )
     return lines
 
@@ -209,9 +209,8 @@ def _table(title: str, both: tuple[Half, Half], published: Floats, step_s: float
     first, second = both
     scores = [judge(first, second, published, step_s, band), judge(second, first, published, step_s, band)]
     lines = [f"{title}: nT left in the half not fitted", f"  {'fitted':36s}{'first':>8s}{'second':>8s}"]
-    lines += [
-        f"  {name:36s}{scores[0].left[name]:8.3f}{scores[1].left[name]:8.3f}" for name in scores[0].left
-    ]
+    first, second = scores[0].remaining, scores[1].remaining
+    lines += [f"  {name:36s}{first[name]:8.3f}{second[name]:8.3f}" for name in first]
     return [*lines, f"  strength chosen inside{'':14s}{scores[0].amount:8.3g}{scores[1].amount:8.3g}"]
 
 

@@ -291,32 +291,11 @@ class Catalog:
         with self._database.read() as session:
             return provenance.context_record(session, context)
 
-    def record_file(
-        self,
-        run: Run,
-        instrument: str,
-        path: str,
-        sha256: str,
-        size: int,
-        mtime_ns: int,
-        days: Sequence[str | np.datetime64] = (),
-        report: Mapping[str, Any] | None = None,
-    ) -> None:
-        """Record a delivered file; `files` shows it once the run has published what was made from it."""
-        record = FileRecord(
-            instrument=instrument,
-            path=str(path),
-            sha256=sha256,
-            size=size,
-            mtime_ns=mtime_ns,
-            days=tuple(map(str, days)),
-            report=dict(report or {}),
-            run=run.id,
-        )
-        self.record_files(run, [record])
-
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
-        """Record many delivered files in one transaction."""
+        """Record delivered files; `files` shows them once the run has published what was made from them.
+
+        The `run` of the records is not read: the files belong to `run`.
+        """
         with self._database.write() as session:
             for record in files:
                 provenance.record_file(session, run.id, record)

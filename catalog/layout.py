@@ -161,8 +161,8 @@ def _row(item: DayData, stamps: npt.NDArray[np.int64], start: int) -> SegmentRow
     uniform = steps.size > 0 and bool(np.all(steps == steps[0]))
     first, last = (int(stamps[0]), int(stamps[-1])) if stamps.size else (int(TT2000_FILL), int(TT2000_FILL))
     report = plain_attributes(item.report, f"the report of day {item.day}")
-    own = [variable.attrs for variable in item.dataset.variables.values()]
-    stated = [found.get("cadence_ns") for found in (item.dataset.attrs, *own)]
+    of_variables = [variable.attrs for variable in item.dataset.variables.values()]
+    stated = [attributes.get("cadence_ns") for attributes in (item.dataset.attrs, *of_variables)]
     cadence = min((int(value) for value in stated if value), default=0)
     if "coverage" not in report and 0 < cadence < 3600 * SECOND:
         begin, end = day_bounds(item.day)
@@ -199,17 +199,22 @@ def _variable(name: str, layout: Layout) -> Variable:
     for item, array, piece in zip(layout.days, arrays, pieces, strict=True):
         _check_like_first(name, str(item.day), (arrays[0], pieces[0]), (array, piece), in_rows)
     attributes = [plain_attributes(array.attrs, f"variable '{name}'") for array in arrays]
-    common, own = shared_attributes(attributes)
-    if changed := sorted({key for day in own for key in day} & set(FIXED_ATTRIBUTES)):
+    common, by_day = shared_attributes(attributes)
+    if changed := sorted({key for own in by_day for key in own} & set(FIXED_ATTRIBUTES)):
         raise ContentError(
             f"{changed} differ between days of one segment", channel=name, remedy="write two segments"
         )
     if len({piece.dtype for piece in pieces}) > 1 and pieces[0].dtype.kind not in "UOTmM":
         shared = np.result_type(*pieces)
         pieces = tuple(piece.astype(shared) for piece in pieces)
-    by_day = tuple(own) if any(own) else ()
     return Variable(
-        name, dims, pieces if in_rows else pieces[:1], common, by_day, in_rows, name in first.coords
+        name,
+        dims,
+        pieces if in_rows else pieces[:1],
+        common,
+        tuple(by_day) if any(by_day) else (),
+        in_rows,
+        name in first.coords,
     )
 
 

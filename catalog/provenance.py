@@ -143,7 +143,7 @@ def parent_ids(parents: Iterable[Day | str]) -> list[str]:
 
 
 def add_edges(session: Session, edges: Iterable[Edge]) -> None:
-    """Record edges; those already there are left."""
+    """Record edges; those that are known already stay as they are."""
     new = dict.fromkeys(Edge(*edge) for edge in edges)
     children = list(dict.fromkeys(edge.child for edge in new))
     known = set(_edges(session, EdgeRow.child, children))

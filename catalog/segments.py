@@ -97,7 +97,7 @@ def write_segment(
     """
     layout = lay_out(days)
     contents = variables(layout)
-    common, own = shared_attributes(
+    common, by_day = shared_attributes(
         [plain_attributes(item.dataset.attrs, f"dataset '{name}'") for item in layout.days]
     )
     described = {
@@ -105,7 +105,7 @@ def write_segment(
         "chunk": layout.chunk,
         "days": [str(row.day) for row in layout.rows],
         "counts": [row.count for row in layout.rows],
-        "day_attributes": own if any(own) else [],
+        "day_attributes": by_day if any(by_day) else [],
         "variable_attributes": {item.name: list(item.by_day) for item in contents if item.by_day},
     }
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"

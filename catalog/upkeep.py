@@ -141,8 +141,8 @@ def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair
     with Run(workspace, database, "repair", settings, None) as run, database.write() as session:
         # Asked again under the write lock: a run may have published meanwhile.
         found = [_contents(session, *store) for store in damaged]
-        for store in found:
-            _withdraw(session, run.id, store)
+        for damage in found:
+            _withdraw(session, run.id, damage)
     return found
 
 
@@ -169,9 +169,9 @@ def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
         select(DayRow).join(CurrentRow, CurrentRow.day_id == DayRow.id).where(DayRow.store_id == store.id)
     ).all()
     for row in rows:
-        lost = DayRow(run_id=run_id, dataset_id=row.dataset_id, day=row.day, context=row.context)
-        lost.state, lost.cause, lost.message = "failed", "transient", message
-        session.add(lost)
+        failed = DayRow(run_id=run_id, dataset_id=row.dataset_id, day=row.day, context=row.context)
+        failed.state, failed.cause, failed.message = "failed", "transient", message
+        session.add(failed)
     session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
     session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))
 

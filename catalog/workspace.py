@@ -85,7 +85,16 @@ class Workspace:
                 file=str(workspace.mission_file),
             )
         parsed = _parse(source)
-        companions = _companions(source, parsed)
+        companions = {
+            name: source.parent / name for name in parsed.companions if not Path(name).is_absolute()
+        }
+        for name, path in companions.items():
+            if ".." in Path(name).parts or not path.is_file():
+                raise WorkspaceError(
+                    f"the mission names {name!r}, and there is no such file beside or below it",
+                    remedy="put the file there or take the name out of the YAML",
+                    file=str(source),
+                )
         for folder in (workspace.models, workspace.data, workspace.reports):
             folder.mkdir(parents=True, exist_ok=True)
         for name, path in companions.items():
@@ -168,16 +177,3 @@ def find_mission(mission: str | Path) -> Path:
 
 def _parse(path: Path) -> Mission:
     return Mission.parse(path.read_text(encoding="utf-8"), source=str(path))
-
-
-def _companions(source: Path, mission: Mission) -> dict[str, Path]:
-    """Return the further files a mission names, by their relative name."""
-    found = {name: source.parent / name for name in mission.companions if not Path(name).is_absolute()}
-    for name, path in found.items():
-        if ".." in Path(name).parts or not path.is_file():
-            raise WorkspaceError(
-                f"the mission names {name!r}, and there is no such file beside or below it",
-                remedy="put the file there or take the name out of the YAML",
-                file=str(source),
-            )
-    return found

@@ -1,4 +1,10 @@
-"""Prefect flows: they chain the steps of :mod:`inflight.tasks` and hold no numerics."""
+"""Flows: the steps of `inflight.tasks` in order, run plainly or with Prefect; they hold no numerics.
+
+In go a workspace and the parameters of a flow by its name (`ingest`, `reprocess`, `backfill`, `monthly`,
+`diagnose`, `release`); out comes a `RunReport`. Open `steps` first: each flow is written there once. `runner`
+runs its batches on Dask processes (`cluster`), with or without Prefect tasks; `launch` starts a flow from the
+command line, and deployments name those of `prefect_flows`.
+"""
 
 import lazy_loader
 

@@ -1,6 +1,5 @@
 from .cluster import available_cores, dask_client, lazy_client
-from .launch import run_embedded, run_plain
-from .plan import plan_span
+from .launch import plan_span, run_embedded, run_plain
 from .span import DaySpan
 
 __all__ = [

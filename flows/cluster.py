@@ -39,7 +39,7 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         ``INFLIGHT_DASK_SCHEDULER`` names a running scheduler instead.
     """
     import dask
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
     # Workers import numpy before any task can set these, so they are part of how they are started.
     settings = {
@@ -47,16 +47,21 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         "distributed.worker.memory.spill": False,
     }
     address = os.environ.get(SCHEDULER_VARIABLE)
-    with dask.config.set(settings), _quiet_log():
-        if address:
-            with Client(address, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-                yield client
-        else:
-            with _local_client(workers or available_cores()) as client:
-                yield client
+    with dask.config.set(settings), _quiet_log(), ExitStack() as stack:
+        scheduler: Any = address or stack.enter_context(
+            LocalCluster(  # type: ignore[no-untyped-call]
+                n_workers=workers or available_cores(),
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.ERROR,
+            )
+        )
+        yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
 
 
-class _WhenNeeded:
+class _LazyClient:
     """Stands for a client that is started when the first work is given to it."""
 
     def __init__(self, workers: int | None, stack: ExitStack) -> None:
@@ -80,25 +85,7 @@ def lazy_client(workers: int | None = None) -> Iterator[Any]:
         As of `dask_client`.
     """
     with ExitStack() as stack:
-        yield _WhenNeeded(workers, stack)
-
-
-@contextmanager
-def _local_client(workers: int) -> Iterator[Client]:
-    from distributed import Client, LocalCluster
-
-    with (
-        LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.ERROR,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,  # type: ignore[no-untyped-call]
-    ):
-        yield client
+        yield _LazyClient(workers, stack)
 
 
 @contextmanager

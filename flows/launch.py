@@ -1,17 +1,55 @@
-"""Starting a flow, or the plain functions it chains, from the command line and from Python."""
+"""Starting a flow, or the plain functions it chains, from the command line and from Python.
+
+`run_embedded` runs a flow with Prefect, quiet and on an embedded server unless the environment names another;
+`run_plain` does the same without Prefect; `plan_span` shows what a backfill would do. Prefect is imported
+inside functions only: it reads its settings from the environment once, on import.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError, validate_call
 
-from inflight.catalog import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import SettingsError
-from inflight.flows.runner import PlainRunner, progress_shown_by, using_runner
-from inflight.flows.settings import prefect_settings
+from inflight.flows.runner import PlainRunner, progress_to, using_runner
+from inflight.flows.span import DaySpan
 from inflight.tasks import Progress, RunReport, as_settings_error
+from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
+
+#: Services of the server that an embedded one does not need: nothing is scheduled or paused in it.
+_IDLE_SERVICES = (
+    "SCHEDULER",
+    "LATE_RUNS",
+    "TRIGGERS",
+    "CANCELLATION_CLEANUP",
+    "FOREMAN",
+    "PAUSE_EXPIRATIONS",
+    "REPOSSESSOR",
+)
+#: Set in both modes: no telemetry, no log traffic.
+_QUIET = {
+    "DO_NOT_TRACK": "1",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "PREFECT_CLIENT_METRICS_ENABLED": "false",
+    "PREFECT_LOGGING_TO_API_ENABLED": "false",
+}
+#: Set for the embedded server only. Logs are silenced: the command line reports failures itself, and the
+#: server, stopped hard at the end of a command, would print the cancellation of its own housekeeping.
+_EMBEDDED = {
+    "PREFECT_LOGGING_LEVEL": "CRITICAL",
+    "PREFECT_SERVER_ALLOW_EPHEMERAL_MODE": "true",
+    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",
+    "PREFECT_SERVER_UI_ENABLED": "false",
+    "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
+    **{f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _IDLE_SERVICES},
+}
 
 
 def run_embedded(
@@ -44,7 +82,7 @@ def run_embedded(
     InflightError
         What the step itself raised; the catalog has it, too.
     """
-    with prefect_settings(workspace.prefect_home), progress_shown_by(progress):
+    with prefect_settings(workspace.prefect_home), progress_to(progress):
         from prefect.exceptions import ParameterBindError, ParameterTypeError
 
         from inflight.flows import prefect_flows
@@ -77,6 +115,78 @@ def run_plain(
             return RunReport.from_json(step(**_given(workspace, parameters, workers)))
         except ValidationError as error:
             raise as_settings_error(error) from None
+
+
+def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return which days of a span a backfill would do, from the archive as it is.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Where.
+    start, end : str
+        UTC days, half-open.
+    settings : mapping
+        Of `ReprocessSettings`.
+
+    Returns
+    -------
+    dict
+        ``context``; ``days`` with the counts ``planned``, ``unchanged`` and ``no_work``; ``batches`` with
+        first day, last day and number of days of each.
+    """
+    span = DaySpan.model_validate({"start": start, "end": end}).as_text()
+    checked = ReprocessSettings.model_validate(settings)
+    catalog, mission = Catalog(workspace.root), workspace.mission()
+    pipeline = pipeline_of(mission, checked.comparison, checked)
+    planned = pipeline.make_plan(catalog, mission, checked, span)
+    days, unchanged = pipeline.days_to_do(catalog, planned)
+    return {
+        "context": planned.context,
+        "days": {"planned": len(days), "unchanged": len(unchanged), "no_work": len(planned.no_work)},
+        "batches": [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.in_batches(days)],
+    }
+
+
+def prefect_environment(home: Path) -> dict[str, str]:
+    """Return the environment a command's flows run in; what the user has set already wins.
+
+    Parameters
+    ----------
+    home : Path
+        Private Prefect home, used by the embedded server. With ``PREFECT_API_URL`` set, flows go to
+        that server and the home is the user's own.
+    """
+    environment = dict(_QUIET)
+    if not os.environ.get("PREFECT_API_URL"):
+        environment |= _EMBEDDED | {"PREFECT_HOME": str(home.resolve())}
+    return environment | {name: os.environ[name] for name in environment if name in os.environ}
+
+
+@contextmanager
+def prefect_settings(home: Path) -> Iterator[None]:
+    """Run what is inside with the project's Prefect settings.
+
+    The heartbeat of flow runs is off: its thread costs every flow a second at its end.
+
+    Raises
+    ------
+    SettingsError
+        When Prefect was imported before with another home; its settings cannot change any more.
+    """
+    environment = prefect_environment(home)
+    if "prefect" in sys.modules and "PREFECT_HOME" in environment:
+        from prefect.settings import get_current_settings
+
+        present = str(get_current_settings().home)
+        if present != environment["PREFECT_HOME"] and not get_current_settings().api.url:
+            remedy = "start a new process for another workspace, or set PREFECT_HOME or PREFECT_API_URL first"
+            raise SettingsError(f"Prefect is already imported with home {present}", remedy=remedy)
+    os.environ.update(environment)
+    from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+
+    with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
+        yield
 
 
 def _given(workspace: Workspace, parameters: Mapping[str, Any], workers: int | None) -> dict[str, Any]:

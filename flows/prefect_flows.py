@@ -37,6 +37,7 @@ def _as_flow(step: Callable[..., dict[str, Any]]) -> Flow[..., dict[str, Any]]:
     return flow(name=step.__name__, task_runner=threads, persist_result=False)(run)
 
 
+# A deployment names a flow by this module and its name.
 ingest = _as_flow(steps.ingest)
 reprocess = _as_flow(steps.reprocess)
 backfill = _as_flow(steps.backfill)

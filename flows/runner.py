@@ -20,7 +20,6 @@ from inflight.tasks import Progress, batch_mapper, result_of, with_progress
 
 if TYPE_CHECKING:
     from distributed import Client
-    from prefect.client.schemas.objects import State, TaskRun
     from prefect.tasks import Task
 
     from inflight.tasks import Mapper
@@ -32,7 +31,7 @@ R = TypeVar("R")
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
-    """Take a report of progress that nobody watches."""
+    """Ignore a report of progress."""
 
 
 class Runner(Protocol):
@@ -70,16 +69,16 @@ class PlainRunner:
 
 
 class PrefectRunner:
-    """Runs steps and batches as tasks of the Prefect flow around them; failures that can pass are retried."""
+    """Runs steps and batches as tasks of the Prefect flow around them; transient failures are retried."""
 
     @property
     def progress(self) -> Progress:
-        """Called with ``(stage, done, total)``; a flow that a worker runs reports to nobody."""
+        """Called with ``(stage, done, total)``; nothing listens in a flow that a worker runs."""
         return _progress.get()
 
     def run(self, name: str, function: Callable[..., R], *arguments: Any) -> R:
         """Run the function as a task of this name."""
-        return cast(R, _as_task(name, function)(*map(_unsearched, arguments)))
+        return cast(R, _as_task(name, function)(*map(_as_is, arguments)))
 
     def mapper(self, client: Client) -> Mapper:
         """Return what runs every batch as a task whose work a Dask process does."""
@@ -88,8 +87,8 @@ class PrefectRunner:
             stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
         ) -> Iterator[Any]:
             run_batch = _as_task(stage, _run_batch)
-            shared = (_unsearched(client), _unsearched(function))
-            futures = [run_batch.submit(*shared, _unsearched(batch)) for batch in arguments]
+            shared = (_as_is(client), _as_is(function))
+            futures = [run_batch.submit(*shared, _as_is(batch)) for batch in arguments]
             return with_progress(
                 self.progress, stage, (future.result() for future in futures), len(arguments)
             )
@@ -117,8 +116,8 @@ def using_runner(chosen: Runner) -> Iterator[None]:
 
 
 @contextmanager
-def progress_shown_by(listener: Progress | None) -> Iterator[None]:
-    """Show the progress of what runs inside to `listener`, a function ``(stage, done, total)``."""
+def progress_to(listener: Progress | None) -> Iterator[None]:
+    """Report the progress of what runs inside to `listener`, a function ``(stage, done, total)``."""
     token = _progress.set(listener or no_progress)
     try:
         yield
@@ -150,16 +149,12 @@ def _as_task(name: str, function: Callable[..., Any]) -> Task[..., Any]:
         persist_result=False,
         retries=len(RETRY_DELAYS),
         retry_delay_seconds=RETRY_DELAYS,
-        retry_condition_fn=_is_worth_a_retry,
+        retry_condition_fn=lambda step, run, state: is_transient(state.data),
         log_prints=False,
     )(function)
 
 
-def _is_worth_a_retry(step: Task[..., Any], run: TaskRun, state: State[Any]) -> bool:
-    return is_transient(state.data)
-
-
-def _unsearched(value: R) -> R:
+def _as_is(value: R) -> R:
     """Return an argument that a task takes as it is: Prefect would search it for futures to wait for."""
     from prefect.utilities.annotations import quote
 

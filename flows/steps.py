@@ -1,7 +1,20 @@
 """The steps of each flow, written once: `run_plain` calls them, `inflight.flows.prefect_flows` wraps them.
 
 Each takes a workspace and the parameters that the command line and a deployment name, and returns the fields
-of a `RunReport`. How its batches run is the runner's affair (`inflight.flows.runner`).
+of a `RunReport` (of `diagnose`: with those of a `Diagnosis`) as JSON has them. How batches run is decided by
+the runner (`inflight.flows.runner`). What several steps take means the same in all of them:
+
+workspace : Path
+    Folder of the mission.
+start, end : date or None
+    UTC days, half-open; None is all there is on that side: of the deliveries for `ingest`, of the archive for
+    the others.
+data : Path or None
+    Folder of the delivered files; ``data`` in the workspace when None.
+settings : ReprocessSettings or DiagnoseSettings
+    How it is done.
+workers : int or None
+    Dask processes; the cores when None.
 """
 
 from __future__ import annotations
@@ -41,25 +54,12 @@ def ingest(
 
     Parameters
     ----------
-    workspace : Path
-        Folder of the mission.
-    data : Path, optional
-        Folder of the delivered files; ``data`` in the workspace when absent.
     instruments : list of str, optional
-        Only these.
-    start, end : date, optional
-        UTC days, half-open; everything delivered when absent.
-    workers : int, optional
-        Dask processes; the cores when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `RunReport`.
+        Only these; the other parameters are those of the module.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with dask_client(workers) as client:
-        return _take_in(place, data, instruments, span, client).as_json()
+        return _ingest_span(place, data, instruments, span, client).as_json()
 
 
 def reprocess(
@@ -69,27 +69,10 @@ def reprocess(
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     workers: int | None = None,
 ) -> dict[str, Any]:
-    """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone.
-
-    Parameters
-    ----------
-    workspace : Path
-        Folder of the mission.
-    start, end : date, optional
-        UTC days, half-open; all days of the archive when absent.
-    settings : ReprocessSettings
-        How it is done.
-    workers : int, optional
-        Dask processes; the cores when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `RunReport`.
-    """
+    """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with dask_client(workers) as client:
-        return _make_products(place, span, settings, client).as_json()
+        return _reprocess_span(place, span, settings, client).as_json()
 
 
 def backfill(
@@ -102,27 +85,10 @@ def backfill(
 ) -> dict[str, Any]:
     """Take in what was delivered late for a span, then reprocess the days whose inputs changed.
 
-    Parameters
-    ----------
-    workspace : Path
-        Folder of the mission.
-    start, end : date
-        UTC days, half-open.
-    settings : ReprocessSettings
-        As of the flow ``reprocess``.
-    data : Path, optional
-        Folder of the delivered files; ``data`` in the workspace when absent.
-    workers : int, optional
-        Dask processes; the cores when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `RunReport`: its days are those of the products; ``ingest`` says what was
-        taken in.
+    The days of the result are those of the products; ``ingest`` in it reports what was taken in.
     """
     span = DaySpan(start=start, end=end)
-    return _bring_up_to_date("backfill", workspace, (span, span), settings, data, workers)
+    return _ingest_and_reprocess("backfill", workspace, (span, span), settings, data, workers)
 
 
 def monthly(
@@ -136,18 +102,14 @@ def monthly(
 
     Parameters
     ----------
-    workspace : Path
-        Folder of the mission.
     month : str, optional
         ``YYYY-MM``; the last one that is over when absent.
     settings : ReprocessSettings
-        What is not stated is as of `MONTHLY_SETTINGS`.
-    data, workers
-        As of the flow ``backfill``, and so is the result.
+        What is not stated is as of `MONTHLY_SETTINGS`; the result is that of `backfill`.
     """
     span = month_span(month, dt.datetime.now(dt.UTC).date())
     stated = MONTHLY_SETTINGS.model_copy(update=settings.model_dump(exclude_unset=True))
-    return _bring_up_to_date("monthly", workspace, (span.with_neighbours(), span), stated, data, workers)
+    return _ingest_and_reprocess("monthly", workspace, (span.with_neighbours(), span), stated, data, workers)
 
 
 def diagnose(
@@ -158,25 +120,12 @@ def diagnose(
     save: bool = False,
     workers: int | None = None,
 ) -> dict[str, Any]:
-    """Find which effect is missing from the model; days looked at before cost nothing.
+    """Find which effect is missing from the model; days that were read before cost nothing.
 
     Parameters
     ----------
-    workspace : Path
-        Folder of the mission.
-    start, end : date, optional
-        UTC days, half-open; all days of the archive when absent.
-    settings : DiagnoseSettings
-        How it is done.
     save : bool
         Save a version of the model for every effect that was found.
-    workers : int, optional
-        Dask processes; the cores when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `Diagnosis`.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
 
@@ -196,19 +145,12 @@ def release(
 
     Parameters
     ----------
-    workspace : Path
-        Folder of the mission.
     version : str
         Never used before in this workspace.
     notes : str
         Text for the release notes.
     destination : Path, optional
         Folder the release goes to; ``releases`` in the workspace when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `RunReport`.
     """
     place = Workspace.open(workspace)
     report: RunReport = runner().run("copy out", make_release, place, version, notes, destination)
@@ -217,16 +159,11 @@ def release(
 
 #: What can be run by name, plainly or as a Prefect flow.
 STEPS: dict[str, Callable[..., dict[str, Any]]] = {
-    "ingest": ingest,
-    "reprocess": reprocess,
-    "backfill": backfill,
-    "monthly": monthly,
-    "diagnose": diagnose,
-    "release": release,
+    step.__name__: step for step in (ingest, reprocess, backfill, monthly, diagnose, release)
 }
 
 
-def _take_in(
+def _ingest_span(
     place: Workspace, data: Path | None, instruments: list[str] | None, span: DaySpan, client: Client
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
@@ -245,14 +182,16 @@ def _take_in(
     return runner().run("take in", take_in, client)
 
 
-def _make_products(place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client) -> RunReport:
+def _reprocess_span(
+    place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client
+) -> RunReport:
     mapper = runner().mapper(client)
     return reprocess_days(
         Catalog(place.root), place.mission(), *span.as_text(), settings=settings, mapper=mapper
     )
 
 
-def _bring_up_to_date(
+def _ingest_and_reprocess(
     command: str,
     workspace: Path,
     spans: tuple[DaySpan, DaySpan],
@@ -261,8 +200,8 @@ def _bring_up_to_date(
     workers: int | None,
 ) -> dict[str, Any]:
     """Take in the first span and reprocess the second one; `command` names the report."""
-    place, (delivered, made) = Workspace.open(workspace), spans
+    place, (delivered, reprocessed) = Workspace.open(workspace), spans
     with dask_client(workers) as client:
-        taken = _take_in(place, data, None, delivered, client)
-        report = _make_products(place, made, settings, client)
-    return taken.followed_by(report, command).as_json()
+        ingested = _ingest_span(place, data, None, delivered, client)
+        report = _reprocess_span(place, reprocessed, settings, client)
+    return ingested.followed_by(report, command).as_json()

@@ -20,8 +20,8 @@ import numpy as np
 from benchmarks.golden.reading import Figure, Page, Table, read_json, read_page, read_table
 
 IDENTICAL, WITHIN, DIFFERENT = "identical", "within tolerance", "DIFFERENT"
-#: Differences of one item that are told one by one; ``--all`` tells them all.
-_TOLD = 8
+#: Differences of one item that are listed; ``--all`` lists all.
+_LISTED = 8
 #: A limit written in decimals is met by a difference of exactly that size.
 _ROUNDING = 1.0 + 1e-6
 
@@ -115,9 +115,9 @@ def compare_case(before: Path, after: Path, tolerances: Tolerances) -> list[Item
 
 
 def _compare_recipe(item: Item, before: Path, after: Path, tolerances: Tolerances) -> None:
-    told = [json.loads(path.read_text(encoding="utf-8"))["steps"] for path in (before, after)]
-    item.values = len(told[0])
-    if told[0] != told[1]:
+    recipes = [json.loads(path.read_text(encoding="utf-8"))["steps"] for path in (before, after)]
+    item.values = len(recipes[0])
+    if recipes[0] != recipes[1]:
         item.differ("not the same commands were run: record both with the same benchmarks/golden")
 
 
@@ -138,8 +138,8 @@ def compare_values(
         if len(old) != len(fresh):
             item.differ(f"{where}: {len(old)} entries, now {len(fresh)}")
         for place, (one, other) in enumerate(zip(old, fresh, strict=False)):
-            beside = sigma[place] if isinstance(sigma, list) and place < len(sigma) else sigma
-            compare_values(item, f"{where}[{place}]", one, other, tolerances, beside)
+            own_sigma = sigma[place] if isinstance(sigma, list) and place < len(sigma) else sigma
+            compare_values(item, f"{where}[{place}]", one, other, tolerances, own_sigma)
     else:
         _compare_leaves(item, where, old, fresh, tolerances, sigma)
 
@@ -152,8 +152,8 @@ def _compare_objects(
         if key not in fresh:
             item.differ(f"{inside} is gone")
             continue
-        beside = sigma.get(key) if isinstance(sigma, dict) else stated_sigma(old, key)
-        compare_values(item, inside, held, fresh[key], tolerances, beside)
+        own_sigma = sigma.get(key) if isinstance(sigma, dict) else stated_sigma(old, key)
+        compare_values(item, inside, held, fresh[key], tolerances, own_sigma)
     for key in fresh.keys() - old.keys():
         item.allowed.append((0.0, f"{where}.{key} is new".lstrip(".")))
 
@@ -218,8 +218,8 @@ def compare_tables(item: Item, old: Table, fresh: Table, tolerances: Tolerances)
         if name not in old.values or name not in fresh.values:
             item.differ(f"{name} is {'new' if name in fresh.values else 'gone'}")
         elif old.dims[name] != fresh.dims[name] or old.values[name].shape != fresh.values[name].shape:
-            told = [f"{one.dims[name]} {one.values[name].shape}" for one in (old, fresh)]
-            item.differ(f"{name}: {told[0]} is now {told[1]}")
+            shapes = [f"{one.dims[name]} {one.values[name].shape}" for one in (old, fresh)]
+            item.differ(f"{name}: {shapes[0]} is now {shapes[1]}")
         elif old.values[name].dtype.kind != fresh.values[name].dtype.kind:
             item.differ(f"{name}: {old.values[name].dtype} is now {fresh.values[name].dtype}")
         else:
@@ -282,8 +282,8 @@ def compare_floats(
     beyond = int(np.sum(sizes > tolerance * _ROUNDING))
     worst = np.unravel_index(np.flatnonzero(~same.ravel())[np.argmax(sizes)], old.shape)
     place = f"most at {[int(one) for one in worst]}"
-    told = f"{sizes.max():.2g} {unit} ({apart.size} of {old.size} differ, {beyond} beyond, {place})"
-    item.number(float(sizes.max() / tolerance), name, told)
+    text = f"{sizes.max():.2g} {unit} ({apart.size} of {old.size} differ, {beyond} beyond, {place})"
+    item.number(float(sizes.max() / tolerance), name, text)
 
 
 # --- pages -----------------------------------------------------------------------------------------------
@@ -307,7 +307,7 @@ def compare_pages(item: Item, old: Page, fresh: Page, tolerances: Tolerances) ->
 def _compare_lines(item: Item, where: str, old: Sequence[str], fresh: Sequence[str]) -> None:
     if len(old) != len(fresh):
         gone, come = (
-            [one for one in left if one not in right] for left, right in ((old, fresh), (fresh, old))
+            [one for one in these if one not in others] for these, others in ((old, fresh), (fresh, old))
         )
         item.differ(f"{where}: {len(old)} lines, now {len(fresh)}; gone {_short(gone)}, new {_short(come)}")
         return
@@ -320,7 +320,7 @@ def _compare_lines(item: Item, where: str, old: Sequence[str], fresh: Sequence[s
 
 
 def differs_in_last_digits(old: str, fresh: str) -> bool:
-    """Tell whether two texts differ by one in the last digit of some numbers and in nothing else."""
+    """Return True when two texts differ by one in the last digit of some numbers and in nothing else."""
     if _NUMBER.sub("#", old) != _NUMBER.sub("#", fresh):
         return False
     pairs = zip(_NUMBER.findall(old), _NUMBER.findall(fresh), strict=True)
@@ -333,7 +333,7 @@ def _is_next(old: str, fresh: str) -> bool:
         return False
     digits = [len(text.partition("e")[0].partition(".")[2]) for text in (old, fresh)]
     power = [int(text.partition("e")[2] or 0) for text in (old, fresh)]
-    # Another number of digits is another way to say it.
+    # Another number of digits is another format.
     if digits[0] != digits[1] or power[0] != power[1]:
         return False
     return abs(float(old) - float(fresh)) <= 10.0 ** (power[0] - digits[0]) * _ROUNDING
@@ -392,9 +392,9 @@ def _total(name: str, items: Sequence[Item]) -> tuple[str, str, str, str, str]:
 def _details(item: Item, every: bool) -> Iterable[str]:
     if item.level == IDENTICAL:
         return
-    told = sorted(item.differences, key=lambda one: -one[0]) + sorted(item.allowed, key=lambda one: -one[0])
-    shown = told if every else told[:_TOLD]
+    listed = sorted(item.differences, key=lambda one: -one[0]) + sorted(item.allowed, key=lambda one: -one[0])
+    shown = listed if every else listed[:_LISTED]
     yield f"\n{item.case} {item.what}: {item.level}"
     yield from (f"  {text}" for _, text in shown)
-    if len(told) > len(shown):
-        yield f"  ... and {len(told) - len(shown)} more (--all tells them)"
+    if len(listed) > len(shown):
+        yield f"  ... and {len(listed) - len(shown)} more (--all lists them)"

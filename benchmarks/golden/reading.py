@@ -83,12 +83,12 @@ def masked(text: str) -> str:
 def without_the_run(value: Any, path: str = "") -> Any:
     """Return a printed object without what differs from run to run."""
     if isinstance(value, dict):
-        kept = {}
+        masked_entries = {}
         for key, held in value.items():
             inside = f"{path}.{key}".lstrip(".")
             if key not in LEFT_OUT and inside not in LEFT_OUT_PATHS:
-                kept[masked(key)] = without_the_run(held, inside)
-        return kept
+                masked_entries[masked(key)] = without_the_run(held, inside)
+        return masked_entries
     if isinstance(value, list):
         return [without_the_run(held, f"{path}[]") for held in value if not _is_own_store(held)]
     return masked(value) if isinstance(value, str) else value
@@ -112,10 +112,10 @@ def read_table(path: Path) -> Table:
             if name.endswith(".npy"):
                 with archive.open(name) as file:
                     values[name.removesuffix(".npy")] = np.lib.format.read_array(file, allow_pickle=False)
-    told = about["variables"]
-    attributes = {name: without_the_run(told[name]["attributes"]) for name in sorted(told)}
+    stored = about["variables"]
+    attributes = {name: without_the_run(stored[name]["attributes"]) for name in sorted(stored)}
     own = without_the_run(about["attributes"])
-    return Table(values, {name: told[name]["dims"] for name in told}, {"": own} | attributes)
+    return Table(values, {name: stored[name]["dims"] for name in stored}, {"": own} | attributes)
 
 
 # --- pages ---------------------------------------------------------------------------------------------

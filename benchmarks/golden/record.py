@@ -68,33 +68,33 @@ def make_record(
             failed += not fine
             print(line, flush=True)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    told = f"{time.monotonic() - begun:.0f} s ({used.ru_utime + used.ru_stime:.0f} s of processors)"
-    print(f"{len(todo)} cases in {told}, record in {folder}")
+    used_time = f"{time.monotonic() - begun:.0f} s ({used.ru_utime + used.ru_stime:.0f} s of processors)"
+    print(f"{len(todo)} cases in {used_time}, record in {folder}")
     return 1 if failed or (only and missing) else 0
 
 
 def _check_checkout(checkout: Path) -> None:
     """Make sure that the commands run the software of the checkout and no other."""
     code = "import inflight; print(inflight.__file__)"
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-P", "-c", code],
         env=_environment(checkout),
         capture_output=True,
         text=True,
         check=True,
     )
-    found = Path(told.stdout.strip())
+    found = Path(done.stdout.strip())
     if not found.is_relative_to(checkout):
         raise SystemExit(f"the software that runs is {found}, not that of {checkout}")
 
 
 def _environment(checkout: Path, home: Path | None = None) -> dict[str, str]:
     """Return the environment of the commands: one thread, a Prefect of its own, no colours."""
-    told = dict(os.environ) | dict.fromkeys(_THREADS, "1")
-    told |= {"PYTHONPATH": str(checkout), "COLUMNS": "200", "NO_COLOR": "1", "TZ": "UTC"}
+    environment = dict(os.environ) | dict.fromkeys(_THREADS, "1")
+    environment |= {"PYTHONPATH": str(checkout), "COLUMNS": "200", "NO_COLOR": "1", "TZ": "UTC"}
     if home is not None:
-        told |= {"PREFECT_HOME": str(home), "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
-    return told
+        environment |= {"PREFECT_HOME": str(home), "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
+    return environment
 
 
 def _record_case(folder: Path, checkout: Path, case: Case, keep: bool) -> tuple[str, bool]:

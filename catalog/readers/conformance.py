@@ -32,16 +32,10 @@ from inflight.units import parse_unit
 _DAY = np.datetime64("2005-01-31", "D")
 
 
-def _example_field() -> Floats:
-    turn = np.linspace(0.0, 1.0, 60)
-    rows = [20e3 * np.sin(turn), 4e3 * np.cos(turn), -48e3 + 100.0 * turn]
-    return np.asarray(np.round(np.stack(rows, axis=1), 2), dtype=np.float64)
-
-
-def _example_temperature() -> Floats:
-    values = np.round(np.linspace(-5.0, 25.0, 60), 3)
-    values[[7, 31]] = np.nan
-    return values
+_PHASE = np.linspace(0.0, 1.0, 60)
+_FIELD = np.stack([20e3 * np.sin(_PHASE), 4e3 * np.cos(_PHASE), -48e3 + 100.0 * _PHASE], axis=1).round(2)
+_TEMPERATURE = np.linspace(-5.0, 25.0, 60).round(3)
+_TEMPERATURE[[7, 31]] = np.nan
 
 
 @dataclass(frozen=True)
@@ -61,8 +55,8 @@ class Example:
     times: npt.NDArray[np.datetime64] = dataclasses.field(
         default_factory=lambda: to_utc(day_bounds(_DAY)[1] + 10 * SECOND * np.arange(-58, 2))
     )
-    field: Floats = dataclasses.field(default_factory=_example_field)
-    temperature: Floats = dataclasses.field(default_factory=_example_temperature)
+    field: Floats = dataclasses.field(default_factory=_FIELD.copy)
+    temperature: Floats = dataclasses.field(default_factory=_TEMPERATURE.copy)
 
     @property
     def tt2000(self) -> Int64:
@@ -113,7 +107,14 @@ def check_reader(open_source: Open, write: Write, name: str = "example") -> None
         example = Example()
         try:
             written = write(path, example)
-            case = _Case(open_source, path, example, *_read_options(written, reader))
+            files = Files.model_validate({"pattern": "*", "reader": "npz", **written.files})
+            files = files.model_copy(update={"reader": reader})
+            channels = {
+                "field": Channel.model_validate({"unit": "nT", **written.field}),
+                "temperature": Channel.model_validate({"unit": "degC", **written.temperature}),
+            }
+            instrument = Instrument(role="vector", cadence="10 s", files=files, channels=channels)
+            case = _Case(open_source, path, example, files, instrument)
         except (InflightError, ValueError, OSError) as error:
             faults.found.append(f"writing the example: {error}; correct 'write'")
         else:
@@ -132,17 +133,6 @@ def _registered(open_source: Open) -> Iterator[str]:
     finally:
         FORMATS.clear()
         FORMATS.update(known)
-
-
-def _read_options(written: ReadOptions, reader: str) -> tuple[Files, Instrument]:
-    files = Files.model_validate({"pattern": "*", "reader": "npz", **written.files})
-    files = files.model_copy(update={"reader": reader})
-    channels = {
-        "field": Channel.model_validate({"unit": "nT", **written.field}),
-        "temperature": Channel.model_validate({"unit": "degC", **written.temperature}),
-    }
-    instrument = Instrument(role="vector", cadence="10 s", files=files, channels=channels)
-    return files, instrument
 
 
 @dataclass(frozen=True)
@@ -285,10 +275,10 @@ def _lists_its_variables(case: _Case) -> Iterator[str]:
             pass
         else:
             yield "a variable that is not there is read; let Source.read refuse it"
-    gone = case.variables[-1]
-    with case.open_source(case.path, case.files.model_copy(update={"drop": [gone]})) as source:
+    excluded = case.variables[-1]
+    with case.open_source(case.path, case.files.model_copy(update={"drop": [excluded]})) as source:
         try:
-            source.read(gone)
+            source.read(excluded)
         except ContentError:
             return
     yield "a variable under 'drop' is read; give files.drop to Source as 'dropped'"

@@ -21,21 +21,20 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     require_content(path)
     with reading(path):
         table = pq.ParquetFile(path)
+
+    def read(name: str) -> Variable:
+        column = table.read(columns=[name]).column(0)
+        if pa.types.is_timestamp(column.type):
+            # Arrow keeps zoned stamps in UTC, so the zone only has to be taken off.
+            stamps = column.cast(pa.timestamp("ns")).to_numpy()
+            return Variable(stamps, times=to_tt2000(stamps))
+        unit = (table.schema_arrow.field(name).metadata or {}).get(b"units", b"").decode() or None
+        if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+            return Variable(np.array(column.to_pylist(), dtype=np.float64), unit=unit)
+        values = np.asarray(column.to_numpy())
+        return Variable(values.astype(np.str_) if values.dtype == object else values, unit=unit)
+
     try:
-        names = tuple(table.schema_arrow.names)
-        yield Source(path, names, lambda name: _read(table, name), tuple(files.drop))
+        yield Source(path, tuple(table.schema_arrow.names), read, tuple(files.drop))
     finally:
         table.close()
-
-
-def _read(table: pq.ParquetFile, name: str) -> Variable:
-    column = table.read(columns=[name]).column(0)
-    if pa.types.is_timestamp(column.type):
-        # Arrow keeps zoned stamps in UTC, so the zone only has to be taken off.
-        stamps = column.cast(pa.timestamp("ns")).to_numpy()
-        return Variable(stamps, times=to_tt2000(stamps))
-    unit = (table.schema_arrow.field(name).metadata or {}).get(b"units", b"").decode() or None
-    if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-        return Variable(np.array(column.to_pylist(), dtype=np.float64), unit=unit)
-    values = np.asarray(column.to_numpy())
-    return Variable(values.astype(np.str_) if values.dtype == object else values, unit=unit)

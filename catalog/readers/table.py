@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 import pandas as pd
 
-from inflight.catalog.readers.source import Array, Source, Variable, open_text, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
 from inflight.errors import ContentError
 from inflight.instruments import Files
 
@@ -25,7 +25,20 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     table.columns = [str(name).strip() for name in table.columns]
 
     def read(name: str) -> Variable:
-        return Variable(_values(table[name], name, path, files))
+        column = table[name]
+        if name in (files.time or []) or column.dtype.kind in "biuf":
+            return Variable(np.asarray(column.to_numpy()))
+        text = column.astype(str).str.strip()
+        plain = text.str.replace(",", ".", regex=False) if files.decimal == "," else text
+        numbers = pd.to_numeric(plain, errors="coerce")
+        bad = np.flatnonzero(numbers.isna().to_numpy() & column.notna().to_numpy() & (text != "").to_numpy())
+        if bad.size:
+            raise ContentError(
+                f"column {name!r}, row {bad[0] + 1}: {str(column.iloc[bad[0]])!r} is no number",
+                remedy="correct 'delimiter', 'decimal', 'skip' or 'comment', or repair the file",
+                file=str(path),
+            )
+        return Variable(np.asarray(numbers.to_numpy(dtype=np.float64)))
 
     yield Source(path, tuple(table.columns), read, tuple(files.drop))
 
@@ -75,20 +88,3 @@ def _require_closing_delimiters(stream: TextIO, files: Files, path: Path) -> Non
 def _uneven(message: str, path: Path) -> ContentError:
     remedy = "correct 'skip' (lines before the header), 'delimiter', 'decimal' or 'columns'"
     return ContentError(message, remedy=remedy, file=str(path))
-
-
-def _values(column: Any, name: str, path: Path, files: Files) -> Array:
-    if name in (files.time or []) or column.dtype.kind in "biuf":
-        return np.asarray(column.to_numpy())
-    text = column.astype(str).str.strip()
-    numbers = pd.to_numeric(
-        text.str.replace(",", ".", regex=False) if files.decimal == "," else text, errors="coerce"
-    )
-    bad = np.flatnonzero(numbers.isna().to_numpy() & column.notna().to_numpy() & (text != "").to_numpy())
-    if bad.size:
-        raise ContentError(
-            f"column {name!r}, row {bad[0] + 1}: {str(column.iloc[bad[0]])!r} is no number",
-            remedy="correct 'delimiter', 'decimal', 'skip' or 'comment', or repair the file",
-            file=str(path),
-        )
-    return np.asarray(numbers.to_numpy(dtype=np.float64))

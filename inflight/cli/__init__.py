@@ -1,7 +1,9 @@
 """The command line ``inflight``, the top layer. `main` is its entry point.
 
-One module holds one group of verbs. Everything heavy is imported inside the verb that needs it, so
-that ``inflight --help`` answers at once.
+In goes a command line; out come a table or one JSON object on standard output, and an exit code. Open `app`
+first: it lists the verbs. One module holds one group of them; each verb is a function of a `Command` (common
+options, progress, output, errors) and its own options. Everything heavy is imported inside the verb that
+needs it, so that ``inflight --help`` answers at once.
 """
 
 import lazy_loader

@@ -9,7 +9,7 @@ import typer
 
 from inflight import __version__
 from inflight.cli import catalog, diagnose, figures, models, pipeline, results, start
-from inflight.cli.session import EXIT_USAGE, DebugOption, JsonOption, Session, WorkspaceOption, verb
+from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, WorkspaceOption, verb
 
 #: Verbs in the order that ``--help`` shows them.
 VERBS = (
@@ -40,8 +40,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with days missing.",
 )
-app.add_typer(models.model, name="model")
-app.add_typer(catalog.catalog, name="catalog")
+app.add_typer(models.group, name="model")
+app.add_typer(catalog.group, name="catalog")
 for function in VERBS:
     verb(app, function.__name__)(function)
 
@@ -65,8 +65,8 @@ def _common(
     debug: DebugOption = False,
     version: VersionOption = False,
 ) -> None:
-    before = Session()
-    context.obj = Session(workspace or before.workspace, json, debug)
+    before = Command()
+    context.obj = Command(workspace or before.workspace, json, debug)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -78,13 +78,13 @@ def main(arguments: list[str] | None = None) -> None:
         What follows ``inflight``; the process's own when absent.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    command = typer.main.get_command(app)
+    group = typer.main.get_command(app)
     try:
-        code = command.main(given, prog_name="inflight", standalone_mode="--json" not in given)
+        code = group.main(given, prog_name="inflight", standalone_mode="--json" not in given)
     except typer.TyperException as error:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         remedy = "inflight --help lists verbs and options"
         place = {"file": "", "channel": "", "day": ""}
-        Session(json=True).fail({"kind": "UsageError", "message": message, "remedy": remedy, **place})
+        Command(json=True).fail({"kind": "UsageError", "message": message, "remedy": remedy, **place})
         code = EXIT_USAGE
     sys.exit(code)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inflight.cli.command import Command, text_table, verb
 from inflight.cli.pipeline import EndOption, StartOption
-from inflight.cli.session import Session, text_table, verb
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
     from inflight.catalog import Catalog, Day
 
-catalog = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
+group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
 
-@verb(catalog, "list")
-def list_datasets(session: Session) -> None:
+@verb(group, "list")
+def list_datasets(command: Command) -> None:
     """List datasets, tables and models: what there is, for which days, in which version."""
-    found = session.open_catalog()
-    items = found.inventory()
-    tables = [_table_fields(record) for record in found.tables()]
+    catalog = command.open_catalog()
+    items = catalog.inventory()
+    tables = [_table_fields(record) for record in catalog.tables()]
 
     def show(console: Console) -> None:
         if not items:
@@ -40,20 +40,20 @@ def list_datasets(session: Session) -> None:
                 f"calibration tables: {len(tables)} ({', '.join(sorted({t['name'] for t in tables}))})"
             )
 
-    session.emit({"command": "catalog list", "items": items, "tables": tables}, show)
+    command.emit({"command": "catalog list", "items": items, "tables": tables}, show)
 
 
-@verb(catalog, "show")
+@verb(group, "show")
 def show_dataset(
-    session: Session,
+    command: Command,
     name: Annotated[str, typer.Argument(help="Dataset (l2/field), table or lineage id (day:12).")],
     *,
     start: StartOption = None,
     end: EndOption = None,
 ) -> None:
     """Show the days of a dataset, the validity of a table, or what something was made from."""
-    found = session.open_catalog()
-    columns, items = _items_of(found, name, slice(start, end))
+    catalog = command.open_catalog()
+    columns, items = _items_of(catalog, name, slice(start, end))
 
     def show(console: Console) -> None:
         # A day without a message shows what its report states.
@@ -67,14 +67,14 @@ def show_dataset(
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
 
-    session.emit({"command": "catalog show", "name": name, "items": items}, show)
+    command.emit({"command": "catalog show", "name": name, "items": items}, show)
 
 
-def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
+def _items_of(catalog: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
     from inflight.errors import CatalogError
 
     if ":" in name:
-        edges = [_plain_fields(edge) for edge in found.lineage(name)]
+        edges = [_plain_fields(edge) for edge in catalog.lineage(name)]
         # A file, a model and a context are where lineage begins; days and tables are made from something.
         if not edges and name.partition(":")[0] not in ("file", "model", "context"):
             raise CatalogError(
@@ -83,10 +83,10 @@ def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], 
             )
         return tuple(edges[0]) if edges else ("parent", "child"), edges
     table = name.removeprefix("tables/")
-    tables = [_table_fields(record) for record in found.tables(table)]
+    tables = [_table_fields(record) for record in catalog.tables(table)]
     if tables:
         return ("id", "name", "start", "end", "run", "valid"), tables
-    days = [_day_fields(day) for day in found.days(name, span)]
+    days = [_day_fields(day) for day in catalog.days(name, span)]
     if not days:
         raise CatalogError(
             f"there is neither a dataset nor a table {name!r} with days in the span",
@@ -113,16 +113,16 @@ def _summary_of_report(report: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
-@verb(catalog, "verify")
+@verb(group, "verify")
 def verify(
-    session: Session,
+    command: Command,
     name: Annotated[str | None, typer.Argument(help="Only this dataset.")] = None,
 ) -> None:
     """Hash every published store against its manifest; exit 1 when something is damaged."""
-    found = session.open_catalog()
+    catalog = command.open_catalog()
     if name is not None:
-        _require_known(found, name)
-    faults = found.verify(name)
+        _require_known(catalog, name)
+    faults = catalog.verify(name)
 
     def show(console: Console) -> None:
         if faults:
@@ -131,31 +131,31 @@ def verify(
         else:
             console.print("every published store is whole")
 
-    session.emit({"command": "catalog verify", "items": [], "faults": faults}, show)
+    command.emit({"command": "catalog verify", "items": [], "faults": faults}, show)
     if faults:
         raise typer.Exit(1)
 
 
-def _require_known(found: Catalog, name: str) -> None:
+def _require_known(catalog: Catalog, name: str) -> None:
     """Refuse a name that nothing is known of: it would be reported as whole and without gaps."""
     from inflight.errors import CatalogError
 
-    tables = sorted({f"tables/{record.name}" for record in found.tables()})
-    known = [*(item["dataset"] for item in found.inventory()), *tables]
+    tables = sorted({f"tables/{record.name}" for record in catalog.tables()})
+    known = [*(item["dataset"] for item in catalog.inventory()), *tables]
     if name not in known:
         raise CatalogError(
             f"there is no dataset {name!r}", remedy=f"the catalog has {', '.join(known) or 'nothing yet'}"
         )
 
 
-@verb(catalog, "repair")
+@verb(group, "repair")
 def repair(
-    session: Session,
+    command: Command,
     *,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be let go.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what is damaged.")] = False,
 ) -> None:
     """Take damaged stores out of use, so that ingest and reprocess make their days and tables again."""
-    items = [_plain_fields(repaired) for repaired in session.open_catalog().repair(dry_run=dry_run)]
+    items = [_plain_fields(repaired) for repaired in command.open_catalog().repair(dry_run=dry_run)]
 
     def show(console: Console) -> None:
         if not items:
@@ -171,12 +171,12 @@ def repair(
             "Next: inflight ingest, then inflight reprocess" if not dry_run else "nothing was changed"
         )
 
-    session.emit({"command": "catalog repair", "dry_run": dry_run, "items": items}, show)
+    command.emit({"command": "catalog repair", "dry_run": dry_run, "items": items}, show)
 
 
-@verb(catalog, "gaps")
+@verb(group, "gaps")
 def gaps(
-    session: Session,
+    command: Command,
     name: Annotated[str | None, typer.Argument(help="Only this dataset.")] = None,
     *,
     start: StartOption = None,
@@ -185,15 +185,15 @@ def gaps(
     """List the days that are missing or failed, with the cause the catalog knows."""
     from inflight.time import day_range
 
-    found = session.open_catalog()
+    catalog = command.open_catalog()
     span = slice(start, end)
     if name is not None:
-        _require_known(found, name)
-    names = [name] if name else [item["dataset"] for item in found.inventory()]
+        _require_known(catalog, name)
+    names = [name] if name else [item["dataset"] for item in catalog.inventory()]
     items = []
     for dataset in names:
         # From the first to the last day of a dataset.
-        days = {day.day: day for day in found.days(dataset, span)}
+        days = {day.day: day for day in catalog.days(dataset, span)}
         for date in day_range(min(days), max(days) + 1) if days else ():
             day = days.get(date)
             if day is None:
@@ -208,7 +208,7 @@ def gaps(
         else:
             console.print("no gaps")
 
-    session.emit({"command": "catalog gaps", "items": items, "faults": []}, show)
+    command.emit({"command": "catalog gaps", "items": items, "faults": []}, show)
 
 
 def _day_fields(day: Day) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Verbs about a missing effect: ``diagnose`` and ``auto`` find it; ``add``, ``drop``, ``undo`` revise.
 
-Behind the verbs stands how a diagnosis (`print_diagnosis`) and a revision (`print_revision`) are printed.
+`print_diagnosis` and `print_revision` print what they return.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inflight.cli.command import Command, text_table
 from inflight.cli.pipeline import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
-from inflight.cli.session import Session, text_table
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ EffectArgument = Annotated[
 
 
 def diagnose(
-    session: Session,
+    command: Command,
     *,
     start: StartOption = None,
     end: EndOption = None,
@@ -69,11 +69,11 @@ def diagnose(
 ) -> None:
     """Find which physical effect is missing from the model."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(session, options, save=False, workers=workers, prefect=not no_prefect)
+    _search(command, options, save=False, workers=workers, prefect=not no_prefect)
 
 
 def auto(
-    session: Session,
+    command: Command,
     *,
     start: StartOption = None,
     end: EndOption = None,
@@ -85,27 +85,27 @@ def auto(
 ) -> None:
     """Find what is missing and add it, until nothing more is justified; a version for each effect."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(session, options, save=True, workers=workers, prefect=not no_prefect)
+    _search(command, options, save=True, workers=workers, prefect=not no_prefect)
 
 
 def _search(
-    session: Session, options: Mapping[str, Any], *, save: bool, workers: int | None, prefect: bool
+    command: Command, options: Mapping[str, Any], *, save: bool, workers: int | None, prefect: bool
 ) -> None:
     """Run the flow, or its plain function, and print the diagnosis."""
     given = {name: value for name, value in options.items() if value is not None}
-    given["comparison"] = _comparison(session, given.get("comparison"))
+    given["comparison"] = _comparison(command, given.get("comparison"))
     span: dict[str, Any] = {name: given.pop(name) for name in ("start", "end") if name in given}
     parameters: dict[str, Any] = {**span, "settings": given, "save": save}
-    report = run_flow(session, "diagnose", parameters, workers=workers, prefect=prefect)
+    report = run_flow(command, "diagnose", parameters, workers=workers, prefect=prefect)
     fields = {"command": report.command, "run": report.run, "context": report.context, **report.extra}
-    session.emit(fields, lambda console: print_diagnosis(console, fields))
+    command.emit(fields, lambda console: print_diagnosis(console, fields))
 
 
-def _comparison(session: Session, named: str | None) -> str:
+def _comparison(command: Command, named: str | None) -> str:
     """Return the comparison to work on: the one named, ``main``, or the only one; refuse others."""
     from inflight.tasks.analysis import require_sampled
 
-    mission = session.open_workspace().mission()
+    mission = command.open_workspace().mission()
     only = next(iter(mission.comparisons)) if len(mission.comparisons) == 1 else "main"
     name = named or only
     require_sampled(mission, name)
@@ -113,7 +113,7 @@ def _comparison(session: Session, named: str | None) -> str:
 
 
 def add(
-    session: Session,
+    command: Command,
     effect: EffectArgument,
     *,
     comparison: ComparisonOption = None,
@@ -127,36 +127,36 @@ def add(
         except (OSError, UnicodeDecodeError) as error:
             remedy = "name a file with one entry of a model, or write the entry itself"
             raise SettingsError(f"{effect}: {error}", remedy=remedy) from None
-    _revise(session, comparison, workers, lambda bench: bench.add(entry))
+    _revise(command, comparison, workers, lambda bench: bench.add(entry))
 
 
 def drop(
-    session: Session,
+    command: Command,
     effect: Annotated[str, typer.Argument(help="Name of an effect of the model: see 'model show'.")],
     *,
     comparison: ComparisonOption = None,
     workers: WorkersOption = None,
 ) -> None:
     """Take an effect out of the model, fit everything anew, and save a new version."""
-    _revise(session, comparison, workers, lambda bench: bench.drop(effect))
+    _revise(command, comparison, workers, lambda bench: bench.drop(effect))
 
 
-def undo(session: Session, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
+def undo(command: Command, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
     """Go back to the model before the last change; history keeps both."""
-    _revise(session, comparison, workers, lambda bench: bench.undo())
+    _revise(command, comparison, workers, lambda bench: bench.undo())
 
 
 def _revise(
-    session: Session, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
+    command: Command, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
 ) -> None:
     from inflight.flows import lazy_client
     from inflight.tasks.analysis import open_workbench
 
-    name = _comparison(session, comparison)
-    workspace = session.open_workspace()
-    with session.progress() as progress, lazy_client(workers) as client:
+    name = _comparison(command, comparison)
+    workspace = command.open_workspace()
+    with command.progress() as progress, lazy_client(workers) as client:
         fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
-    session.emit(fields, lambda console: print_revision(console, fields))
+    command.emit(fields, lambda console: print_revision(console, fields))
 
 
 def print_diagnosis(console: Console, fields: Fields) -> None:

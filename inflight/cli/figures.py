@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Session, text_table
+from inflight.cli.command import Command, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,7 +21,7 @@ _SHOWN = 3
 
 
 def figures(
-    session: Session,
+    command: Command,
     *,
     only: Annotated[
         list[str] | None, typer.Option(help="Only this id, or all that begin with it; may be repeated.")
@@ -31,12 +31,12 @@ def figures(
     """Compare published figures with what the software obtains for them, now."""
     from inflight.scorecard import SECTIONS, run_scorecard
 
-    found = [report.as_json() for report in run_scorecard(only or (), section)]
-    counts = _counts(found)
+    results = [report.as_json() for report in run_scorecard(only or (), section)]
+    counts = _counts(results)
 
     def show(console: Console) -> None:
         for name, title in SECTIONS.items():
-            of_section = [figure for figure in found if figure["section"] == name]
+            of_section = [figure for figure in results if figure["section"] == name]
             if of_section:
                 console.print(f"\n{title}", style="bold")
                 console.print(_table(of_section))
@@ -49,27 +49,27 @@ def figures(
         )
         console.print("* not printed by the source, but what theory or geometry makes one expect")
 
-    session.emit({"command": "figures", "figures": found, "verdicts": counts}, show)
+    command.emit({"command": "figures", "figures": results, "verdicts": counts}, show)
 
 
-def _counts(found: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
+def _counts(results: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     """Count verdicts of figures that are printed, expected by theory, or recovered from injection.
 
     What was injected tests an estimator, whether its number is printed or not.
     """
     counts: dict[str, Counter[str]] = {"printed": Counter(), "expected": Counter(), "recovered": Counter()}
-    for figure in found:
+    for figure in results:
         injected = figure["basis"] == "recovered_from_injection"
         kind = "recovered" if injected else "printed" if figure["printed"] else "expected"
         counts[kind][figure["verdict"]] += 1
     return {kind: {name: count[name] for name in _COLOURS if count[name]} for kind, count in counts.items()}
 
 
-def _table(found: list[dict[str, Any]]) -> Table:
+def _table(results: list[dict[str, Any]]) -> Table:
     from rich.text import Text
 
     rows: list[tuple[str | Text, ...]] = []
-    for figure in found:
+    for figure in results:
         tolerance, injected = figure["tolerance"], figure["basis"] == "recovered_from_injection"
         is_range = isinstance(tolerance, dict)
         rows.append(

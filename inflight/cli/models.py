@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Session, text_table, verb
+from inflight.cli.command import Command, text_table, verb
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.tasks import ModelHistory
 
-model = typer.Typer(
+group = typer.Typer(
     help="Look into the model: its effects, versions and what they change.", no_args_is_help=True
 )
 
@@ -24,9 +24,9 @@ ModelArgument = Annotated[str, typer.Argument(help="Version (3), name, or both (
 _DIGITS = 9
 
 
-@verb(model, "show")
+@verb(group, "show")
 def show_model(
-    session: Session,
+    command: Command,
     named: Annotated[
         str | None, typer.Argument(metavar="[MODEL]", help="Version (3), name, or name:3.")
     ] = None,
@@ -36,7 +36,7 @@ def show_model(
     """Show the effects of a model in the order of correction, with values and uncertainties."""
     from inflight.model import parse_tree
 
-    found = _versions(session, comparison).named(named)
+    found = _versions(command, comparison).named(named)
     tree = parse_tree(found.text)
     message = found.record.message if found.record else ""
 
@@ -51,12 +51,12 @@ def show_model(
                 console.print(f"{entry['effect']} is the mission's own effect, source {entry['source']}")
 
     fields = found.fields | {"message": message}
-    session.emit({"command": "model show", **fields, "model": tree}, show)
+    command.emit({"command": "model show", **fields, "model": tree}, show)
 
 
-@verb(model, "diff")
+@verb(group, "diff")
 def diff_models(
-    session: Session,
+    command: Command,
     before: ModelArgument,
     after: Annotated[str | None, typer.Argument(help="The model in use when left out.")] = None,
     *,
@@ -65,7 +65,7 @@ def diff_models(
     """Show what one version of a model changes of another."""
     from inflight.model import changes, parse_tree
 
-    versions = _versions(session, comparison)
+    versions = _versions(command, comparison)
     old, new = versions.named(before), versions.named(after)
     found = changes(parse_tree(old.text)["effects"], parse_tree(new.text)["effects"])
 
@@ -77,13 +77,13 @@ def diff_models(
             console.print("  nothing differs")
 
     fields = {"command": "model diff", "from": old.fields, "to": new.fields, "changes": found}
-    session.emit(fields, show)
+    command.emit(fields, show)
 
 
-@verb(model, "history")
-def model_history(session: Session, *, comparison: ComparisonOption = None) -> None:
+@verb(group, "history")
+def model_history(command: Command, *, comparison: ComparisonOption = None) -> None:
     """List the versions of the workspace's models: from what each was made, why and when."""
-    items = _versions(session, comparison).items()
+    items = _versions(command, comparison).items()
 
     def show(console: Console) -> None:
         if not items:
@@ -97,14 +97,14 @@ def model_history(session: Session, *, comparison: ComparisonOption = None) -> N
             rows.append([str(shown[name]) for name in columns])
         console.print(text_table(columns, rows))
 
-    session.emit({"command": "model history", "items": items}, show)
+    command.emit({"command": "model history", "items": items}, show)
 
 
-def _versions(session: Session, comparison: str | None) -> ModelHistory:
+def _versions(command: Command, comparison: str | None) -> ModelHistory:
     from inflight.tasks import ModelHistory, comparison_of
 
-    mission = session.open_workspace().mission()
-    return ModelHistory(session.open_catalog(), mission, comparison_of(mission, comparison))
+    mission = command.open_workspace().mission()
+    return ModelHistory(command.open_catalog(), mission, comparison_of(mission, comparison))
 
 
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from inflight.cli.session import Session
+from inflight.cli.command import Command
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -61,13 +61,13 @@ BatchOption = Annotated[
 
 
 def run_flow(
-    session: Session, name: str, parameters: Mapping[str, Any], *, workers: int | None, prefect: bool
+    command: Command, name: str, parameters: Mapping[str, Any], *, workers: int | None, prefect: bool
 ) -> RunReport:
     """Run a flow, or its plain function, with a progress bar a stage.
 
     Parameters
     ----------
-    session : Session
+    command : Command
         The command.
     name : str
         ``ingest``, ``reprocess``, ``backfill``, ``diagnose`` or ``release``.
@@ -80,9 +80,9 @@ def run_flow(
     """
     from inflight.flows import run_embedded, run_plain
 
-    workspace = session.open_workspace()
+    workspace = command.open_workspace()
     run: Callable[..., RunReport] = run_embedded if prefect else run_plain
-    with session.progress() as progress:
+    with command.progress() as progress:
         return run(name, workspace, parameters, workers=workers, progress=progress)
 
 
@@ -92,7 +92,7 @@ def _given(**options: Any) -> dict[str, Any]:
 
 
 def ingest(
-    session: Session,
+    command: Command,
     paths: Annotated[
         list[Path] | None,
         typer.Argument(help="Folder of delivered files (default: data in the workspace)", show_default=False),
@@ -120,8 +120,8 @@ def ingest(
             remedy="name the folder of the delivered files, or none for the workspace's own",
         )
     parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
-    report = run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect)
-    workspace = session.open_workspace()
+    report = run_flow(command, "ingest", parameters, workers=workers, prefect=not no_prefect)
+    workspace = command.open_workspace()
     mission, folder = workspace.mission(), folders[0] if folders else workspace.data
     remarks = []
     for name, dataset in report.extra.get("datasets", {}).items():
@@ -132,11 +132,11 @@ def ingest(
             rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in dataset["dropped"].items())
             remarks.append(f"{name}: rows dropped: {rows}")
         remarks += [f"{name}: {note}" for note in dataset["notes"]]
-    session.finish(report, remarks)
+    command.finish(report, remarks)
 
 
 def reprocess(
-    session: Session,
+    command: Command,
     *,
     start: StartOption = None,
     end: EndOption = None,
@@ -172,14 +172,14 @@ def reprocess(
         distribute=distribute or None,
     )
     parameters = _given(start=start, end=end, settings=settings)
-    report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)
+    report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
     checked = ReprocessSettings.model_validate(settings)
-    pipeline = pipeline_of(session.open_workspace().mission(), checked.comparison, checked)
-    session.finish(report, pipeline.remarks(report.extra))
+    pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
+    command.finish(report, pipeline.remarks(report.extra))
 
 
 def backfill(
-    session: Session,
+    command: Command,
     *,
     start: Annotated[str, typer.Option(help="First day, YYYY-MM-DD.")],
     end: Annotated[str, typer.Option(help="Day after the last one, YYYY-MM-DD.")],
@@ -193,11 +193,11 @@ def backfill(
     settings = _given(comparison=comparison, batch_days=batch_days)
     if not dry_run:
         parameters = {"start": start, "end": end, "settings": settings}
-        session.finish(run_flow(session, "backfill", parameters, workers=workers, prefect=not no_prefect))
+        command.finish(run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect))
         return
     from inflight.flows import plan_span
 
-    fields = plan_span(session.open_workspace(), start, end, settings)
+    fields = plan_span(command.open_workspace(), start, end, settings)
 
     def show(console: Console) -> None:
         days = fields["days"]
@@ -208,4 +208,4 @@ def backfill(
         for first, last, count in fields["batches"]:
             console.print(f"  {first} to {last}  ({count} days)")
 
-    session.emit({"command": "backfill", "dry_run": True, **fields}, show)
+    command.emit({"command": "backfill", "dry_run": True, **fields}, show)

@@ -1,4 +1,4 @@
-"""Verbs that show and hand out results: ``compare``, ``chain``, ``report``, ``explore`` and ``release``."""
+"""Verbs that show and release results: ``compare``, ``chain``, ``report``, ``explore`` and ``release``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inflight.cli.command import Command
 from inflight.cli.pipeline import (
     ComparisonOption,
     EndOption,
@@ -17,7 +18,6 @@ from inflight.cli.pipeline import (
     WorkersOption,
     run_flow,
 )
-from inflight.cli.session import Session
 from inflight.errors import SettingsError, StorageError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    session: Session,
+    command: Command,
     *,
     start: StartOption = None,
     end: EndOption = None,
@@ -38,10 +38,10 @@ def compare(
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Tell how well the calibrated instrument agrees with its reference, before and after."""
-    workspace = session.open_workspace()
-    report = compare_span(session, workspace, start=start, end=end, comparison=comparison, output=output)
+    workspace = command.open_workspace()
+    report = compare_span(command, workspace, start=start, end=end, comparison=comparison, output=output)
     fields = report.as_json()
-    session.emit(fields, lambda console: print_comparison(console, report))
+    command.emit(fields, lambda console: print_comparison(console, report))
     if show and fields["path"]:
         import webbrowser
 
@@ -49,7 +49,7 @@ def compare(
 
 
 def compare_span(
-    session: Session,
+    command: Command,
     workspace: Workspace,
     *,
     start: str | None = None,
@@ -79,8 +79,8 @@ def compare_span(
         if output:
             raise
         page = None
-    catalog = session.open_catalog()
-    with session.progress() as progress:
+    catalog = command.open_catalog()
+    with command.progress() as progress:
         return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
 
 
@@ -120,7 +120,7 @@ def print_comparison(console: Console, report: Report) -> None:
 
 
 def release(
-    session: Session,
+    command: Command,
     version: Annotated[str, typer.Argument(help="Version of the release, such as 1.0; never used twice.")],
     *,
     notes: Annotated[str, typer.Option(help="Text for the release notes.")] = "",
@@ -129,11 +129,11 @@ def release(
 ) -> None:
     """Freeze what is published and copy it out with manifest and notes."""
     parameters = {"version": version, "notes": notes, "destination": destination}
-    session.finish(run_flow(session, "release", parameters, workers=None, prefect=not no_prefect))
+    command.finish(run_flow(command, "release", parameters, workers=None, prefect=not no_prefect))
 
 
 def chain(
-    session: Session,
+    command: Command,
     *,
     comparison: ComparisonOption = "main",
     html: Annotated[
@@ -155,8 +155,8 @@ def chain(
     """
     from inflight.tasks.pipelines import tables_report
 
-    workspace = session.open_workspace()
-    mission, catalog = workspace.mission(), session.open_catalog()
+    workspace = command.open_workspace()
+    mission, catalog = workspace.mission(), command.open_catalog()
     _require_comparison(mission, comparison)
     page = _page_path(html) if html else None
     report = tables_report(catalog, mission, comparison, page, cross_talk)
@@ -167,11 +167,11 @@ def chain(
         where = fields["path"] or "none; --html FILE writes it with every figure"
         console.print(f"  page: {where}", soft_wrap=True, markup=False)
 
-    session.emit(fields, show)
+    command.emit(fields, show)
 
 
 def report(
-    session: Session,
+    command: Command,
     *,
     start: StartOption = None,
     end: EndOption = None,
@@ -190,7 +190,7 @@ def report(
     from inflight.tasks.analysis import DiagnoseSettings, last_diagnosis, require_sampled
     from inflight.tasks.analysis import report as write_report
 
-    workspace = session.open_workspace()
+    workspace = command.open_workspace()
     mission = workspace.mission()
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
     span = DaySpan.model_validate({"start": start, "end": end}).as_text()
@@ -200,9 +200,9 @@ def report(
     if not any(span):
         span = last.get("start"), last.get("end")
     page = _page_path(output or workspace.reports / "-".join(["report", name, *filter(None, span)]))
-    with session.progress() as progress, lazy_client(workers) as client:
+    with command.progress() as progress, lazy_client(workers) as client:
         written = write_report(
-            session.open_catalog(), mission, page, *span, settings, client=client, progress=progress
+            command.open_catalog(), mission, page, *span, settings, client=client, progress=progress
         )
     fields = written.as_json()
 
@@ -211,7 +211,7 @@ def report(
         console.print(f"  {fields['sentence']}", soft_wrap=True, markup=False)
         console.print(f"  page: {fields['path']}", soft_wrap=True, markup=False)
 
-    session.emit(fields, show_report)
+    command.emit(fields, show_report)
     if show:
         import webbrowser
 
@@ -219,7 +219,7 @@ def report(
 
 
 def explore(
-    session: Session,
+    command: Command,
     *,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of this machine (default: a free one).")
@@ -233,7 +233,7 @@ def explore(
 
     Serves this machine alone until Ctrl-C.
     """
-    workspace = session.open_workspace()
+    workspace = command.open_workspace()
     workspace.mission()
     from inflight.explorer import Server
 
@@ -241,8 +241,8 @@ def explore(
 
     def ready(url: str) -> None:
         fields = {"command": "explore", "url": url, "workspace": str(workspace.root)}
-        session.emit(fields, lambda console: console.print(f"{url}  (Ctrl-C ends it)", soft_wrap=True))
-        if not (no_browser or session.json):
+        command.emit(fields, lambda console: console.print(f"{url}  (Ctrl-C ends it)", soft_wrap=True))
+        if not (no_browser or command.json):
             import webbrowser
 
             webbrowser.open(url)

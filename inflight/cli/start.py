@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inflight.cli.command import Command
 from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span, print_comparison
-from inflight.cli.session import Session
 from inflight.errors import SettingsError
 from inflight.tasks import Progress, RunReport, print_report
 
@@ -38,7 +38,7 @@ DEMO_START = "2005-01-01"
 
 
 def new(
-    session: Session,
+    command: Command,
     mission: Annotated[
         str | None, typer.Argument(help="A shipped mission or a YAML file; without it, they are listed.")
     ] = None,
@@ -48,7 +48,7 @@ def new(
     from inflight.catalog import Workspace
 
     if mission is None:
-        _list_missions(session)
+        _list_missions(command)
         return
     if folder is None:
         raise SettingsError(
@@ -66,10 +66,10 @@ def new(
         ):
             console.print(line, soft_wrap=True)
 
-    session.emit(report.as_json(), show)
+    command.emit(report.as_json(), show)
 
 
-def _list_missions(session: Session) -> None:
+def _list_missions(command: Command) -> None:
     from inflight.catalog import shipped_missions
     from inflight.mission import Mission
 
@@ -86,11 +86,11 @@ def _list_missions(session: Session) -> None:
             "\nMake a workspace: inflight new NAME DIR. A mission of your own: inflight new template DIR"
         )
 
-    session.emit({"command": "new", "missions": items}, show)
+    command.emit({"command": "new", "missions": items}, show)
 
 
 def simulate(
-    session: Session,
+    command: Command,
     *,
     start: Annotated[str, typer.Option(help="First day, YYYY-MM-DD.")] = "2005-01-01",
     days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
@@ -108,9 +108,9 @@ def simulate(
     from inflight.catalog import Workspace
     from inflight.tasks.archive import SECOND_FLUXGATE
 
-    workspace = Workspace(session.workspace)
+    workspace = Workspace(command.workspace)
     if not workspace.mission_file.exists():
-        workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
+        workspace = Workspace.create(command.workspace, SIMULATED_MISSION)
     mission, instruments = workspace.mission().mission, workspace.mission().instruments
     simulated = (SIMULATED_MISSION, SECOND_FLUXGATE_MISSION, *SPINNING_MISSIONS, TWO_SENSOR_MISSION)
     if mission not in simulated:
@@ -125,7 +125,7 @@ def simulate(
         settings |= {"second_fluxgate": True}
     if mission in SPINNING_MISSIONS:
         settings |= {"craft": mission}
-    with session.progress() as progress:
+    with command.progress() as progress:
         written = write_deliveries(
             workspace.data, settings, mission=mission, workers=workers, progress=progress
         )
@@ -135,7 +135,7 @@ def simulate(
         outputs=sorted({workspace.relative(path.parent) for path in written}),
         extra={"files": len(written)},
     )
-    session.finish(report)
+    command.finish(report)
 
 
 def write_deliveries(
@@ -168,7 +168,7 @@ def write_deliveries(
 
 
 def demo(
-    session: Session,
+    command: Command,
     *,
     days: Annotated[int, typer.Option(min=1, help="Days to simulate.")] = 30,
     seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
@@ -179,18 +179,18 @@ def demo(
     from inflight.catalog import Workspace
 
     begun = time.monotonic()
-    folder = DEMO_FOLDER if session.workspace == Path() else session.workspace
-    session = Session(folder, session.json, session.debug)
+    folder = DEMO_FOLDER if command.workspace == Path() else command.workspace
+    command = Command(folder, command.json, command.debug)
     exists = Workspace(folder).mission_file.exists()
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
 
     def announce(text: str) -> None:
-        if not session.json:
-            session.console.print(text, style="bold")
+        if not command.json:
+            command.console.print(text, style="bold")
 
     announce(f"1 of 4  simulating {days} days of day files in {workspace.data}")
     settings = {"start": DEMO_START, "days": days, "seed": seed}
-    with session.progress() as progress:
+    with command.progress() as progress:
         write_deliveries(workspace.data, settings, workers=workers, progress=progress)
     reports = []
     for number, name, doing in (
@@ -198,11 +198,11 @@ def demo(
         (3, "reprocess", "calibrating every day and writing level-2 products"),
     ):
         announce(f"{number} of 4  {doing}")
-        reports.append(run_flow(session, name, {}, workers=workers, prefect=not no_prefect))
-        if not session.json:
-            print_report(reports[-1], session.console)
+        reports.append(run_flow(command, name, {}, workers=workers, prefect=not no_prefect))
+        if not command.json:
+            print_report(reports[-1], command.console)
     announce("4 of 4  comparing the vector instrument with the scalar one")
-    compared = compare_span(session, workspace)
+    compared = compare_span(command, workspace)
     seconds = time.monotonic() - begun
     fields = compared.as_json()
     page = workspace.relative(fields["path"])
@@ -214,7 +214,7 @@ def demo(
         print_comparison(console, compared)
         _print_next(console, workspace, seconds)
 
-    session.emit(total.as_json(), show)
+    command.emit(total.as_json(), show)
     if total.exit_code:
         raise typer.Exit(total.exit_code)
 

@@ -13,9 +13,23 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, DayData, write_segment
+from inflight.catalog import Catalog, DayData, FileRecord, Run, write_segment
 from inflight.errors import StorageError
 from inflight.time import SECOND, day_bounds
+
+
+def delivered(run: Run, sha256: str, *days: np.datetime64, **report: object) -> FileRecord:
+    """A delivered file of instrument ``fgm``."""
+    return FileRecord(
+        instrument="fgm",
+        path="a.cdf",
+        sha256=sha256,
+        size=10,
+        mtime_ns=123,
+        days=tuple(map(str, days)),
+        report=report,
+        run=run.id,
+    )
 
 
 def samples(

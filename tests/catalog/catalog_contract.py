@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from catalog_cases import days_from, publish, samples, table
+from catalog_cases import days_from, delivered, publish, samples, table
 from catalog_contract_reading import ReadingContract
 
 from inflight.catalog import Catalog, DayData, idempotency_key, write_segment
@@ -289,7 +289,7 @@ class RegistryContract:
     def test_delivered_files_count_once_their_days_are_published(self, catalog):
         def take(sha256, *, publishing):
             with catalog.run("ingest") as run:
-                catalog.record_file(run, "fgm", "a.cdf", sha256, 10, 123, [DAYS[0]], {"dropped": 1})
+                catalog.record_files(run, [delivered(run, sha256, DAYS[0], dropped=1)])
                 if publishing:
                     run.publish()
             return run.id
@@ -307,7 +307,7 @@ class RegistryContract:
         version = catalog.save_model("champ", "a: 1")
         context = catalog.save_context("mission: champ", "champ", version, {})
         with catalog.run("ingest") as run:
-            catalog.record_file(run, "fgm", "a.cdf", "1" * 64, 10, 123)
+            catalog.record_files(run, [delivered(run, "1" * 64)])
             raw = run.stage(NAME, samples(DAYS[0]), day=DAYS[0], parents=["file:" + "1" * 64])
             run.publish()
         with catalog.run("reprocess", {}, context) as run:
@@ -328,7 +328,7 @@ class UpkeepContract:
     def test_verify_names_every_damaged_file_of_what_is_in_use(self, catalog):
         publish(catalog, NAME, DAYS)
         with catalog.run("ingest") as run:
-            catalog.record_file(run, "fgm", "a.cdf", "abc", 10, 123)
+            catalog.record_files(run, [delivered(run, "abc")])
         assert catalog.verify() == []
         chunk = catalog.workspace / catalog.current(NAME, DAYS[0]).segment / "flag" / "c" / "0"
         chunk.write_bytes(b"nonsense")

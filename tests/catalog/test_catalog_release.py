@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 import xarray as xr
-from catalog_cases import days_from, freeze, publish, samples, spawn, table
+from catalog_cases import days_from, delivered, freeze, publish, samples, spawn, table
 
 from inflight.catalog import Catalog
 from inflight.errors import CatalogError, StorageError
@@ -18,7 +18,7 @@ DELIVERED = "a" * 64
 
 def ingest(catalog, days, *, seed=0, name="l1/fgm", parents=("file:" + DELIVERED,), context=None):
     with catalog.run("ingest", {}, context) as run:
-        catalog.record_file(run, "fgm", "a.cdf", DELIVERED, 10, 123)
+        catalog.record_files(run, [delivered(run, DELIVERED)])
         for day in days:
             run.stage(name, samples(day, seed=seed), day=day, parents=parents)
         return run.publish()

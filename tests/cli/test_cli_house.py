@@ -7,7 +7,7 @@ import time
 import pytest
 
 import inflight as package
-from inflight.cli.session import Session, run_verb
+from inflight.cli.command import Command, run_verb
 from inflight.errors import CatalogError
 
 VERBS = ["new", "simulate", "ingest", "reprocess", "backfill", "compare", "catalog", "release", "demo"]
@@ -87,7 +87,7 @@ def test_what_a_verb_raises_becomes_message_and_exit_code(capsys, error, code, k
         raise error
 
     with pytest.raises(typer.Exit) as left:
-        run_verb(Session(json=True), work)
+        run_verb(Command(json=True), work)
     assert left.value.exit_code == code
     assert f'"kind": "{kind}"' in capsys.readouterr().out
 
@@ -100,7 +100,7 @@ def test_a_traceback_is_shown_only_when_asked_for(capsys):
 
     for debug in (False, True):
         with pytest.raises(typer.Exit):
-            run_verb(Session(debug=debug), work)
+            run_verb(Command(debug=debug), work)
         assert ("Traceback" in capsys.readouterr().err) is debug
 
 
@@ -131,7 +131,7 @@ def test_an_interruption_is_no_defect_whatever_it_turns_into(capsys, after):
             raise after from None
 
     with pytest.raises(typer.Exit) as left:
-        run_verb(Session(), work)
+        run_verb(Command(), work)
     assert left.value.exit_code == 130
     told = capsys.readouterr().err
     assert "interrupted" in told

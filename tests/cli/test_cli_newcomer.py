@@ -3,7 +3,7 @@
 import pytest
 from tiny_mission import make_tiny_workspace
 
-from inflight.cli.session import PIPED_WIDTH, Session
+from inflight.cli.command import PIPED_WIDTH, Command
 
 PLAIN = ("--no-prefect", "--workers", 1)
 
@@ -80,6 +80,6 @@ def test_a_comparison_that_is_not_there_is_wrong_usage(inflight, root):
 
 def test_tables_in_a_pipe_are_wide_enough_for_paths(monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert Session().console.width == PIPED_WIDTH
+    assert Command().console.width == PIPED_WIDTH
     monkeypatch.setenv("COLUMNS", "70")
-    assert Session().console.width == 70
+    assert Command().console.width == 70

@@ -90,15 +90,15 @@ def test_a_failure_of_the_repair_itself_leaves_everything_as_it_was(fresh, monke
     before = days_as_now(catalog)
     for item in ("l2/field", "l1/turning"):
         damaged_chunk(catalog, item, DAYS[0])
-    from inflight.catalog import repair as module
+    from inflight.catalog import upkeep as module
 
-    let_go, calls = module._withdraw, []
+    withdraw, calls = module._withdraw, []
 
-    def break_at_the_second(*told):
-        calls.append(told)
+    def break_at_the_second(*arguments):
+        calls.append(arguments)
         if len(calls) == 2:
             raise OSError("gone")
-        let_go(*told)
+        withdraw(*arguments)
 
     monkeypatch.setattr(module, "_withdraw", break_at_the_second)
     with pytest.raises(OSError, match="gone"):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from inflight.flows.settings import prefect_environment
+from inflight.flows.launch import prefect_environment
 
 os.environ.setdefault("PREFECT_HOME", tempfile.mkdtemp(prefix="inflight-prefect-"))
 os.environ.update(prefect_environment(Path(os.environ["PREFECT_HOME"])))
@@ -15,7 +15,7 @@ os.environ.update(prefect_environment(Path(os.environ["PREFECT_HOME"])))
 @pytest.fixture(scope="session")
 def embedded():
     """Keep the project's Prefect settings on, so that all tests share one embedded server."""
-    from inflight.flows.settings import prefect_settings
+    from inflight.flows.launch import prefect_settings
 
     with prefect_settings(Path(os.environ["PREFECT_HOME"])):
         yield

@@ -6,7 +6,7 @@ import pytest
 
 from inflight.errors import SettingsError
 from inflight.flows import DaySpan, available_cores, dask_client
-from inflight.flows.settings import prefect_environment, prefect_settings
+from inflight.flows.launch import prefect_environment, prefect_settings
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):

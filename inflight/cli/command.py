@@ -46,7 +46,7 @@ PIPED_WIDTH = 200
 
 
 @dataclass(frozen=True)
-class Session:
+class Command:
     """One command being carried out.
 
     Parameters
@@ -189,7 +189,7 @@ def exit_code_of(error: Exception) -> int:
     return EXIT_USAGE if wrong_usage else EXIT_FAILED
 
 
-def run_verb(session: Session, work: Callable[[], None]) -> None:
+def run_verb(command: Command, work: Callable[[], None]) -> None:
     """Run a verb; turn whatever it raises into a message and an exit code.
 
     An `InflightError` is printed as it is. Anything else is a defect of the software and reported as
@@ -203,12 +203,12 @@ def run_verb(session: Session, work: Callable[[], None]) -> None:
         except (typer.Exit, typer.Abort, typer.TyperException):
             raise
         except (Exception, KeyboardInterrupt) as error:
-            if session.debug:
+            if command.debug:
                 traceback.print_exc()
             if interrupted.is_set() or not isinstance(error, Exception):
-                session.fail(_INTERRUPTED)
+                command.fail(_INTERRUPTED)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
-            session.fail(error_fields(error))
+            command.fail(error_fields(error))
             raise typer.Exit(exit_code_of(error)) from None
 
 
@@ -241,7 +241,7 @@ _INTERRUPTED = {
 
 
 def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Register a function ``(session, ...)`` as a verb that also takes the common options.
+    """Register a function ``(command, ...)`` as a verb that also takes the common options.
 
     The options are accepted before and behind the verb; behind wins. Typer reads parameters from
     the signature, so the common ones are appended to it here, once.
@@ -251,18 +251,18 @@ def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callabl
         own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
 
         @functools.wraps(function)
-        def command(
+        def invoke(
             *, context: typer.Context, workspace: Path | None, json: bool, debug: bool, **arguments: Any
         ) -> None:
-            before: Session = context.obj or Session()
-            session = Session(workspace or before.workspace, json or before.json, debug or before.debug)
-            run_verb(session, lambda: function(session, **arguments))
+            before: Command = context.obj or Command()
+            command = Command(workspace or before.workspace, json or before.json, debug or before.debug)
+            run_verb(command, lambda: function(command, **arguments))
 
         parameters = [_parameter("context", typer.Context), *own, *_COMMON]
         parameters = [item.replace(kind=inspect.Parameter.KEYWORD_ONLY) for item in parameters]
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        command.__annotations__ = {item.name: item.annotation for item in parameters}
-        app.command(name)(command)
+        invoke.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        invoke.__annotations__ = {item.name: item.annotation for item in parameters}
+        app.command(name)(invoke)
         return function
 
     return register
