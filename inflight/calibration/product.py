@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy import interpolate, linalg, signal, special
+from scipy import interpolate, linalg, special
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import Reference, sensor_reading, usable_samples
@@ -253,38 +253,6 @@ def edge_gain(period: int) -> Floats:
     size = 6 * period
     columns = np.stack([whittaker(impulse, np.ones(size), period) for impulse in np.eye(size)], axis=1)
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
-
-
-def filter_gain(period: Floats, at: float = FILTER_PERIOD_S, cadence: float = 1.0) -> Floats:
-    """Return the part of the amplitude that the filter passes at periods, s (same shape)."""
-    ratio = np.sin(np.pi * cadence / np.asarray(period)) / np.sin(np.pi * cadence / at)
-    return np.asarray(1.0 / (1.0 + ratio ** (2 * CLOSURE.order)))
-
-
-def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
-    """Return the rms of the residual of B' between two periods (s), nT, from whole valid stretches.
-
-    Raises
-    ------
-    SamplesError
-        When no stretch is twice as long as the longer period.
-    """
-    long, short = max(band), min(band)
-    known = found.valid & np.isfinite(found.remaining)
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    powers, sizes = [], []
-    for first, last in zip(bounds[::2], bounds[1::2], strict=True):
-        if (last - first) * found.cadence < 2 * long:
-            continue
-        frequency, density = signal.periodogram(
-            found.remaining[first:last], fs=1 / found.cadence, window="hann"
-        )
-        inside = (frequency >= 1 / long) & (frequency <= 1 / short)
-        powers.append(float(density[inside].sum() * frequency[1]))
-        sizes.append(last - first)
-    if not sizes:
-        raise SamplesError(f"no stretch of {2 * long:g} s without a gap", remedy="ask for shorter periods")
-    return float(np.sqrt(np.average(powers, weights=sizes)))
 
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)

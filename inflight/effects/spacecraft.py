@@ -29,23 +29,6 @@ SIDE_NORMALS = ((0.0, -(0.5**0.5), -(0.5**0.5)), (0.0, 0.5**0.5, -(0.5**0.5)))
 TOP_NORMAL = (0.0, 0.0, -1.0)
 
 
-def node_local_time(local_time: Floats, orbit_phase: Floats, inclination: float = 90.0) -> Floats:
-    """Return the local time of the ascending node from that of a place on the orbit; (epoch,) h.
-
-    Right ascension runs ``atan2(cos i sin u, cos u)`` ahead of the node's at argument of latitude u.
-
-    Parameters
-    ----------
-    local_time, orbit_phase : ndarray, shape (epoch,)
-        h, and degrees from the ascending node.
-    inclination : float
-        deg; with 90 the two halves of the orbit differ by 12 h.
-    """
-    phase, tilt = np.radians(orbit_phase), np.radians(inclination)
-    ahead = np.degrees(np.arctan2(np.cos(tilt) * np.sin(phase), np.cos(phase)))
-    return np.asarray((local_time - ahead / 15.0) % 24.0)
-
-
 def panel_weights_at(local_time: Floats) -> Floats:
     """Return the weights of first and second panel by the node's local time; (epoch, 2), of sum 1.
 

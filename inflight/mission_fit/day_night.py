@@ -390,9 +390,3 @@ def sunlit_duty(altitude: float, beta: Floats) -> Floats:
     radius = EARTH_RADIUS + altitude
     cosine = np.sqrt(radius**2 - EARTH_RADIUS**2) / (radius * np.cos(np.deg2rad(beta)))
     return np.asarray(1.0 - np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi)
-
-
-def square_wave_series(duty: float, order: int) -> Floats:
-    """Return a_0 ... a_order of a square wave that is 1 for `duty` of the orbit around t0, 0 elsewhere."""
-    k = np.arange(1, order + 1)
-    return np.concatenate([[duty], 2.0 * np.sin(np.pi * k * duty) / (np.pi * k)])
