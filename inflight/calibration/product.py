@@ -263,7 +263,7 @@ _Flags = npt.NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class DayParameters:
-    """The nine parameters that hold for a day, and how sure they are; physical units."""
+    """The nine parameters that hold for a day, with their covariance; physical units."""
 
     value: Floats
     covariance: Floats
@@ -303,7 +303,7 @@ def level2(
     xarray.Dataset
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
-        was taken out (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
+        was subtracted (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
         field); ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with
         attribute `applied`; `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
         channel makes it unknown; `flag` (time) uint32;

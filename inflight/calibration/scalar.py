@@ -354,7 +354,7 @@ def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Flo
             )
         additive = additive + entry.effect.field(light, entry.values(times), entry.sensor)
     field = own.effect.correct(reading, light, own.values(times), own.sensor) - additive
-    # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
+    # With the field given, and no vector reading to make it from, only the scalar sensor is corrected.
     seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
     scalar = correct_plain(
         [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)

@@ -153,7 +153,7 @@ class RepetitionSettings:
     Attributes
     ----------
     settled : float
-        nT; it ends when no sample moves by more, and no less than the step before: rounding (derived).
+        nT; it ends when no sample changes by more, and no less than the step before: rounding (derived).
     most_steps : int
         Steps after which it is refused (assumed; effects below a tenth of the field need less than 20).
     diverged : float
@@ -357,11 +357,11 @@ class Effect:
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the effect in it; (time, axis) or, for a scalar sensor, (time,) nT."""
         if self.follows_field and not sensor.is_scalar:
-            return self._solved(reading, samples, values, sensor)
+            return self._reading_of(reading, samples, values, sensor)
         return reading + self._at(samples, values, sensor)
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading with the effect taken out; the exact inverse of `disturb`.
+        """Return the reading without the effect; the exact inverse of `disturb`.
 
         At a vector sensor an effect that follows the field is made from the reading itself.
         """
@@ -369,18 +369,17 @@ class Effect:
             return reading - self.field(with_field(samples, reading), values, sensor)
         return reading - self._at(samples, values, sensor)
 
-    def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading from which `correct` takes exactly what leaves the truth; (time, axis) nT."""
+    def _reading_of(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading that `correct` turns into the truth, by repetition; (time, axis) nT."""
         reading, last = truth, np.inf
         for _ in range(REPETITION.most_steps):
-            following = truth + self.field(with_field(samples, reading), values, sensor)
-            moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
-            reading = following
-            if moved == 0.0 or last <= moved < REPETITION.settled:
+            before, reading = reading, truth + self.field(with_field(samples, reading), values, sensor)
+            change = float(np.nanmax(np.abs(reading - before), initial=0.0))
+            if change == 0.0 or last <= change < REPETITION.settled:
                 return reading
-            if moved > REPETITION.diverged:
+            if change > REPETITION.diverged:
                 break
-            last = moved
+            last = change
         raise ModelError(
             f"effect '{self.name}' is too strong to be told from the field it follows",
             remedy="check the unit and the size of its parameters",
@@ -480,7 +479,7 @@ def best_field(samples: xr.Dataset) -> Floats:
     Raises
     ------
     SamplesError
-        When there is none yet: the effect stands among those that make it.
+        When there is none yet: the effect is one of those that it is made with.
     """
     if "field" not in samples:
         raise SamplesError(

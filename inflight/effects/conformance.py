@@ -5,7 +5,7 @@ and runs the class as the product code does: through a model, its YAML and a pic
 is collected and said at once, each time with what to mend. Columns are held against central differences of
 the residual, `disturb` against `correct`.
 
-The suite stands above the model and the design matrix, which it needs; nothing but the face of this folder
+The suite imports the model and the design matrix, which it needs; nothing but the face of this folder
 names it.
 """
 
@@ -87,7 +87,7 @@ comparisons:
 events: [{at: 2004-05-01T00:03:20Z, name: reset, kind: reset}]
 """
 
-#: A mission that delivers nothing beside the fields: a search must get an answer there, too.
+#: A mission that delivers nothing but the fields: `candidates` must work there, too.
 _BARE = "\n".join(_STANDARD.split("  housekeeping:", maxsplit=1)[0].splitlines()) + (
     "\ncomparisons: {main: {kind: scalar, vector: standard_vector, scalar: standard_scalar}}\n"
 )
@@ -145,7 +145,7 @@ def check_effect(
     options: Mapping[str, Any] | None = None,
     settings: ConformanceSettings = SETTINGS,
 ) -> None:
-    """Check that a class of effects keeps its contract; say nothing when it does.
+    """Check that a class of effects keeps its contract; return when it does.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def _standard() -> Mission:
     return Mission.parse(_STANDARD, "standard mission")
 
 
-# --- what the class says of itself -----------------------------------------------------------------
+# --- the class by itself ---------------------------------------------------------------------------
 
 
 #: A year, an equation, a section, a link, or a formula in double backticks.
@@ -498,7 +498,7 @@ _CHECKS: list[Callable[[_Case], Iterator[str]]] = []
 
 
 def _check(function: Callable[[_Case], Iterator[str]]) -> Callable[[_Case], Iterator[str]]:
-    """Add a check of what an effect does; checks run in the order they stand in."""
+    """Add a check of what an effect does; checks run in the order of the file."""
     _CHECKS.append(function)
     return function
 
@@ -661,7 +661,7 @@ def _in_time(case: _Case) -> ModelEffect:
 
 @_check
 def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
-    """Columns of the design matrix against central differences of the residual of the whole chain."""
+    """Columns of the design matrix against central differences of the residual of the whole model."""
     entry, settings = case.plain, case.settings
     terms = [term_of(entry, entry.name)]
     if not terms[0].parameters:

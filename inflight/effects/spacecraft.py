@@ -1,7 +1,7 @@
 """Fields the spacecraft makes at a sensor: torquers, magnetised parts, the solar array.
 
-`panel_illumination` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local
-time of the orbit (Yin 2010, section 3.4.1).
+`panel_illumination` and `panel_weights_at` give the share of each solar panel in the light: by the Sun's
+direction, or by the local time of the orbit (Yin 2010, section 3.4.1).
 """
 
 from __future__ import annotations

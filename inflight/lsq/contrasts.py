@@ -3,10 +3,10 @@
 - `robust_fit` takes rows, values and their stated variances; makes coefficients that outliers do not
   move (Tukey's biweight) with a covariance that respects correlation in time.
 - `robust_contrast` takes the residual around a change of a current; makes one number of it: a weighted
-  sum of the samples that is blind to drift and gives 1 for a unit step.
+  sum of the samples that is 0 for any drift and 1 for a unit step.
 - `window_means` takes daily values; makes their weighted means in a window that moves over the days, whose
-  end days count by the part of them inside. The running mean of a parameter and the carried mean of a
-  current are made of it (`inflight.mission_fit`).
+  end days count by the part of them inside. The running mean of a parameter and the filled running mean
+  of a current are made of it (`inflight.mission_fit`).
 """
 
 from __future__ import annotations

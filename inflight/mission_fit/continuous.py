@@ -1,7 +1,7 @@
 """One fit of a whole mission: continuous scale factors, everything else constant, all together.
 
-Takes the days' wide equations; makes a model, the calibration table that states how sure it is on each
-day, and each day's own parameters beside it. The scale factors follow one trend in time (Yin 2010, ch. 3),
+Takes the days' wide equations; makes a model, the calibration table with its uncertainty on each day,
+and each day's own parameters. The scale factors follow one trend in time (Yin 2010, ch. 3),
 chosen on held-out days unless it is stated; angles, offsets and all that the model lets data refine have
 one value. `fit_with_auxiliary` fits further columns to all days, with the trends of the continuous fit.
 `daily_parameters` solves each day for the nine and for named ones such as the time shift, everything else
@@ -315,7 +315,7 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     grams = own.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
     solved = [_solve_day(gram, rows) for gram, rows in zip(grams, equations.count.tolist(), strict=True)]
     change, sigma = (np.array(part) * own.scale[:-1] for part in zip(*solved, strict=True))
-    # By how much more neighbouring days differ than their errors say.
+    # By how much more neighbouring days differ than by their errors.
     inflation = np.ones(len(columns))
     for index, standardised in enumerate((change / sigma).T):
         steps = np.abs(np.diff(standardised[np.isfinite(standardised)])) / np.sqrt(2.0)

@@ -6,8 +6,8 @@ and 0 in the shadow. *Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0
 orbit. A square wave of duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms
 agree as k grows.
 
-A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined beside it;
-the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined together
+with it; the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class DayNightField:
     determined : ndarray of bool, shape (column,)
     blocks : int
     before, after : float
-        Rms residual beside the nine parameters, without and with the field, nT.
+        Rms residual of the nine parameters without and with the field, nT.
     """
 
     columns: tuple[str, ...]

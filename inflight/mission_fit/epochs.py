@@ -95,7 +95,7 @@ def extract_epochs(
     others: Sequence[str] = (),
     windows: Windows | None = None,
 ) -> xr.Dataset:
-    """Return the epochs of one span, a day say: all that the fits need, and small enough to store.
+    """Return the epochs of one span, such as a day: all that the fits need, and small enough to store.
 
     Parameters
     ----------
@@ -573,7 +573,7 @@ def stack_epochs(
     epochs : xarray.Dataset
         Stored epochs, of drops or of rises; their curves are averaged less the mean before.
     value : ndarray, shape (epoch, 3) or (3,), optional
-        A fitted coefficient, nT/A: curves whose step it expects to be negative are turned over, so that
+        A fitted coefficient, nT/A: curves whose step it expects to be negative change sign, so that
         places of the orbit with the field one way and the other do not cancel. A coefficient fitted to
         the same epochs favours its own noise, where it is not known to many sigma. Absent, curves are
         left as they are.

@@ -191,7 +191,7 @@ class PanelChoice:
         )
 
     def as_effect(self, name: str | None = None) -> dict[str, object]:
-        """Return options and values of the effect that says the same: `solar_array`, or a field of a channel.
+        """Return the effect with this coefficient, `solar_array` or a field of a channel, as in a model's YAML.
 
         Parameters
         ----------

@@ -219,7 +219,7 @@ class TorquerFit:
 
     @property
     def value(self) -> Floats:
-        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual still follows."""
+        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual follows after correction."""
         return self.fit.value.reshape(3, 3)
 
     @property

@@ -157,7 +157,7 @@ def relation_grams(
     Returns
     -------
     gram : ndarray, shape (cluster, 13, 13)
-        Of [twelve columns | difference], nT^2; those of several stretches stand one after the other.
+        Of [twelve columns | difference], nT^2; those of several stretches are concatenated.
     rows : ndarray, shape (cluster,)
     """
     use = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)

@@ -172,7 +172,7 @@ def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> Spr
         `day_statistics` of the days along ``interval``.
     offset, sigma : ndarray, shape (interval,)
         Offset of each day that is still in the residual (nT), such as that of a daily calibration less the
-        one applied, and its standard deviation. The square of the latter is taken out of the former's.
+        one applied, and its standard deviation. The square of the latter is subtracted from the former's.
 
     Raises
     ------

@@ -108,7 +108,7 @@ class Typical:
 
 @dataclass(frozen=True)
 class EffectSubstitution:
-    """What was done for one effect: how many samples, for want of which channels, with what instead."""
+    """What was substituted for one effect: how many samples, which missing channels, and by what."""
 
     samples: int
     channels: tuple[str, ...]
@@ -121,7 +121,7 @@ class EffectSubstitution:
 
 @dataclass(frozen=True)
 class SubstitutedSamples:
-    """Samples with stand-ins.
+    """Samples whose missing channels have typical values.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class SubstitutedSamples:
         return out
 
     def variance(self, model: Model) -> tuple[Floats, Floats]:
-        """Return how uncertain the stand-ins make the fields.
+        """Return the variance of the fields by the substituted values.
 
         Channels are taken as independent of each other, components of one channel as they are
         related. A sample's own error lasts as long as its channel is missing: it does not average out.
@@ -288,7 +288,7 @@ def substitute(
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
     """Return what is missing of each channel the model uses: (time,) or (time, component), by name.
 
-    A channel is not missed where the sensor has no reading that its effect could be taken out of.
+    A channel is not missing where the sensor has no reading to be corrected.
     """
     users: dict[str, set[str]] = {}
     for entry in model.effects:

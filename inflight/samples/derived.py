@@ -205,7 +205,7 @@ def channel_product(factors: Sequence[Floats]) -> Floats:
 
 
 def derive_channel(name: str, channels: Mapping[str, Floats], step_s: float | Floats) -> Floats:
-    """Return a derived channel from channels that already stand on one time base.
+    """Return a derived channel from channels on one time base.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ Takes native samples with their spin phase; makes samples at even phases, one sy
 weights that fall with natural noise (Plaschke et al. 2019, section 5, choose intervals of a hundred turns).
 
 The field outside turns with the spin in the sensor and changes slowly; what the sensor and the spacecraft add
-is fixed in the body. In each interval of many turns the slow change of the outside field is taken out
+is fixed in the body. In each interval of many turns the slow change of the outside field is removed
 in payload axes, and a Fourier sum of the phase is fitted to the rest. Its values at even phases are
 the interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any
 effect, and of any channel that repeats with the spin, are kept as they are; natural changes are not.
@@ -363,11 +363,11 @@ class _Day:
                 found.coefficients[:, place, 0] = 0.0
             if abs(harmonic) > FOLD_ORDER:
                 found.coefficients[:, place, 1] = 0.0
-        turned = self._sectors(found, good)
+        folded = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
-        plane = turned[:, 0] * back
+        plane = folded[:, 0] * back
         self.noise = self._natural_noise(steady, good)
-        return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
+        return np.column_stack([plane.real, plane.imag, folded[:, 1].real]), good
 
     def _in_bad_interval(self, flag: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
         """Return the samples of intervals in which the phase jumps or the sensor was saturated; (time,).
@@ -430,9 +430,9 @@ class _Day:
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)
         # Beyond the ends, and next to a missing turn, the line is a guess.
-        sure = inside & (knots[after] - knots[after - 1] < FOLDING.neighbour_turns * _TWO_PI)
-        out = np.asarray(line(np.where(sure, phase, knots[0])))
-        out[~sure] = np.nan
+        known = inside & (knots[after] - knots[after - 1] < FOLDING.neighbour_turns * _TWO_PI)
+        out = np.asarray(line(np.where(known, phase, knots[0])))
+        out[~known] = np.nan
         return out
 
     def _interval_means(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
