@@ -2,8 +2,8 @@
 
 Takes a day's native rows and the channels on the library's bins; makes `DesignRows` (`coarsen`): means of
 the good samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
-residual is the same function of the mean columns. From rows and terms, `design` makes the columns: what one
-unit of each parameter changes.
+residual is the same function of the mean columns. From rows and terms, `design_matrix` makes the columns:
+the change of the residual by one unit of each parameter.
 
 Sign: a column is the derivative of the corrected residual by the parameter, so that ``y + X d`` is the
 residual after a change d, as in `inflight.calibration.normal_equations`. An effect that adds a field is
@@ -29,19 +29,15 @@ from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Term, within_span
-from inflight.effects import SpinningSensor, VectorSensor, multiply
+from inflight.effects import VECTOR_ROLES, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA
 from inflight.model import Model, ResidualRows, RowFilter
-from inflight.model import ResidualRows as NativeRows
-from inflight.samples import PlainSamples
+from inflight.samples import FIELD_ROLES, PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
 SENSOR_EQUATIONS = (VectorSensor, SpinningSensor)
-
-#: Roles whose reading is a vector.
-_VECTORS = ("vector", "inboard", "outboard")
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,7 @@ def _differenced(
         for sign in (1.0, -1.0)
     )
     change = (up - down) / 2.0
-    if entry.sensor.role not in _VECTORS:
+    if entry.sensor.role not in VECTOR_ROLES:
         return np.asarray(-change[:, None])
     if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
         change = multiply(rows.sensor_matrices[entry.sensor.name], change)
@@ -550,7 +546,7 @@ def bridge_gaps(values: Floats) -> Floats:
 
 def coarsen(
     samples: xr.Dataset,
-    rows: NativeRows,
+    rows: ResidualRows,
     edges: Int64,
     channels: Mapping[str, xr.Variable],
     matrices: Mapping[str, Floats],
@@ -577,7 +573,7 @@ def coarsen(
 
     Returns
     -------
-    Rows, dict
+    DesignRows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
         the scatter within bins, of one row, nT^2, ``spikes``; and of `burst_report`.
     """
@@ -614,7 +610,7 @@ def coarsen(
 
 def _binned(
     samples: xr.Dataset,
-    rows: NativeRows,
+    rows: ResidualRows,
     edges: Int64,
     channels: Mapping[str, xr.Variable],
     good: npt.NDArray[np.bool_],
@@ -623,7 +619,7 @@ def _binned(
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
-    for role in ("vector", "scalar", "inboard", "outboard"):
+    for role in FIELD_ROLES:
         if role in samples:
             data[role] = xr.Variable(
                 samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
@@ -635,7 +631,7 @@ def _binned(
 
 
 def _find_outliers(
-    rows: NativeRows,
+    rows: ResidualRows,
     usable: npt.NDArray[np.bool_],
     stamps: Int64,
     edges: Int64,

@@ -34,11 +34,9 @@ from inflight.frames import GEOMETRY
 from inflight.instruments import Channel
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, rows_of
-from inflight.samples import base_channels, derive_channel
+from inflight.samples import FIELD_ROLES, base_channels, derive_channel
 from inflight.time import SECOND, day_bounds, to_utc
 from inflight.units import factor_and_offset, parse_unit, product_factor
-
-ROLES = ("vector", "scalar", "inboard", "outboard")
 
 #: The sensors every effect is tried on, and channels by the names the library uses.
 _STANDARD = """
@@ -217,8 +215,8 @@ def _describes_itself(kind: type[Effect], mission: Mission) -> Iterator[str]:
         )
     if kind.family not in FAMILIES:
         yield f"family {kind.family!r} is unknown; choose one of {', '.join(FAMILIES)}"
-    if unknown := set(kind.acts_on) - set(ROLES):
-        yield f"acts_on names {', '.join(sorted(unknown))}; the roles are {', '.join(ROLES)}"
+    if unknown := set(kind.acts_on) - set(FIELD_ROLES):
+        yield f"acts_on names {', '.join(sorted(unknown))}; the roles are {', '.join(FIELD_ROLES)}"
     try:
         require_sound_class(kind, "")
     except ModelError as error:
@@ -279,7 +277,7 @@ def _faults_of_candidate(
     if stray := needed - known:
         yield f"the candidate {dict(options)} needs {', '.join(sorted(stray))}, which the mission has not"
     elif needed & (set(GEOMETRY) - set(channels_of(mission))) and not has_orbit(mission):
-        yield f"the candidate {dict(options)} needs an orbit, which the mission has not; see knows_orbit()"
+        yield f"the candidate {dict(options)} needs an orbit, which the mission has not; see has_orbit()"
 
 
 # --- cases: an effect at a sensor, with samples and values -----------------------------------------

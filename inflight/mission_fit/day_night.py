@@ -22,7 +22,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
-from inflight.effects import AXES, DayNight, DayNightSeries, order_names
+from inflight.effects import AXES, MOST_ORDER, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
 from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters, student_sigma
@@ -34,8 +34,6 @@ SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
 #: A column of which all others leave less than this part has no value of its own: the rms of that part is
 #: then below a hundredth of the column's.
 LEAST_RETAINED = 1e-4
-
-_MOST_ORDER = 12
 
 #: Arrays of a fitted field.
 _ARRAYS = ("value", "sigma", "covariance", "retained", "determined")
@@ -83,9 +81,9 @@ def series_columns(
     SamplesError
         When the order is below 1 or above 12.
     """
-    if not 1 <= order <= _MOST_ORDER:
+    if not 1 <= order <= MOST_ORDER:
         raise SamplesError(
-            f"order {order} of a day/night series", remedy=f"take 1 to {_MOST_ORDER}, or the switched form"
+            f"order {order} of a day/night series", remedy=f"take 1 to {MOST_ORDER}, or the switched form"
         )
     phase, found = np.deg2rad(sun_phase), {}
     for k in range(0 if constant else 1, order + 1):

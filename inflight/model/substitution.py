@@ -263,7 +263,7 @@ def substitute(
 
     Returns
     -------
-    Substituted or None
+    SubstitutedSamples or None
         None when nothing is missing.
     """
     rows = missing_rows(model, samples) if missing is None else missing
