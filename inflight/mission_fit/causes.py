@@ -261,12 +261,12 @@ def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> F
     out = np.empty(len(gram))
     for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
-        change = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
+        change = np.append(_solve_columns(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
         out[part] = np.einsum("i,bij,j->b", change, gram[part], change)
     return out
 
 
-def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
+def _solve_columns(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
     """Return the values of all columns: the others', and the twelve of one temperature with its lag."""
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior

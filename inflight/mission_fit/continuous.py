@@ -121,16 +121,16 @@ def fit_mission(
     common = equations.at_one_reference()
     choice = None
     if kind == "auto":
-        kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
-    fit = _fitted(common, model, sigma, kind, origin)
+        kind, choice = _select_kind(common, sigma, _nine(model)[:3], origin)
+    fit = _fit_trend(common, model, sigma, kind, origin)
     if drift is not None:
         # The first fit determines the rates well enough: they are small themselves.
         equations = drift.remove_drift(equations, scale_factor_rates(fit, equations))
-        fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
+        fit = _fit_trend(equations.at_one_reference(), model, sigma, kind, origin)
     return MissionFit(fit, choice, continuous_model(model, fit), equations)
 
 
-def _fitted(
+def _fit_trend(
     equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
 ) -> TrendFit:
     """Fit one kind of trend to days at one reference."""
@@ -148,7 +148,7 @@ def _fitted(
     return fit_trends(equations, dict.fromkeys(names, trend), sigma, units=units)
 
 
-def _choose(
+def _select_kind(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
     """Return the kind of trend that predicts held-out days best; all but the nine stay at a common fit."""
