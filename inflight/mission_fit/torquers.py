@@ -476,17 +476,19 @@ class FilledRunningMean:
         """Return `value`, `sigma` (interval, axis) A, `coverage` and `state`, one interval a day."""
         dims = ("interval", "axis")
         bounds = np.array([day_bounds(np.datetime64(int(day), "D")) for day in self.day], dtype=np.int64)
-        return xr.Dataset(
+        days = xr.Dataset(
             {
                 "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
                 "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
-                "value": (dims, self.value, {"units": "A"}),
-                "sigma": (dims, self.sigma, {"units": "A"}),
-                "daily": (dims, self.daily, {"units": "A"}),
-                "coverage": ("interval", self.coverage),
-                "state": ("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
             },
             coords={"axis": list(AXES)},
+        )
+        return days.assign(
+            value=(dims, self.value, {"units": "A"}),
+            sigma=(dims, self.sigma, {"units": "A"}),
+            daily=(dims, self.daily, {"units": "A"}),
+            coverage=("interval", self.coverage),
+            state=("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
         )
 
 
