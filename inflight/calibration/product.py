@@ -180,7 +180,10 @@ def distribute_residual(
     slow, sigma = np.full(residual.size, np.nan), np.full(residual.size, np.nan)
     edge = np.zeros(residual.size, dtype=bool)
     place = np.rint((tt2000 - tt2000[0]) / (cadence * SECOND)).astype(np.int64)
-    for first, last in _stretches(place, use, CLOSURE.gap * period / cadence):
+    index = np.flatnonzero(use)
+    gaps = np.flatnonzero(np.diff(place[index]) > CLOSURE.gap * period / cadence)
+    for stretch in np.split(index, gaps + 1) if index.size else ():
+        first, last = int(stretch[0]), int(stretch[-1])
         if (place[last] - place[first]) * cadence < CLOSURE.shortest * period:
             continue
         span = slice(first, last + 1)
@@ -192,16 +195,6 @@ def distribute_residual(
     share = np.divide(slow, strength, out=np.zeros_like(slow), where=valid)
     correction = np.where(valid[:, None], share[:, None] * np.nan_to_num(field), 0.0)
     return Distribution(correction, slow, sigma, residual - slow, edge, valid, period, cadence)
-
-
-def _stretches(place: Int64, use: np.ndarray, longest: float) -> list[tuple[int, int]]:
-    """Return first and last index of runs of used samples without a gap longer than so many steps."""
-    index = np.flatnonzero(use)
-    if index.size == 0:
-        return []
-    cuts = np.flatnonzero(np.diff(place[index]) > longest)
-    firsts, lasts = np.append(0, cuts + 1), np.append(cuts, index.size - 1)
-    return [(int(index[first]), int(index[last])) for first, last in zip(firsts, lasts, strict=True)]
 
 
 def _low_pass(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:

@@ -187,15 +187,14 @@ class _ParametersOf:
     """``parameters()`` of a class, and of an effect whose options decide how many numbers it has."""
 
     def __get__(self, effect: Effect | None, kind: type[Effect]) -> Callable[[], dict[str, Parameter]]:
-        return partial(_collected, effect, kind)
+        return partial(_parameters_of, effect, kind)
 
 
-def _collected(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
-    return dict(_of_class(kind)) | (effect.sized if effect is not None else {})
+def _parameters_of(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
+    """Return the parameters that a class and its bases state, those of the effect's options instead.
 
-
-def _of_class(kind: type[Effect]) -> dict[str, Parameter]:
-    """Return the parameters a class and its bases state; a pass asks for them hundreds of times a day."""
+    Those of the class are kept: a pass asks for them hundreds of times a day.
+    """
     if kind not in _stated:
         _stated[kind] = {
             key: value
@@ -203,7 +202,7 @@ def _of_class(kind: type[Effect]) -> dict[str, Parameter]:
             for key, value in vars(base).items()
             if isinstance(value, Parameter)
         }
-    return _stated[kind]
+    return _stated[kind] | (effect.sized if effect is not None else {})
 
 
 _stated: WeakKeyDictionary[type, dict[str, Parameter]] = WeakKeyDictionary()

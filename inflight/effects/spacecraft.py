@@ -175,13 +175,11 @@ class SolarArray(Effect):
             self.given.setdefault("cycle", "260.5 d")
             self._cycle = self.duration("cycle")
 
-    def _light(self, samples: xr.Dataset) -> Floats:
-        """Return the weight of each panel; (time, panel), of sum 1, 0 where no panel is lit."""
-        if self._normals is not None:
-            return panel_illumination(self.series(samples, 1), self._normals, self._areas)
-        return panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
-
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""
         current = self.channel(samples, "A")
-        return current[:, None] * weighted_vectors(self._light(samples), values["panels"])
+        if self._normals is None:
+            light = panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
+        else:
+            light = panel_illumination(self.series(samples, 1), self._normals, self._areas)
+        return current[:, None] * weighted_vectors(light, values["panels"])
