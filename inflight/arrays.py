@@ -1,9 +1,21 @@
-"""Types of arrays that the whole package shares."""
+"""The array type of the whole project, and sums over runs of rows."""
 
 from __future__ import annotations
+
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-#: Floating-point numbers, of any shape.
 Floats = npt.NDArray[np.float64]
+
+Number = TypeVar("Number", np.float64, np.complex128)
+
+
+def sums_of_runs(values: npt.NDArray[Number], starts: npt.NDArray[np.int64]) -> npt.NDArray[Number]:
+    """Return the sums of rows (row, column) from each start to the next; (run, column), 0 for none."""
+    out = np.zeros((starts.size - 1, values.shape[1]), dtype=values.dtype)
+    filled = np.flatnonzero(np.diff(starts))
+    if filled.size:
+        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
+    return out

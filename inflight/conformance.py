@@ -1,4 +1,4 @@
-"""What the suites that check a plug-in share: run every check, collect what fails, say it at once.
+"""Shared by the suites that check a plug-in: run every check, collect the faults, report them together.
 
 See `inflight.effects.check_effect` and `inflight.catalog.readers.check_reader`.
 """
@@ -15,7 +15,7 @@ from inflight.errors import ConformanceError
 
 @dataclass
 class Faults:
-    """What is wrong with a plug-in, in sentences that each say what to mend."""
+    """Faults of a plug-in, as sentences that each name what to mend."""
 
     found: list[str] = field(default_factory=list)
 

@@ -58,7 +58,8 @@ def dipole_split(
     """
     observed = np.asarray(difference, dtype=np.float64)
     spread = np.zeros((3, 3)) if covariance is None else np.asarray(covariance, dtype=np.float64)
-    near, far = (_position(one) for one in (r_vector, r_scalar))
+    places = (np.asarray(place, dtype=np.float64) for place in (r_vector, r_scalar))
+    near, far = (place if place.ndim else np.array([float(place), 0.0, 0.0]) for place in places)
     size = [float(np.linalg.norm(one)) for one in (near, far)]
     if min(size) == 0.0:
         raise SettingsError("a sensor stands at the dipole", remedy="give positions from the dipole, m")
@@ -79,11 +80,6 @@ def dipole_split(
     return DipoleSplit(vector, scalar, sigma[0], sigma[1], factor)
 
 
-def _position(given: npt.ArrayLike) -> Floats:
-    value = np.asarray(given, dtype=np.float64)
-    return np.array([float(value), 0.0, 0.0]) if value.ndim == 0 else value
-
-
 def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) -> tuple[Floats, Floats]:
     """Return the matrices from the difference to both fields for a moment of known direction."""
     if direction is None:
@@ -93,11 +89,11 @@ def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) ->
         )
     moment = np.asarray(direction, dtype=np.float64)
     fields = [unit_dipole(place) @ moment for place in (near, far)]
-    seen = fields[0] - fields[1]
-    power = float(seen @ seen)
+    apart = fields[0] - fields[1]
+    power = float(apart @ apart)
     if power <= 1e-12 * float(fields[0] @ fields[0]):
         raise SettingsError("both sensors see the same field of this moment", remedy="give another direction")
-    return np.outer(fields[0], seen) / power, np.outer(fields[1], seen) / power
+    return np.outer(fields[0], apart) / power, np.outer(fields[1], apart) / power
 
 
 def unit_dipole(place: Floats) -> Floats:

@@ -226,16 +226,16 @@ def to_nec(field: Floats, attitude: Floats, position: Floats | None, frame: str)
     SamplesError
         When the frame is another one, or the position is missing.
     """
-    turned = rotate(field, attitude)
+    rotated = rotate(field, attitude)
     if frame == "nec":
-        return turned
+        return rotated
     if frame != "itrf":
         raise SamplesError(
             f"attitude is given towards {frame!r}", channel="attitude", remedy="give it towards itrf or nec"
         )
     if position is None:
         raise SamplesError("no position", channel="position", remedy="add an orbit instrument to the mission")
-    return itrf_to_nec(turned, position)
+    return itrf_to_nec(rotated, position)
 
 
 def direction_of(field: Floats) -> Floats:

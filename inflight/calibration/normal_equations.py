@@ -1,7 +1,7 @@
 """Normal equations of a comparison: Gram matrices of blocks with a reference, and their solution.
 
 Takes columns and residuals of a block (a day, or any half-open span), or the fit of one; makes
-`NormalEquations`, which are `inflight.lsq.GramArrays` with what a calibration needs beside: the
+`NormalEquations`, which are `inflight.lsq.GramArrays` with what a calibration needs in addition: the
 parameters the residual refers to, the scatter of its scores, comparison, model and filter. Adding
 blocks, choosing columns and solving never read the archive again.
 
@@ -119,7 +119,7 @@ class NormalEquations(GramArrays):
         )
 
     def index(self, names: Sequence[str]) -> Int64:
-        """Return where columns stand among all, the residual included.
+        """Return the places of columns among all, the residual included.
 
         Raises
         ------

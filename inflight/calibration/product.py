@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy import interpolate, linalg, signal, special
+from scipy import interpolate, linalg, special
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import Reference, sensor_reading, usable_samples
@@ -180,7 +180,10 @@ def distribute_residual(
     slow, sigma = np.full(residual.size, np.nan), np.full(residual.size, np.nan)
     edge = np.zeros(residual.size, dtype=bool)
     place = np.rint((tt2000 - tt2000[0]) / (cadence * SECOND)).astype(np.int64)
-    for first, last in _stretches(place, use, CLOSURE.gap * period / cadence):
+    index = np.flatnonzero(use)
+    gaps = np.flatnonzero(np.diff(place[index]) > CLOSURE.gap * period / cadence)
+    for stretch in np.split(index, gaps + 1) if index.size else ():
+        first, last = int(stretch[0]), int(stretch[-1])
         if (place[last] - place[first]) * cadence < CLOSURE.shortest * period:
             continue
         span = slice(first, last + 1)
@@ -192,16 +195,6 @@ def distribute_residual(
     share = np.divide(slow, strength, out=np.zeros_like(slow), where=valid)
     correction = np.where(valid[:, None], share[:, None] * np.nan_to_num(field), 0.0)
     return Distribution(correction, slow, sigma, residual - slow, edge, valid, period, cadence)
-
-
-def _stretches(place: Int64, use: np.ndarray, longest: float) -> list[tuple[int, int]]:
-    """Return first and last index of runs of used samples without a gap longer than so many steps."""
-    index = np.flatnonzero(use)
-    if index.size == 0:
-        return []
-    cuts = np.flatnonzero(np.diff(place[index]) > longest)
-    firsts, lasts = np.append(0, cuts + 1), np.append(cuts, index.size - 1)
-    return [(int(index[first]), int(index[last])) for first, last in zip(firsts, lasts, strict=True)]
 
 
 def _low_pass(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:
@@ -255,38 +248,6 @@ def edge_gain(period: int) -> Floats:
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
-def filter_gain(period: Floats, at: float = FILTER_PERIOD_S, cadence: float = 1.0) -> Floats:
-    """Return the part of the amplitude that the filter passes at periods, s (same shape)."""
-    ratio = np.sin(np.pi * cadence / np.asarray(period)) / np.sin(np.pi * cadence / at)
-    return np.asarray(1.0 / (1.0 + ratio ** (2 * CLOSURE.order)))
-
-
-def remaining_band_rms(found: Distribution, band: tuple[float, float]) -> float:
-    """Return the rms of the residual of B' between two periods (s), nT, from whole valid stretches.
-
-    Raises
-    ------
-    SamplesError
-        When no stretch is twice as long as the longer period.
-    """
-    long, short = max(band), min(band)
-    known = found.valid & np.isfinite(found.remaining)
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    powers, sizes = [], []
-    for first, last in zip(bounds[::2], bounds[1::2], strict=True):
-        if (last - first) * found.cadence < 2 * long:
-            continue
-        frequency, density = signal.periodogram(
-            found.remaining[first:last], fs=1 / found.cadence, window="hann"
-        )
-        inside = (frequency >= 1 / long) & (frequency <= 1 / short)
-        powers.append(float(density[inside].sum() * frequency[1]))
-        sizes.append(last - first)
-    if not sizes:
-        raise SamplesError(f"no stretch of {2 * long:g} s without a gap", remedy="ask for shorter periods")
-    return float(np.sqrt(np.average(powers, weights=sizes)))
-
-
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
@@ -295,7 +256,7 @@ _Flags = npt.NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class DayParameters:
-    """The nine parameters that hold for a day, and how sure they are; physical units."""
+    """The nine parameters that hold for a day, with their covariance; physical units."""
 
     value: Floats
     covariance: Floats
@@ -335,7 +296,7 @@ def level2(
     xarray.Dataset
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
-        was taken out (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
+        was subtracted (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
         field); ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with
         attribute `applied`; `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
         channel makes it unknown; `flag` (time) uint32;

@@ -196,14 +196,14 @@ def from_sensor_angles(sensitivity: Floats, angles: Floats) -> tuple[Floats, Flo
     ModelError
         When a sensitivity is not positive, or an angle reaches 90 degrees.
     """
-    told = SensorAngles(np.asarray(sensitivity, dtype=np.float64), np.asarray(angles, dtype=np.float64))
-    if np.any(told.sensitivity <= 0) or np.any(np.abs(told.angles) >= 90.0):
+    sensor = SensorAngles(np.asarray(sensitivity, dtype=np.float64), np.asarray(angles, dtype=np.float64))
+    if np.any(sensor.sensitivity <= 0) or np.any(np.abs(sensor.angles) >= 90.0):
         raise ModelError(
-            f"sensitivities {told.sensitivity.tolist()} and angles {told.angles.tolist()} make no sensor",
+            f"sensitivities {sensor.sensitivity.tolist()} and angles {sensor.angles.tolist()} make no sensor",
             remedy="sensitivities are near 1, U near 0 degrees; angles between axes are not U",
         )
-    k = np.linalg.inv(told.sensitivity[:, None] * told.axes)
-    beside = np.array([k[0, 1], k[0, 2], k[1, 2]])
-    if np.any(np.abs(beside) > 1.0):
+    k = np.linalg.inv(sensor.sensitivity[:, None] * sensor.axes)
+    cosines = np.array([k[0, 1], k[0, 2], k[1, 2]])
+    if np.any(np.abs(cosines) > 1.0):
         raise ModelError("an entry of K exceeds 1 and has no arccosine", remedy="check the angles' unit")
-    return np.diag(k).copy(), np.rad2deg(np.arccos(beside))
+    return np.diag(k).copy(), np.rad2deg(np.arccos(cosines))

@@ -354,7 +354,7 @@ def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Flo
             )
         additive = additive + entry.effect.field(light, entry.values(times), entry.sensor)
     field = own.effect.correct(reading, light, own.values(times), own.sensor) - additive
-    # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
+    # With the field given, and no vector reading to make it from, only the scalar sensor is corrected.
     seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
     scalar = correct_plain(
         [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
@@ -505,7 +505,7 @@ def fit_block(
     for part in (data.thinned(), data):
         for step in range(SCALAR.most_passes):
             least = SOLVER.min_information * SCALAR.edge_rise ** max(0, step - SCALAR.edge_pass)
-            found = _pass(part, value, prior, passes > 0, least)
+            found = _gauss_newton_pass(part, value, prior, passes > 0, least)
             before, value, passes = value, found.value, passes + 1
             largest = SCALAR.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
             settled = passes > 1 and np.all(np.abs(value - before) <= largest)
@@ -515,7 +515,7 @@ def fit_block(
             raise CalibrationError(
                 f"the fit did not settle in {passes} passes", remedy="look at the day's residual for faults"
             )
-    return _finish(found, data, reference, prior, used, passes)
+    return _block_fit(found, data, reference, prior, used, passes)
 
 
 def empty_block(reference: Reference, prior: Reference) -> BlockFit:
@@ -598,7 +598,7 @@ class _Pass:
     sigma_residual: float
 
 
-def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: float) -> _Pass:
+def _gauss_newton_pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: float) -> _Pass:
     """Make one pass.
 
     The step is lengthened by `bread`, the ratio of the weights to their slope: weights follow the
@@ -648,7 +648,7 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
     return np.asarray(scatter / max(kept, 0.1))
 
 
-def _finish(
+def _block_fit(
     found: _Pass, data: _Data, reference: Reference, prior: Reference, used: int, passes: int
 ) -> BlockFit:
     """Solve the last pass with the scatter of its scores; express its equations at the reference."""

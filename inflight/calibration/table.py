@@ -216,7 +216,7 @@ def trend_jumps(
 
 
 def nine_columns(names: list[str]) -> list[int]:
-    """Return where the nine parameters of a vector sensor stand among names.
+    """Return the places of the nine parameters of a vector sensor among names.
 
     Raises
     ------

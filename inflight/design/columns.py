@@ -2,8 +2,8 @@
 
 Takes a day's native rows and the channels on the library's bins; makes `DesignRows` (`coarsen`): means of
 the good samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
-residual is the same function of the mean columns. From rows and terms, `design` makes the columns: what one
-unit of each parameter changes.
+residual is the same function of the mean columns. From rows and terms, `design_matrix` makes the columns:
+the change of the residual by one unit of each parameter.
 
 Sign: a column is the derivative of the corrected residual by the parameter, so that ``y + X d`` is the
 residual after a change d, as in `inflight.calibration.normal_equations`. An effect that adds a field is
@@ -27,21 +27,17 @@ import numpy.typing as npt
 import xarray as xr
 from scipy.ndimage import median_filter
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Term, within_span
-from inflight.effects import SpinningSensor, VectorSensor, multiply
+from inflight.effects import VECTOR_ROLES, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA
 from inflight.model import Model, ResidualRows, RowFilter
-from inflight.model import ResidualRows as NativeRows
-from inflight.samples import PlainSamples
+from inflight.samples import FIELD_ROLES, PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
 SENSOR_EQUATIONS = (VectorSensor, SpinningSensor)
-
-#: Roles whose reading is a vector.
-_VECTORS = ("vector", "inboard", "outboard")
 
 
 @dataclass(frozen=True)
@@ -78,10 +74,11 @@ def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     for entry in model.effects:
         if isinstance(entry.effect, SENSOR_EQUATIONS):
             values = entry.values(tt2000)
-            still = np.zeros((3, 3))
-            unit = entry.effect.correct(np.eye(3), xr.Dataset(), values, entry.sensor)
-            nought = entry.effect.correct(still, xr.Dataset(), values, entry.sensor)
-            found[entry.sensor.name] = np.ascontiguousarray((unit - nought).T).reshape(9)
+            unit, zero = (
+                entry.effect.correct(reading, xr.Dataset(), values, entry.sensor)
+                for reading in (np.eye(3), np.zeros((3, 3)))
+            )
+            found[entry.sensor.name] = np.ascontiguousarray((unit - zero).T).reshape(9)
     return found
 
 
@@ -143,7 +140,7 @@ def _differenced(
         for sign in (1.0, -1.0)
     )
     change = (up - down) / 2.0
-    if entry.sensor.role not in _VECTORS:
+    if entry.sensor.role not in VECTOR_ROLES:
         return np.asarray(-change[:, None])
     if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
         change = multiply(rows.sensor_matrices[entry.sensor.name], change)
@@ -191,8 +188,8 @@ class BurstSettings:
         Samples a record needs: fewer have no usual scatter; assumed.
     listed, named : int
         Bursts listed of a block, and of a span.
-    lively : float
-        An instrument without bursts of its own is lively when it fluctuates so many times as much as usual;
+    active : float
+        An instrument without bursts of its own is active when it fluctuates so many times as much as usual;
         assumed.
     """
 
@@ -203,7 +200,7 @@ class BurstSettings:
     fewest: int = 100
     listed: int = 20
     named: int = 12
-    lively: float = 2.0
+    active: float = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,7 +241,7 @@ class Burst(NamedTuple):
 
 @dataclass(frozen=True)
 class OutlierReport:
-    """What a pass left out, over the whole span.
+    """Outliers that a pass left out, over the whole span.
 
     Attributes
     ----------
@@ -295,7 +292,7 @@ class OutlierReport:
 def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
     """Return the bursts of a residual (time, row), whatever made them, in order.
 
-    The usual scatter is the record's median one, so that a residual that is lively all the time has none.
+    The usual scatter is the record's median one, so that a residual that always fluctuates has none.
 
     Parameters
     ----------
@@ -310,10 +307,10 @@ def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) 
     local = np.stack([median_filter(row, size=BURSTS.around, mode="nearest") for row in size.T], axis=1)
     usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
     times = (local / usual).max(axis=1)
-    wild = np.asarray((size > BURSTS.deviation * usual).any(axis=1))
+    deviating = np.asarray((size > BURSTS.deviation * usual).any(axis=1))
     return [
         Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
-        for first, last in _runs_around(times > BURSTS.scatter, wild, stamps[place])
+        for first, last in _runs_around(times > BURSTS.scatter, deviating, stamps[place])
     ]
 
 
@@ -330,9 +327,9 @@ def _second_differences(values: Floats, stamps: Int64) -> Floats:
 
 
 def _runs_around(
-    far: npt.NDArray[np.bool_], wild: npt.NDArray[np.bool_], stamps: Int64
+    far: npt.NDArray[np.bool_], deviating: npt.NDArray[np.bool_], stamps: Int64
 ) -> list[tuple[int, int]]:
-    """Return first and last+1 of the stretches around far samples, from the first wild one to the last."""
+    """Return first and last+1 of the stretches around far samples, from first to last deviating sample."""
     if not far.any():
         return []
     core = np.flatnonzero(far)
@@ -344,7 +341,7 @@ def _runs_around(
         near = np.abs(stamps[low:high] - stamps[group[0]]) <= stamps[group[-1]] - stamps[group[0]] + (
             BURSTS.around * step
         )
-        inside = low + np.flatnonzero(wild[low:high] & near)
+        inside = low + np.flatnonzero(deviating[low:high] & near)
         if inside.size:
             out.append((int(inside[0]), int(inside[-1]) + 1))
     return out
@@ -358,10 +355,10 @@ def is_signal(
     channels: Mapping[str, Floats],
     edges: Int64,
 ) -> bool:
-    """Return True when a burst is more than wild readings of one instrument.
+    """Return True when a burst is more than outlying readings of one instrument.
 
-    Both instruments are livelier than usual, and their difference is not far beyond what they share: the
-    field itself is lively. Or a recorded channel does there what it does nowhere else: it was switched on.
+    Both instruments fluctuate more than usual, and their difference is not far beyond what they share: the
+    field itself fluctuates. Or a recorded channel changes there as it does nowhere else: it was switched on.
 
     Parameters
     ----------
@@ -380,27 +377,24 @@ def is_signal(
 
 
 def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, stamps: Int64) -> bool:
-    pair = _instrument_readings(rows)
+    """Return True when the readings of both instruments fluctuate, and their difference does not more."""
+    if rows.residual.shape[1] == 1:
+        strength = np.linalg.norm(rows.field, axis=1, keepdims=True)
+        pair = [strength, strength - rows.residual]
+    else:
+        pair = list(rows.fields.values())
     quiet = np.ones(len(stamps), dtype=bool)
     for one in others:
         quiet[max(one.first - 2, 0) : one.last + 2] = False
     inside = np.zeros(len(stamps), dtype=bool)
     inside[burst.first : burst.last] = True
-    lively, sizes = True, []
+    active, sizes = True, []
     for values in (*pair, rows.residual):
-        ripple = _fourth_differences(values, stamps, rows.good)
-        there, usual = _median_square(ripple[inside]), _median_square(ripple[quiet])
+        fluctuation = _fourth_differences(values, stamps, rows.good)
+        there, usual = _median_square(fluctuation[inside]), _median_square(fluctuation[quiet])
         sizes.append(max(there - usual, 0.0))
-        lively &= there > BURSTS.lively**2 * usual
-    return lively and BURSTS.scatter**2 * min(sizes[:-1]) > sizes[-1]
-
-
-def _instrument_readings(rows: ResidualRows) -> list[Floats]:
-    """Return what each of the two instruments reads; (time, component)."""
-    if rows.residual.shape[1] == 1:
-        size = np.linalg.norm(rows.field, axis=1, keepdims=True)
-        return [size, size - rows.residual]
-    return list(rows.fields.values())
+        active &= there > BURSTS.active**2 * usual
+    return active and BURSTS.scatter**2 * min(sizes[:-1]) > sizes[-1]
 
 
 def _fourth_differences(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
@@ -427,7 +421,7 @@ def _median_square(values: Floats) -> float:
 def _follows_channel(
     burst: Burst, others: Sequence[Burst], stamps: Int64, channels: Mapping[str, Floats], edges: Int64
 ) -> bool:
-    """Return True when some channel is lively all through the burst and not elsewhere, or is on for it."""
+    """Return True when some channel fluctuates all through the burst and not elsewhere, or is on for it."""
     between, width = edges[1:-1], int(edges[1] - edges[0])
     quiet = np.ones(between.size, dtype=bool)
     for one in others:
@@ -479,27 +473,18 @@ def bin_means(
     count, flat = used.astype(np.float64), values[inside].reshape(used.size, -1)
     if not used.all():
         flat = np.where(used[:, None], flat, 0.0)
-    total = _sums_of_runs(flat, starts - starts[0])
-    number = _sums_of_runs(count[:, None], starts - starts[0])
+    total = sums_of_runs(flat, starts - starts[0])
+    number = sums_of_runs(count[:, None], starts - starts[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = total / number
     return mean.reshape(edges.size - 1, *values.shape[1:]), number[:, 0]
 
 
-def _sums_of_runs(values: Floats, starts: Int64) -> Floats:
-    """Return the sums of rows (time, column) from each start to the next; (run, column), 0 for none."""
-    out = np.zeros((starts.size - 1, values.shape[1]))
-    filled = np.flatnonzero(np.diff(starts))
-    if filled.size:
-        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
-    return out
-
-
 def find_spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
 
-    The measure is local, so that no effect, however large, is taken for an outlier, nor a lively hour
-    for a series of them.
+    The measure is local, so that no effect, however large, is taken for an outlier, nor an hour of large
+    fluctuations for a series of them.
     """
     if len(residual) < BINS.neighbours:
         return np.zeros(len(residual), dtype=bool)
@@ -561,7 +546,7 @@ def bridge_gaps(values: Floats) -> Floats:
 
 def coarsen(
     samples: xr.Dataset,
-    rows: NativeRows,
+    rows: ResidualRows,
     edges: Int64,
     channels: Mapping[str, xr.Variable],
     matrices: Mapping[str, Floats],
@@ -582,13 +567,13 @@ def coarsen(
     matrices : mapping
         Sensor matrices, see `DesignRows`.
     recorded : mapping of str to ndarray, optional
-        Every channel of the mission as it was recorded, on the bins: what goes with one is no outlier.
+        Every channel of the mission as it was recorded, on the bins: what follows one is no outlier.
     keep_bursts : bool
         Count bursts and leave them in.
 
     Returns
     -------
-    Rows, dict
+    DesignRows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
         the scatter within bins, of one row, nT^2, ``spikes``; and of `burst_report`.
     """
@@ -625,7 +610,7 @@ def coarsen(
 
 def _binned(
     samples: xr.Dataset,
-    rows: NativeRows,
+    rows: ResidualRows,
     edges: Int64,
     channels: Mapping[str, xr.Variable],
     good: npt.NDArray[np.bool_],
@@ -634,7 +619,7 @@ def _binned(
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
-    for role in ("vector", "scalar", "inboard", "outboard"):
+    for role in FIELD_ROLES:
         if role in samples:
             data[role] = xr.Variable(
                 samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
@@ -646,7 +631,7 @@ def _binned(
 
 
 def _find_outliers(
-    rows: NativeRows,
+    rows: ResidualRows,
     usable: npt.NDArray[np.bool_],
     stamps: Int64,
     edges: Int64,
@@ -655,12 +640,12 @@ def _find_outliers(
     """Return which samples are spikes and which in bursts; (time,), no sample in both; and their report."""
     none = np.zeros(len(stamps), dtype=bool)
     if rows.kept is not None:
-        # What went through a filter has no wild samples any more.
+        # A filtered residual has no single outliers any more.
         return none, none, burst_report([], stamps, none)
     single = find_spikes(np.where(usable[:, None], rows.residual, np.nan))
-    every = find_bursts(rows.residual, stamps, usable & ~single)
-    wild = [one for one in every if not is_signal(one, every, rows, stamps, recorded, edges)]
-    burst = none.copy()
-    for one in wild:
-        burst[one.first : one.last] = True
-    return single & ~burst, burst, burst_report(wild, stamps, usable)
+    bursts = find_bursts(rows.residual, stamps, usable & ~single)
+    outlying = [burst for burst in bursts if not is_signal(burst, bursts, rows, stamps, recorded, edges)]
+    inside = none.copy()
+    for burst in outlying:
+        inside[burst.first : burst.last] = True
+    return single & ~inside, inside, burst_report(outlying, stamps, usable)

@@ -1,7 +1,7 @@
 """What could be missing: terms, candidates, and the library of them.
 
 A *term* is one effect with its columns of the residual; a *candidate* is one or several terms that
-stand or fall together. Candidates of one *mechanism* (the same cause with another lag or width) are
+are accepted or refused together. Candidates of one *mechanism* (the same cause with another lag or width) are
 rivals in form only; candidates of different mechanisms are rivals in cause.
 """
 

@@ -153,7 +153,7 @@ class RepetitionSettings:
     Attributes
     ----------
     settled : float
-        nT; it ends when no sample moves by more, and no less than the step before: rounding (derived).
+        nT; it ends when no sample changes by more, and no less than the step before: rounding (derived).
     most_steps : int
         Steps after which it is refused (assumed; effects below a tenth of the field need less than 20).
     diverged : float
@@ -187,15 +187,14 @@ class _ParametersOf:
     """``parameters()`` of a class, and of an effect whose options decide how many numbers it has."""
 
     def __get__(self, effect: Effect | None, kind: type[Effect]) -> Callable[[], dict[str, Parameter]]:
-        return partial(_collected, effect, kind)
+        return partial(_parameters_of, effect, kind)
 
 
-def _collected(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
-    return dict(_of_class(kind)) | (effect.sized if effect is not None else {})
+def _parameters_of(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
+    """Return the parameters that a class and its bases state, those of the effect's options instead.
 
-
-def _of_class(kind: type[Effect]) -> dict[str, Parameter]:
-    """Return the parameters a class and its bases state; a pass asks for them hundreds of times a day."""
+    Those of the class are kept: a pass asks for them hundreds of times a day.
+    """
     if kind not in _stated:
         _stated[kind] = {
             key: value
@@ -203,7 +202,7 @@ def _of_class(kind: type[Effect]) -> dict[str, Parameter]:
             for key, value in vars(base).items()
             if isinstance(value, Parameter)
         }
-    return _stated[kind]
+    return _stated[kind] | (effect.sized if effect is not None else {})
 
 
 _stated: WeakKeyDictionary[type, dict[str, Parameter]] = WeakKeyDictionary()
@@ -357,11 +356,11 @@ class Effect:
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the effect in it; (time, axis) or, for a scalar sensor, (time,) nT."""
         if self.follows_field and not sensor.is_scalar:
-            return self._solved(reading, samples, values, sensor)
+            return self._reading_of(reading, samples, values, sensor)
         return reading + self._at(samples, values, sensor)
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading with the effect taken out; the exact inverse of `disturb`.
+        """Return the reading without the effect; the exact inverse of `disturb`.
 
         At a vector sensor an effect that follows the field is made from the reading itself.
         """
@@ -369,18 +368,17 @@ class Effect:
             return reading - self.field(with_field(samples, reading), values, sensor)
         return reading - self._at(samples, values, sensor)
 
-    def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading from which `correct` takes exactly what leaves the truth; (time, axis) nT."""
+    def _reading_of(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading that `correct` turns into the truth, by repetition; (time, axis) nT."""
         reading, last = truth, np.inf
         for _ in range(REPETITION.most_steps):
-            following = truth + self.field(with_field(samples, reading), values, sensor)
-            moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
-            reading = following
-            if moved == 0.0 or last <= moved < REPETITION.settled:
+            before, reading = reading, truth + self.field(with_field(samples, reading), values, sensor)
+            change = float(np.nanmax(np.abs(reading - before), initial=0.0))
+            if change == 0.0 or last <= change < REPETITION.settled:
                 return reading
-            if moved > REPETITION.diverged:
+            if change > REPETITION.diverged:
                 break
-            last = moved
+            last = change
         raise ModelError(
             f"effect '{self.name}' is too strong to be told from the field it follows",
             remedy="check the unit and the size of its parameters",
@@ -480,7 +478,7 @@ def best_field(samples: xr.Dataset) -> Floats:
     Raises
     ------
     SamplesError
-        When there is none yet: the effect stands among those that make it.
+        When there is none yet: the effect is one of those that it is made with.
     """
     if "field" not in samples:
         raise SamplesError(

@@ -5,7 +5,7 @@ and runs the class as the product code does: through a model, its YAML and a pic
 is collected and said at once, each time with what to mend. Columns are held against central differences of
 the residual, `disturb` against `correct`.
 
-The suite stands above the model and the design matrix, which it needs; nothing but the face of this folder
+The suite imports the model and the design matrix, which it needs; nothing but the face of this folder
 names it.
 """
 
@@ -34,11 +34,9 @@ from inflight.frames import GEOMETRY
 from inflight.instruments import Channel
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, rows_of
-from inflight.samples import base_channels, derive_channel
+from inflight.samples import FIELD_ROLES, base_channels, derive_channel
 from inflight.time import SECOND, day_bounds, to_utc
 from inflight.units import factor_and_offset, parse_unit, product_factor
-
-ROLES = ("vector", "scalar", "inboard", "outboard")
 
 #: The sensors every effect is tried on, and channels by the names the library uses.
 _STANDARD = """
@@ -87,7 +85,7 @@ comparisons:
 events: [{at: 2004-05-01T00:03:20Z, name: reset, kind: reset}]
 """
 
-#: A mission that delivers nothing beside the fields: a search must get an answer there, too.
+#: A mission that delivers nothing but the fields: `candidates` must work there, too.
 _BARE = "\n".join(_STANDARD.split("  housekeeping:", maxsplit=1)[0].splitlines()) + (
     "\ncomparisons: {main: {kind: scalar, vector: standard_vector, scalar: standard_scalar}}\n"
 )
@@ -145,7 +143,7 @@ def check_effect(
     options: Mapping[str, Any] | None = None,
     settings: ConformanceSettings = SETTINGS,
 ) -> None:
-    """Check that a class of effects keeps its contract; say nothing when it does.
+    """Check that a class of effects keeps its contract; return when it does.
 
     Parameters
     ----------
@@ -175,8 +173,8 @@ def check_effect(
     if not faults.found:
         with _registered(kind):
             for case in _cases(kind, mission, options, settings, faults.found):
-                for look in _CHECKS:
-                    faults.collect(look, case, where=case.where)
+                for check_case in _CHECKS:
+                    faults.collect(check_case, case, where=case.where)
                 if faults.found:
                     break  # one case shows it; the same in ten others would hide it
     faults.require_none(kind.__name__, "docs/how-to/own-effect.md")
@@ -199,21 +197,7 @@ def _standard() -> Mission:
     return Mission.parse(_STANDARD, "standard mission")
 
 
-def _tried_in(mission: Mission | None) -> Mission:
-    """Return a mission with the standard sensors and comparisons, and all channels of the one given."""
-    if mission is None:
-        return _standard()
-    own = {name: one for name, one in _standard().instruments.items() if name.startswith("standard_")}
-    return mission.model_copy(
-        update={
-            "instruments": {**mission.instruments, **own},
-            "comparisons": _standard().comparisons,
-            "events": mission.events or _standard().events,
-        }
-    )
-
-
-# --- what the class says of itself -----------------------------------------------------------------
+# --- the class by itself ---------------------------------------------------------------------------
 
 
 #: A year, an equation, a section, a link, or a formula in double backticks.
@@ -231,8 +215,8 @@ def _describes_itself(kind: type[Effect], mission: Mission) -> Iterator[str]:
         )
     if kind.family not in FAMILIES:
         yield f"family {kind.family!r} is unknown; choose one of {', '.join(FAMILIES)}"
-    if unknown := set(kind.acts_on) - set(ROLES):
-        yield f"acts_on names {', '.join(sorted(unknown))}; the roles are {', '.join(ROLES)}"
+    if unknown := set(kind.acts_on) - set(FIELD_ROLES):
+        yield f"acts_on names {', '.join(sorted(unknown))}; the roles are {', '.join(FIELD_ROLES)}"
     try:
         require_sound_class(kind, "")
     except ModelError as error:
@@ -293,7 +277,7 @@ def _faults_of_candidate(
     if stray := needed - known:
         yield f"the candidate {dict(options)} needs {', '.join(sorted(stray))}, which the mission has not"
     elif needed & (set(GEOMETRY) - set(channels_of(mission))) and not has_orbit(mission):
-        yield f"the candidate {dict(options)} needs an orbit, which the mission has not; see knows_orbit()"
+        yield f"the candidate {dict(options)} needs an orbit, which the mission has not; see has_orbit()"
 
 
 # --- cases: an effect at a sensor, with samples and values -----------------------------------------
@@ -386,7 +370,22 @@ def _cases(
     faults: list[str],
 ) -> Iterator[_Case]:
     """Yield the effect with each of its options at each kind of sensor it acts on."""
-    tried = _tried_in(mission)
+    tried = _standard()
+    if mission is not None:
+        # The standard sensors and comparisons, with all channels of the mission.
+        own = {name: one for name, one in tried.instruments.items() if name.startswith("standard_")}
+        changes = {
+            "instruments": {**mission.instruments, **own},
+            "comparisons": tried.comparisons,
+            "events": mission.events or tried.events,
+        }
+        tried = mission.model_copy(update=changes)
+    places = [
+        (comparison, name)
+        for comparison in ("main", "pair")
+        for name, sensor in sensors_of(tried, comparison).items()
+        if sensor.role in kind.acts_on
+    ]
     given = [dict(options)] if options is not None else kind.candidates(mission or tried) or [{}]
     made = 0
     for number, chosen in enumerate(given):
@@ -397,8 +396,8 @@ def _cases(
             if options is not None or len(given) == 1:
                 faults.append(f"making: {error}; pass 'options' with which it can be made")
             continue
-        # One candidate shows what every sensor does of it, the others what their options do.
-        for comparison, sensor in _places(kind, tried)[: None if number == 0 else 1]:
+        # The first candidate is tried at every sensor, the others show what their options do.
+        for comparison, sensor in places[: None if number == 0 else 1]:
             entry: dict[str, Any] = {"effect": kind.label(), "sensor": sensor, **chosen}
             try:
                 truth = _samples(tried, comparison, effect.channels, settings.samples)
@@ -411,23 +410,13 @@ def _cases(
             )
             generator = np.random.default_rng(number)
             for key, parameter in effect.parameters().items():
-                entry[key] = _value(parameter, case.step(effect, parameter), generator, settings)
+                entry[key] = _random_value(parameter, case.step(effect, parameter), generator, settings)
             yield case
     if not made and not faults:
         faults.append("making: no candidate can be made as it stands; pass 'options' with which it can")
 
 
-def _places(kind: type[Effect], mission: Mission) -> list[tuple[str, str]]:
-    """Return comparison and sensor of every role the class acts on."""
-    return [
-        (comparison, name)
-        for comparison in ("main", "pair")
-        for name, sensor in sensors_of(mission, comparison).items()
-        if sensor.role in kind.acts_on
-    ]
-
-
-def _value(
+def _random_value(
     parameter: Parameter, step: float, generator: np.random.Generator, settings: ConformanceSettings
 ) -> list[float]:
     """Return values of either sign within sigma and some steps of the default."""
@@ -441,12 +430,12 @@ def _samples(mission: Mission, comparison: str, channels: Sequence[str], count: 
     """Return true fields of low and high latitudes, every channel, geometry, and derived channels."""
     generator = np.random.default_rng(1)
     stamps = day_bounds("2004-05-01")[0] + SECOND * np.arange(count)
-    turn = np.linspace(0.0, 2.0 * np.pi, count)
-    field = np.stack([25e3 * np.cos(turn), 4e3 * np.sin(turn + 1.0), -48e3 * np.sin(turn)], axis=1)
+    phase = np.linspace(0.0, 2.0 * np.pi, count)
+    field = np.stack([25e3 * np.cos(phase), 4e3 * np.sin(phase + 1.0), -48e3 * np.sin(phase)], axis=1)
     field += generator.normal(0.0, 20.0, field.shape)
     known = {name: _series(channel, generator, count) for name, channel in channels_of(mission).items()}
     units = {name: channel.unit for name, channel in channels_of(mission).items()} | GEOMETRY
-    known = _geometry(turn) | known
+    known = _geometry(phase) | known
     for name in channels:
         if name not in known:
             known[name] = derive_channel(name, known, 1.0)
@@ -472,7 +461,7 @@ def _samples(mission: Mission, comparison: str, channels: Sequence[str], count: 
 
 
 def _series(channel: Channel, generator: np.random.Generator, count: int) -> Floats:
-    """Return a lively series of a channel, within its range, in its unit."""
+    """Return a random series of a channel, within its range, in its unit."""
     shape = (count, len(channel.axis_names)) if channel.axis_names else (count,)
     if channel.kind in ("sunlight", "flag"):
         return (generator.random(shape) < 0.7).astype(np.float64)
@@ -489,15 +478,16 @@ def _series(channel: Channel, generator: np.random.Generator, count: int) -> Flo
     return np.asarray(factor * values + offset)
 
 
-def _geometry(turn: Floats) -> dict[str, Floats]:
-    sun = np.stack([np.cos(turn), np.sin(turn), np.full(turn.size, 0.5)], axis=1)
+def _geometry(phase: Floats) -> dict[str, Floats]:
+    """Return the geometry of one orbit at phases along it, rad."""
+    sun = np.stack([np.cos(phase), np.sin(phase), np.full(phase.size, 0.5)], axis=1)
     return {
-        "sunlit": (turn < 4.0).astype(np.float64),
-        "orbit_phase": np.rad2deg(turn),
-        "sun_phase": np.rad2deg(turn + 0.3) % 360.0,
-        "local_time": np.where(turn < 3.0, 9.0, 21.0),
-        "latitude": 90.0 * np.sin(turn),
-        "longitude": np.rad2deg(turn) - 180.0,
+        "sunlit": (phase < 4.0).astype(np.float64),
+        "orbit_phase": np.rad2deg(phase),
+        "sun_phase": np.rad2deg(phase + 0.3) % 360.0,
+        "local_time": np.where(phase < 3.0, 9.0, 21.0),
+        "latitude": 90.0 * np.sin(phase),
+        "longitude": np.rad2deg(phase) - 180.0,
         "sun_direction": sun / np.linalg.norm(sun, axis=1, keepdims=True),
     }
 
@@ -506,7 +496,7 @@ _CHECKS: list[Callable[[_Case], Iterator[str]]] = []
 
 
 def _check(function: Callable[[_Case], Iterator[str]]) -> Callable[[_Case], Iterator[str]]:
-    """Add a check of what an effect does; checks run in the order they stand in."""
+    """Add a check of what an effect does; checks run in the order of the file."""
     _CHECKS.append(function)
     return function
 
@@ -568,7 +558,7 @@ def _knows_the_units_of_its_channels(case: _Case) -> Iterator[str]:
     for name in case.made.effect.channels:
         unit = str(case.corrected[name].attrs["units"])
         other = _OTHER_UNITS.get(unit)
-        if other is None or _takes_as_it_is(case, name):
+        if other is None or _reads_in_own_unit(case, name):
             continue
         factor, offset = factor_and_offset(unit, other)
         series = case.corrected[name].copy(data=factor * case.corrected[name].values + offset)
@@ -582,7 +572,7 @@ def _knows_the_units_of_its_channels(case: _Case) -> Iterator[str]:
         yield from _unit_of_coefficient(case, key, parameter)
 
 
-def _takes_as_it_is(case: _Case, name: str) -> bool:
+def _reads_in_own_unit(case: _Case, name: str) -> bool:
     """Return True when the effect reads a channel in its own unit: knots, widths and references are in it."""
     asked: list[int] = []
     effect = case.make().effect
@@ -669,12 +659,12 @@ def _in_time(case: _Case) -> ModelEffect:
 
 @_check
 def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
-    """Columns of the design matrix against central differences of the residual of the whole chain."""
+    """Columns of the design matrix against central differences of the residual of the whole model."""
     entry, settings = case.plain, case.settings
     terms = [term_of(entry, entry.name)]
     if not terms[0].parameters:
         return
-    base = case.model() if isinstance(entry.effect, SENSOR_EQUATIONS) else case.model(*_equations(case))
+    base = case.model() if isinstance(entry.effect, SENSOR_EQUATIONS) else case.model(*_nine_parameters(case))
     model = base.add(entry)
     raw = model.disturb(case.truth)
     native, corrected = rows_of(model, raw), model.correct(raw)
@@ -703,8 +693,8 @@ def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
             at += 1
 
 
-def _equations(case: _Case) -> list[ModelEffect]:
-    """Return nine parameters of each vector sensor of the comparison, so that columns are turned by them."""
+def _nine_parameters(case: _Case) -> list[ModelEffect]:
+    """Return nine parameters of each vector sensor of the comparison, whose matrices change the columns."""
     sensors = sensors_of(case.mission, case.comparison)
     values = {
         "scale_factor": [1.002, 0.999, 1.001],
@@ -746,8 +736,8 @@ def _is_linear_where_it_says_so(case: _Case) -> Iterator[str]:
                 case.correction(case.corrected, _moved(case.made, key, index, change))
                 for change in (step, -step)
             )
-            bend, change = _rms(up + down - 2.0 * here), _rms(up - down)
-            if bend > 1e-2 * change + case.rounding:
+            curvature, change = _rms(up + down - 2.0 * here), _rms(up - down)
+            if curvature > 1e-2 * change + case.rounding:
                 yield f"'{key}' is not linear over a step of {parameter.step:g}; state linear=False"
                 return
 

@@ -21,7 +21,7 @@ from inflight.time import SECOND, usual_step
 
 ANGLES = ("xy", "xz", "yz")
 
-#: Roles of sensors that read a vector.
+#: Roles that read a vector, in the order of correction: of two fields that of the last one is kept.
 VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 
@@ -84,7 +84,7 @@ def subtract_angles(reading: Floats, about: Floats, change: Floats) -> Floats:
 
 
 def add_angles(reading: Floats, about: Floats, change: Floats) -> Floats:
-    """Return what `sheared` made the reading from: back substitution; shapes and units as there."""
+    """Return what `subtract_angles` made the reading from: back substitution; shapes and units as there."""
     xy, xz, yz = -np.deg2rad(change).T
     zero = np.broadcast_to(about, reading.shape)
     out = np.array(reading)

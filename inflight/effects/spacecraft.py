@@ -1,7 +1,7 @@
 """Fields the spacecraft makes at a sensor: torquers, magnetised parts, the solar array.
 
-`panel_illumination` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local
-time of the orbit (Yin 2010, section 3.4.1).
+`panel_illumination` and `panel_weights_at` give the share of each solar panel in the light: by the Sun's
+direction, or by the local time of the orbit (Yin 2010, section 3.4.1).
 """
 
 from __future__ import annotations
@@ -27,23 +27,6 @@ PANEL_CYCLE_DAYS, PANEL_CYCLE_START_H = 260.5, 9.0
 SIDE_NORMALS = ((0.0, -(0.5**0.5), -(0.5**0.5)), (0.0, 0.5**0.5, -(0.5**0.5)))
 
 TOP_NORMAL = (0.0, 0.0, -1.0)
-
-
-def node_local_time(local_time: Floats, orbit_phase: Floats, inclination: float = 90.0) -> Floats:
-    """Return the local time of the ascending node from that of a place on the orbit; (epoch,) h.
-
-    Right ascension runs ``atan2(cos i sin u, cos u)`` ahead of the node's at argument of latitude u.
-
-    Parameters
-    ----------
-    local_time, orbit_phase : ndarray, shape (epoch,)
-        h, and degrees from the ascending node.
-    inclination : float
-        deg; with 90 the two halves of the orbit differ by 12 h.
-    """
-    phase, tilt = np.radians(orbit_phase), np.radians(inclination)
-    ahead = np.degrees(np.arctan2(np.cos(tilt) * np.sin(phase), np.cos(phase)))
-    return np.asarray((local_time - ahead / 15.0) % 24.0)
 
 
 def panel_weights_at(local_time: Floats) -> Floats:
@@ -192,13 +175,11 @@ class SolarArray(Effect):
             self.given.setdefault("cycle", "260.5 d")
             self._cycle = self.duration("cycle")
 
-    def _light(self, samples: xr.Dataset) -> Floats:
-        """Return the weight of each panel; (time, panel), of sum 1, 0 where no panel is lit."""
-        if self._normals is not None:
-            return panel_illumination(self.series(samples, 1), self._normals, self._areas)
-        return panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
-
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""
         current = self.channel(samples, "A")
-        return current[:, None] * weighted_vectors(self._light(samples), values["panels"])
+        if self._normals is None:
+            light = panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
+        else:
+            light = panel_illumination(self.series(samples, 1), self._normals, self._areas)
+        return current[:, None] * weighted_vectors(light, values["panels"])

@@ -23,9 +23,9 @@ def sensor_axes(elevation: Floats, azimuth: Floats) -> Floats:
     Parameters
     ----------
     elevation : ndarray, shape (..., 2)
-        By how much sensors 1 and 2 stand further than 90 deg from sensor 3, rad.
+        Angles of sensors 1 and 2 from sensor 3 less 90 deg, rad.
     azimuth : ndarray, shape (...)
-        By how much their projections stand further than 90 deg apart, rad.
+        Angle between their projections less 90 deg, rad.
 
     Returns
     -------
@@ -57,15 +57,11 @@ def package_to_spin(spin_axis: Floats, rotation: Floats) -> Floats:
     sigma[..., 0, 0], sigma[..., 0, 1], sigma[..., 0, 2] = cx, -sx * sy, -sx * cy
     sigma[..., 1, 1], sigma[..., 1, 2] = cy, -sy
     sigma[..., 2, 0], sigma[..., 2, 1], sigma[..., 2, 2] = sx, cx * sy, cx * cy
-    return _about_z(rotation) @ sigma
-
-
-def _about_z(angle: Floats) -> Floats:
-    out = np.zeros((*angle.shape, 3, 3))
-    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
-    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
-    out[..., 2, 2] = 1.0
-    return out
+    phi = np.zeros((*rotation.shape, 3, 3))
+    phi[..., 0, 0] = phi[..., 1, 1] = np.cos(rotation)
+    phi[..., 1, 0], phi[..., 0, 1] = np.sin(rotation), -np.sin(rotation)
+    phi[..., 2, 2] = 1.0
+    return phi @ sigma
 
 
 def gains_of(gain_ratio: Floats, spin_plane_gain: Floats, axial_gain: Floats) -> Floats:
@@ -86,13 +82,10 @@ def coupling(
 
     Angles in rad as in `sensor_axes` and `package_to_spin`, `elevation` and `spin_axis` of shape (..., 2).
     """
-    whole = [
-        np.asarray(one, dtype=np.float64)
-        for one in (gain_ratio, spin_plane_gain, axial_gain, elevation, azimuth, spin_axis, rotation)
-    ]
-    gains = gains_of(*whole[:3])
-    axes, turn = sensor_axes(whole[3], whole[4]), package_to_spin(whole[5], whole[6])
-    inverse = (axes @ np.swapaxes(turn, -1, -2)) / gains[..., :, None]
+    angles = (elevation, azimuth, spin_axis, rotation)
+    given = [np.asarray(one, dtype=np.float64) for one in (gain_ratio, spin_plane_gain, axial_gain, *angles)]
+    gains, axes, to_spin = gains_of(*given[:3]), sensor_axes(*given[3:5]), package_to_spin(*given[5:])
+    inverse = (axes @ np.swapaxes(to_spin, -1, -2)) / gains[..., :, None]
     return np.asarray(np.linalg.inv(inverse)), inverse
 
 

@@ -209,7 +209,7 @@ def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[fig
 
     Parameters
     ----------
-    mean : CarriedMean
+    mean : FilledRunningMean
     field : xarray.Dataset
         Of `secular.remanent_field`. Where the window was not covered the line is dashed.
     """
@@ -291,7 +291,7 @@ def local_time_figure(course: LocalTimeDependence, model: PanelModel | None = No
 
     Parameters
     ----------
-    course : LocalTimeCourse
+    course : LocalTimeDependence
     model : PanelModel, optional
         Drawn as lines when local time alone tells it: *constant* or *two_panels*.
     """

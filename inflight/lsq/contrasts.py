@@ -3,10 +3,10 @@
 - `robust_fit` takes rows, values and their stated variances; makes coefficients that outliers do not
   move (Tukey's biweight) with a covariance that respects correlation in time.
 - `robust_contrast` takes the residual around a change of a current; makes one number of it: a weighted
-  sum of the samples that is blind to drift and gives 1 for a unit step.
+  sum of the samples that is 0 for any drift and 1 for a unit step.
 - `window_means` takes daily values; makes their weighted means in a window that moves over the days, whose
-  end days count by the part of them inside. The running mean of a parameter and the carried mean of a
-  current are made of it (`inflight.mission_fit`).
+  end days count by the part of them inside. The running mean of a parameter and the filled running mean
+  of a current are made of it (`inflight.mission_fit`).
 """
 
 from __future__ import annotations
@@ -312,22 +312,22 @@ def window_means(daily: Floats, weight: Floats, window: float) -> WindowMeans:
     offset = np.arange(-half, half + 1)
     kernel = np.clip(0.5 * window + 0.5 - np.abs(offset), 0.0, 1.0)
     known = np.where(weight[:, None] > 0, daily, 0.0) * weight[:, None]
-    inside = np.clip(_same(weight, kernel), 0.0, None)
+    inside = np.clip(_convolve_same(weight, kernel), 0.0, None)
     total = np.maximum(inside, 1e-12)
-    mean = np.stack([_same(column, kernel) for column in known.T], axis=1) / total[:, None]
+    mean = np.stack([_convolve_same(column, kernel) for column in known.T], axis=1) / total[:, None]
     squares = np.where(weight[:, None] > 0, daily, 0.0) * known
-    square = np.stack([_same(column, kernel) for column in squares.T], axis=1) / total[:, None]
+    square = np.stack([_convolve_same(column, kernel) for column in squares.T], axis=1) / total[:, None]
     return WindowMeans(
         mean,
         np.sqrt(np.clip(square - mean**2, 0.0, None)),
         inside,
         np.clip(inside / kernel.sum(), 0.0, 1.0),
         # A convolution turns the kernel over: a day that is later weighs with the negative of its offset.
-        -_same(weight, kernel * offset) / total,
+        -_convolve_same(weight, kernel * offset) / total,
     )
 
 
-def _same(series: Floats, kernel: Floats) -> Floats:
+def _convolve_same(series: Floats, kernel: Floats) -> Floats:
     """Return the convolution at the places of the series, however short it is."""
     half = kernel.size // 2
     return np.asarray(np.convolve(series, kernel)[half : half + series.size])

@@ -1,10 +1,10 @@
-"""Uncertainty of what blocks tell together when they are correlated in time.
+"""Uncertainty of estimates from blocks that are correlated in time.
 
 One of each:
 
 - `bartlett_covariance`: heteroskedasticity- and autocorrelation-consistent (HAC) covariance of a sum
   of scores with Bartlett's kernel and a stated number of lags (Newey and West 1987).
-- `long_run_covariance`: the same with a flat-topped kernel whose width the scores themselves tell
+- `long_run_covariance`: the same with a flat-topped kernel whose width follows from the scores themselves
   (Politis and Romano 1995; Politis and White 2004).
 - `sandwich`: covariance of estimates from that of the scores, clustered by block.
 - `jackknife` and `jackknife_covariance`: from the values without one block each (Efron and Stein 1981).
@@ -12,8 +12,8 @@ One of each:
 - `hac_t`, `expected_gain_t`, `expected_gain_p`: whether a gain that is spread over blocks is more
   than chance.
 
-Blocks differ in what they can tell: a storm's hours tell of a clock, an eclipse season of the arrays. A
-gain that lies in few blocks looks like scatter to a plain mean over its error. A true effect foretells
+Blocks differ in what they determine: a storm's hours a clock's offset, an eclipse season the arrays. A
+gain that lies in few blocks looks like scatter to a plain mean over its error. A true effect predicts
 where its gain must lie, so `expected_gain_t` holds each block's gain against what the others' make of
 the gain expected of it.
 """
@@ -46,7 +46,7 @@ class LongRunSettings:
     least : float
         The variance of a sum is never smaller than this part of that of uncorrelated scores; assumed.
     most_lost : float
-        The correction for what a fit takes out of its own scores is at most this part; assumed.
+        The correction for the part of its own scores that a fit removes is at most this; assumed.
     """
 
     chance: float = 2.0
@@ -317,7 +317,7 @@ def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Fl
     ----------
     difference : ndarray, shape (block, series)
     active : ndarray of bool, shape (block, series), optional
-        Blocks that tell anything: an effect that lasts a week is judged by that week.
+        Blocks with information: an effect that lasts a week is judged by that week.
     """
     used = np.ones(difference.shape, dtype=bool) if active is None else active
     count = np.maximum(used.sum(axis=0), 1)
@@ -342,7 +342,7 @@ def expected_gain_t(gained: Floats, expected: Floats, active: npt.NDArray[np.boo
     gained, expected : ndarray, shape (block, series)
         Held-out gain, and the square of what the effect fitted elsewhere contributes.
     active : ndarray of bool, shape (block, series)
-        Blocks that tell anything.
+        Blocks with information.
     """
     t, freedom = _expected_gain(gained, expected, active)
     few = np.where(freedom > 0.1, -3.0 / stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)

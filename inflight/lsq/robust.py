@@ -57,7 +57,7 @@ def biweight(standardised: Floats) -> Floats:
 def biweight_slope(standardised: Floats) -> Floats:
     """Return the derivative of the influence ``u biweight(u)`` by the standardised residual u.
 
-    Weights follow the residuals: a fit answers by this slope, not by the weight.
+    Weights follow the residuals: a fit changes by this slope, not by the weight.
     """
     u2 = (standardised / BIWEIGHT_WIDTH) ** 2
     return np.asarray(np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0))

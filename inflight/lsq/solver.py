@@ -56,7 +56,7 @@ class SolverSettings:
     smallest_variance : float
         nT^2. Readings are never better than their rounding; assumed.
     fewest_clusters : int
-        The fewest clusters whose scatter tells an uncertainty: four degrees of freedom.
+        The fewest clusters whose scatter gives an uncertainty: four degrees of freedom.
     """
 
     eigen_cut: float = 1e-12
@@ -232,7 +232,7 @@ class Solution:
     covariance : ndarray, shape (parameter, parameter)
         Scaled; robust against autocorrelation within the sub-blocks it was made from.
     determined : ndarray of bool
-        The data alone tell this parameter from all others.
+        The data alone separate this parameter from all others.
     retained : ndarray
         Part of a column no combination of the others explains, 1 / variance inflation factor.
     moved : ndarray of bool

@@ -1,4 +1,4 @@
-"""The fit of a whole mission, and what its parameters and residual tell of the spacecraft.
+"""The fit of a whole mission, and the spacecraft's fields from its parameters and residual.
 
 In go samples and the Gram matrices of days (`inflight.calibration`, `inflight.lsq`); out come trends in
 time, one continuous calibration, and the fields of temperature, day and night, currents and torquers with

@@ -129,7 +129,7 @@ def fit_coil_lag(
     Raises
     ------
     CalibrationError
-        When data may not move how the sensor follows a temperature, or no day knows its rate.
+        When data may not move how the sensor follows a temperature, or its rate is known on no day.
     """
     entry = temperature_entry(model)
     if entry is None:
@@ -220,7 +220,7 @@ def compare_temperatures_jointly(
     Raises
     ------
     CalibrationError
-        When no day knows all of them, or there are too few days.
+        When no day has all of them, or there are too few days.
     """
     entry = temperature_entry(model)
     own = "" if entry is None else entry.effect.channels[0]
@@ -233,8 +233,8 @@ def compare_temperatures_jointly(
     wide = with_auxiliary_columns(equations, auxiliary, added)
     # The residual is that of the fit of all days, without the temperature coefficients of the model.
     fitted = dict(zip(found.fit.trends, found.fit.at(wide.middle)[0].T, strict=True))
-    nought = np.zeros(len(wide))
-    values = [nought if name in held else fitted.get(name, nought) for name in wide.columns]
+    zero = np.zeros(len(wide))
+    values = [zero if name in held else fitted.get(name, zero) for name in wide.columns]
     nine = wide.columns[:9]
     rest = wide.at(np.stack(values, axis=1)).marginalise(nine, cut=SOLVER.weak_cut, least_kept=0.0)
     others = [name for name in equations.columns[9:] if name not in held]
@@ -261,12 +261,12 @@ def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> F
     out = np.empty(len(gram))
     for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
-        change = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
+        change = np.append(_solve_columns(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
         out[part] = np.einsum("i,bij,j->b", change, gram[part], change)
     return out
 
 
-def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
+def _solve_columns(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
     """Return the values of all columns: the others', and the twelve of one temperature with its lag."""
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
@@ -329,7 +329,7 @@ def fit_day_night_jointly(
     Raises
     ------
     CalibrationError
-        When no day knows its orbit, the model has such a field itself, or none of it is determined.
+        When the orbit is known on no day, the model has such a field itself, or none of it is determined.
     """
     if holds_day_night(model):
         raise CalibrationError(

@@ -1,7 +1,7 @@
 """One fit of a whole mission: continuous scale factors, everything else constant, all together.
 
-Takes the days' wide equations; makes a model, the calibration table that states how sure it is on each
-day, and each day's own parameters beside it. The scale factors follow one trend in time (Yin 2010, ch. 3),
+Takes the days' wide equations; makes a model, the calibration table with its uncertainty on each day,
+and each day's own parameters. The scale factors follow one trend in time (Yin 2010, ch. 3),
 chosen on held-out days unless it is stated; angles, offsets and all that the model lets data refine have
 one value. `fit_with_auxiliary` fits further columns to all days, with the trends of the continuous fit.
 `daily_parameters` solves each day for the nine and for named ones such as the time shift, everything else
@@ -121,16 +121,16 @@ def fit_mission(
     common = equations.at_one_reference()
     choice = None
     if kind == "auto":
-        kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
-    fit = _fitted(common, model, sigma, kind, origin)
+        kind, choice = _select_kind(common, sigma, _nine(model)[:3], origin)
+    fit = _fit_trend(common, model, sigma, kind, origin)
     if drift is not None:
         # The first fit determines the rates well enough: they are small themselves.
         equations = drift.remove_drift(equations, scale_factor_rates(fit, equations))
-        fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
+        fit = _fit_trend(equations.at_one_reference(), model, sigma, kind, origin)
     return MissionFit(fit, choice, continuous_model(model, fit), equations)
 
 
-def _fitted(
+def _fit_trend(
     equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
 ) -> TrendFit:
     """Fit one kind of trend to days at one reference."""
@@ -148,7 +148,7 @@ def _fitted(
     return fit_trends(equations, dict.fromkeys(names, trend), sigma, units=units)
 
 
-def _choose(
+def _select_kind(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
     """Return the kind of trend that predicts held-out days best; all but the nine stay at a common fit."""
@@ -315,7 +315,7 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     grams = own.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
     solved = [_solve_day(gram, rows) for gram, rows in zip(grams, equations.count.tolist(), strict=True)]
     change, sigma = (np.array(part) * own.scale[:-1] for part in zip(*solved, strict=True))
-    # By how much more neighbouring days differ than their errors say.
+    # By how much more neighbouring days differ than by their errors.
     inflation = np.ones(len(columns))
     for index, standardised in enumerate((change / sigma).T):
         steps = np.abs(np.diff(standardised[np.isfinite(standardised)])) / np.sqrt(2.0)

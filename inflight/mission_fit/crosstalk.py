@@ -2,7 +2,7 @@
 
 With X the columns of the fitted parameters and z that of a cause, both derivatives of the corrected
 residual, a cause of size c that is in the readings but not in the model leaves ``-z c`` in the
-residual. Least squares answers with ``p = (X^T X)^-1 X^T z c``: the parameters stand in for the cause
+residual. Least squares gives ``p = (X^T X)^-1 X^T z c``: the parameters stand in for the cause
 as far as they can, and ``z c - X p`` remains. It is straight in c and needs Gram matrices only, so the
 table follows from stored normal equations (Yin 2010, section 4.2; derived here).
 """

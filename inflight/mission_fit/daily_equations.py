@@ -52,7 +52,7 @@ class DayEquationSettings:
     Attributes
     ----------
     bin_s : float
-        Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
+        Seconds of a bin: short against the orbit, and long enough that a day is a small matrix.
     reference : float
         degC, where a rival temperature's change is 0 when the model states none; assumed.
     series_order : int
@@ -230,7 +230,7 @@ def with_auxiliary_columns(
     Raises
     ------
     CalibrationError
-        When no day knows all of the columns.
+        When no day has all of the columns.
     """
     parts: dict[int, xr.Dataset] = {}
     for block, part in enumerate(auxiliary):

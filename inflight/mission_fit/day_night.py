@@ -6,8 +6,8 @@ and 0 in the shadow. *Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0
 orbit. A square wave of duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms
 agree as k grows.
 
-A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined beside it;
-the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined together
+with it; the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
-from inflight.effects import AXES, DayNight, DayNightSeries, order_names
+from inflight.effects import AXES, MOST_ORDER, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
 from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters, student_sigma
@@ -34,8 +34,6 @@ SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
 #: A column of which all others leave less than this part has no value of its own: the rms of that part is
 #: then below a hundredth of the column's.
 LEAST_RETAINED = 1e-4
-
-_MOST_ORDER = 12
 
 #: Arrays of a fitted field.
 _ARRAYS = ("value", "sigma", "covariance", "retained", "determined")
@@ -83,9 +81,9 @@ def series_columns(
     SamplesError
         When the order is below 1 or above 12.
     """
-    if not 1 <= order <= _MOST_ORDER:
+    if not 1 <= order <= MOST_ORDER:
         raise SamplesError(
-            f"order {order} of a day/night series", remedy=f"take 1 to {_MOST_ORDER}, or the switched form"
+            f"order {order} of a day/night series", remedy=f"take 1 to {MOST_ORDER}, or the switched form"
         )
     phase, found = np.deg2rad(sun_phase), {}
     for k in range(0 if constant else 1, order + 1):
@@ -114,7 +112,7 @@ class DayNightField:
     determined : ndarray of bool, shape (column,)
     blocks : int
     before, after : float
-        Rms residual beside the nine parameters, without and with the field, nT.
+        Rms residual of the nine parameters without and with the field, nT.
     """
 
     columns: tuple[str, ...]
@@ -390,9 +388,3 @@ def sunlit_duty(altitude: float, beta: Floats) -> Floats:
     radius = EARTH_RADIUS + altitude
     cosine = np.sqrt(radius**2 - EARTH_RADIUS**2) / (radius * np.cos(np.deg2rad(beta)))
     return np.asarray(1.0 - np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi)
-
-
-def square_wave_series(duty: float, order: int) -> Floats:
-    """Return a_0 ... a_order of a square wave that is 1 for `duty` of the orbit around t0, 0 elsewhere."""
-    k = np.arange(1, order + 1)
-    return np.concatenate([[duty], 2.0 * np.sin(np.pi * k * duty) / (np.pi * k)])

@@ -95,7 +95,7 @@ def extract_epochs(
     others: Sequence[str] = (),
     windows: Windows | None = None,
 ) -> xr.Dataset:
-    """Return the epochs of one span, a day say: all that the fits need, and small enough to store.
+    """Return the epochs of one span, such as a day: all that the fits need, and small enough to store.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ def extract_epochs(
     rows = [row for index in range(len(steps)) if (row := _epoch(series, steps, index, chosen)) is not None]
     if not rows:
         rows = [_empty_row(series, chosen)]
-        return _dataset(rows, series, chosen).isel(epoch=slice(0, 0))
-    return _dataset(rows, series, chosen)
+        return _epoch_dataset(rows, series, chosen).isel(epoch=slice(0, 0))
+    return _epoch_dataset(rows, series, chosen)
 
 
 def concat_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
@@ -162,8 +162,8 @@ def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) ->
     low, high = _own_span(steps, index, windows)
     part = series.part(low, high)
     seconds = (series.stamps[part] - steps.time[index]) / SECOND
-    usable, shape = _usable(series, part, steps, index, windows)
-    if not _both_sides(seconds[usable], seconds, usable, windows):
+    usable, shape = _usable_and_shape(series, part, steps, index, windows)
+    if not _has_both_sides(seconds[usable], seconds, usable, windows):
         return None
     drift = _drift(series, part, seconds, windows)
     fit = robust_contrast(drift, series.residual[part], shape, usable)
@@ -218,7 +218,7 @@ def _drift(series: Series, part: slice, seconds: Floats, windows: Windows) -> Fl
     return np.hstack([powers, series.direction[part]]) if windows.field else powers
 
 
-def _usable(
+def _usable_and_shape(
     series: Series, part: slice, steps: CurrentSteps, index: int, windows: Windows
 ) -> tuple[Mask, Floats]:
     """Return which samples of a part can be used, and the shape searched for; (time,) each."""
@@ -236,7 +236,7 @@ def _usable(
     return usable, (stamps > steps.time[index]).astype(np.float64)
 
 
-def _both_sides(used: Floats, seconds: Floats, usable: Mask, windows: Windows) -> bool:
+def _has_both_sides(used: Floats, seconds: Floats, usable: Mask, windows: Windows) -> bool:
     """Return whether both sides of a step have samples enough; `used` are the times (s) of usable ones."""
     if windows.shape == "current":
         return bool(used.size > 0.5 * seconds.size and min((used < 0).sum(), (used > 0).sum()) > 2)
@@ -263,10 +263,10 @@ def _placebo(series: Series, steps: CurrentSteps, index: int, windows: Windows) 
         if part.stop - part.start != own.stop - own.start:
             continue
         seconds = (series.stamps[own] - steps.time[index]) / SECOND
-        here, shape = _usable(series, own, steps, index, windows)
+        here, shape = _usable_and_shape(series, own, steps, index, windows)
         usable = np.isfinite(series.residual[part]) & np.isfinite(series.currents[part, 0]) & here
         usable &= np.isfinite(series.direction[part]).all(axis=1)
-        if not _both_sides(seconds[usable], seconds, usable, windows):
+        if not _has_both_sides(seconds[usable], seconds, usable, windows):
             continue
         drift = _drift(series, part, seconds, windows)
         fit = robust_contrast(drift, series.residual[part], shape, usable)
@@ -327,7 +327,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
-def _dataset(rows: Sequence[dict[str, object]], series: Series, windows: Windows) -> xr.Dataset:
+def _epoch_dataset(rows: Sequence[dict[str, object]], series: Series, windows: Windows) -> xr.Dataset:
     variables = {
         name: (("epoch", *dims), np.array([row[name] for row in rows]), {"units": unit})
         for name, (dims, unit) in _VARIABLES.items()
@@ -573,7 +573,7 @@ def stack_epochs(
     epochs : xarray.Dataset
         Stored epochs, of drops or of rises; their curves are averaged less the mean before.
     value : ndarray, shape (epoch, 3) or (3,), optional
-        A fitted coefficient, nT/A: curves whose step it expects to be negative are turned over, so that
+        A fitted coefficient, nT/A: curves whose step it expects to be negative change sign, so that
         places of the orbit with the field one way and the other do not cancel. A coefficient fitted to
         the same epochs favours its own noise, where it is not known to many sigma. Absent, curves are
         left as they are.
@@ -593,14 +593,14 @@ def stack_epochs(
             f"epochs of {days.size} days, at least 2 needed for a band", remedy="take more days"
         )
     lag = epochs["lag"].values
-    curves = _less_before(epochs["curve"].values, lag)
+    curves = _subtract_mean_before(epochs["curve"].values, lag)
     if value is not None:
         expected = np.einsum(
             "ej,ej->e", epochs["column"].values[:, 0], np.broadcast_to(value, (which.size, 3))
         )
         curves *= np.where(expected < 0, -1.0, 1.0)[:, None]
     sums, counts = _day_sums(curves, which)
-    currents, filled = _day_sums(_less_before(epochs["current_curve"].values, lag), which)
+    currents, filled = _day_sums(_subtract_mean_before(epochs["current_curve"].values, lag), which)
     random = np.random.default_rng(seed)
     share = random.multinomial(days.size, np.full(days.size, 1.0 / days.size), size=bootstraps)
     resampled = (share @ sums) / np.maximum(share @ counts, 1.0)
@@ -610,7 +610,7 @@ def stack_epochs(
     return EpochStack(lag, mean, low, high, current, epochs.sizes["epoch"], int(days.size))
 
 
-def _less_before(curves: Floats, lag: Floats) -> Floats:
+def _subtract_mean_before(curves: Floats, lag: Floats) -> Floats:
     """Return the curves (epoch, lag) less their own mean before the step."""
     known = np.isfinite(curves) & (lag < 0)
     mean = np.where(known, curves, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)

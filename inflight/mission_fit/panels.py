@@ -40,8 +40,21 @@ from inflight.time import DAY, utc_text
 
 MODELS = ("constant", "two_panels", "two_sides", "three_panels")
 
-#: A model is no worse than the best while the difference is within this many of its own sigmas.
-_TIE = 2.0
+
+@dataclass(frozen=True, kw_only=True)
+class PanelSettings:
+    """When models of the panels tie.
+
+    Attributes
+    ----------
+    tie : float
+        A model is no worse than the best while it is within so many sigmas of it: a level of 5 %.
+    """
+
+    tie: float = 2.0
+
+
+PANEL_CHOICE = PanelSettings()
 
 
 @dataclass(frozen=True)
@@ -149,7 +162,7 @@ class PanelModel:
     @property
     def ties(self) -> bool:
         """True when held-out days do not separate it from the best."""
-        return self.behind <= _TIE * self.behind_sigma
+        return self.behind <= PANEL_CHOICE.tie * self.behind_sigma
 
 
 @dataclass(frozen=True)
@@ -191,7 +204,7 @@ class PanelChoice:
         )
 
     def as_effect(self, name: str | None = None) -> dict[str, object]:
-        """Return options and values of the effect that says the same: `solar_array`, or a field of a channel.
+        """Return the effect with this coefficient, `solar_array` or a field of a channel, as a model has it.
 
         Parameters
         ----------

@@ -617,7 +617,7 @@ def find_clock_faults(
     of_all_days = np.full((2, mjd.size), np.nan)
     of_all_days[:, known] = usual, scatter
     ordered = tuple(sorted(faults, key=lambda fault: fault.first))
-    return ClockFaults(ordered, *of_all_days, mjd, limit)
+    return ClockFaults(ordered, of_all_days[0], of_all_days[1], mjd, limit)
 
 
 def _median_around(days: Floats, value: Floats, free: np.ndarray) -> Floats:

@@ -194,7 +194,7 @@ def parameter_spectrum(
     effective = np.log(2.0) * np.exp(np.median(highest))
     known = KNOWN_PERIODS if known is None else known
     span = float(np.ptp(t))
-    named = _named(waves, y, noise, known, span)
+    named = _named_periods(waves, y, noise, known, span)
     limit = float(-np.log1p(-((1.0 - PERIODS.false_alarm) ** (1.0 / effective)))) if effective > 1 else 4.6
     back = np.sqrt(2.0 * noise.power(waves.frequency) / weight.sum())
     amplitude = np.sqrt(2.0 * power / weight.sum())
@@ -323,7 +323,7 @@ def _background(waves: _Waves, y: Floats) -> _Noise:
     """Return the noise of a series without its lines; their side lobes are no noise either."""
     noise = _Noise.fit(waves, waves.power(y[:, None])[0])
     for _ in range(PERIODS.passes):
-        lines = _lines(waves, y, noise, float(waves.frequency.size))
+        lines = _find_lines(waves, y, noise, float(waves.frequency.size))
         if not lines:
             break
         power = waves.power(_residual(waves, y, lines)[:, None])[0]
@@ -333,7 +333,7 @@ def _background(waves: _Waves, y: Floats) -> _Noise:
     return noise
 
 
-def _chance(ratio: float, effective: float) -> float:
+def _false_alarm(ratio: float, effective: float) -> float:
     """Return the chance that noise exceeds a ratio anywhere among so many independent frequencies."""
     return float(-np.expm1(effective * np.log1p(-np.exp(-max(ratio, 1e-9)))))
 
@@ -341,18 +341,18 @@ def _chance(ratio: float, effective: float) -> float:
 def _peaks(
     waves: _Waves, y: Floats, noise: _Noise, effective: float, known: Mapping[str, float], span: float
 ) -> tuple[Peak, ...]:
-    frequencies = _lines(waves, y, noise, effective)
+    frequencies = _find_lines(waves, y, noise, effective)
     value, inverse = _fit(waves, y, frequencies)
     found = []
     for place, frequency in enumerate(frequencies):
-        size, sigma, _ = _wave(value, inverse, place, noise, frequency)
+        size, sigma, _ = _amplitude_of(value, inverse, place, noise, frequency)
         near = [name for name, days in known.items() if abs(1.0 / days - frequency) < 0.5 / span]
-        chance = _chance(0.5 * (size / sigma) ** 2, effective)
+        chance = _false_alarm(0.5 * (size / sigma) ** 2, effective)
         found.append(Peak(1.0 / frequency, size, sigma, chance, " or ".join(near)))
     return tuple(sorted(found, key=lambda one: -one.amplitude))
 
 
-def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[float]:
+def _find_lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[float]:
     """Subtract the highest peak and its wave from the series, again and again: its side lobes go with it."""
     frequencies: list[float] = []
     residual = y
@@ -360,7 +360,7 @@ def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[fl
         power = waves.power(residual[:, None])[0]
         ratio = power / noise.power(waves.frequency)
         at = int(np.argmax(ratio))
-        if _chance(float(ratio[at]), effective) > PERIODS.false_alarm:
+        if _false_alarm(float(ratio[at]), effective) > PERIODS.false_alarm:
             break
         frequencies.append(_refine_frequency(waves, residual, float(waves.frequency[at])))
         residual = _residual(waves, y, frequencies)
@@ -378,7 +378,7 @@ def _refine_frequency(waves: _Waves, y: Floats, frequency: float) -> float:
     return float(optimize.minimize_scalar(square, bounds=bounds, method="bounded").x)
 
 
-def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
+def _line_and_waves(waves: _Waves, frequencies: Sequence[float]) -> Floats:
     """Return a constant, a straight line and a pair of waves a frequency; (day, 2 + 2 frequencies)."""
     away = waves.days - waves.days.mean()
     angles = [2 * np.pi * away * frequency for frequency in frequencies]
@@ -388,7 +388,7 @@ def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
 
 def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats, Floats]:
     """Fit line and waves together; coefficients, and their covariance for the stated weights."""
-    rows, root = _rows(waves, frequencies), np.sqrt(waves.weight)
+    rows, root = _line_and_waves(waves, frequencies), np.sqrt(waves.weight)
     value: Floats = np.asarray(np.linalg.lstsq(rows * root[:, None], y * root)[0], dtype=np.float64)
     inverse: Floats = np.asarray(np.linalg.inv((rows * waves.weight[:, None]).T @ rows), dtype=np.float64)
     return value, inverse
@@ -396,10 +396,10 @@ def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats
 
 def _residual(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> Floats:
     """Return the series less line and waves; (day,)."""
-    return np.asarray(y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0])
+    return np.asarray(y - _line_and_waves(waves, frequencies) @ _fit(waves, y, frequencies)[0])
 
 
-def _wave(
+def _amplitude_of(
     value: Floats, inverse: Floats, place: int, noise: _Noise, frequency: float
 ) -> tuple[float, float, float]:
     """Return amplitude, its standard deviation and the phase (rad) of one of several waves."""
@@ -413,11 +413,11 @@ def _wave(
     return size, sigma, float(np.arctan2(wave[1], wave[0]))
 
 
-def _named(
+def _named_periods(
     waves: _Waves, y: Floats, noise: _Noise, known: Mapping[str, float], span: float
 ) -> tuple[NamedPeriod, ...]:
     """Fit all resolved periods together with a straight line."""
-    why = {name: _unresolved(name, known, span) for name in known}
+    why = {name: _why_unresolved(name, known, span) for name in known}
     resolved = [name for name in known if not why[name]]
     value, inverse = _fit(waves, y, [1.0 / known[name] for name in resolved])
     found = []
@@ -426,15 +426,15 @@ def _named(
             nan = float("nan")
             found.append(NamedPeriod(name, days, nan, nan, nan, nan, False, why[name]))
             continue
-        size, sigma, phase = _wave(value, inverse, resolved.index(name), noise, 1.0 / days)
+        size, sigma, phase = _amplitude_of(value, inverse, resolved.index(name), noise, 1.0 / days)
         maximum = float(waves.days.mean() + days * phase / (2 * np.pi))
         # A period that was named beforehand is one frequency, not all of them.
-        chance = _chance(0.5 * (size / sigma) ** 2, 1.0)
+        chance = _false_alarm(0.5 * (size / sigma) ** 2, 1.0)
         found.append(NamedPeriod(name, days, size, sigma, maximum, chance, True))
     return tuple(found)
 
 
-def _unresolved(name: str, known: Mapping[str, float], span: float) -> str:
+def _why_unresolved(name: str, known: Mapping[str, float], span: float) -> str:
     """Return why a span does not resolve a period; empty when it does."""
     if span < MIN_CYCLES * known[name]:
         return f"{span:.0f} days are less than {MIN_CYCLES:g} periods"

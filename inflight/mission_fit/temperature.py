@@ -4,8 +4,8 @@ Takes samples, or normal equations with the columns of temperatures; makes coeff
 of a temperature judged on blocks that were not fitted, and the loop of a daily parameter.
 
 The factor of an axis is ``1 - linear dT - quadratic dT^2``, with dT the temperature at ``t - lag`` less a
-reference (Yin 2010, section 2.4 step 4). The corrected residual answers to the coefficients by ``-s dT`` and
-``-s dT^2``, s being the column of the axis' scale factor, and to a change d of the lag by
+reference (Yin 2010, section 2.4 step 4). The corrected residual changes with the coefficients by ``-s dT``
+and ``-s dT^2``, s being the column of the axis' scale factor, and with a change d of the lag by
 ``+d (linear s T' + quadratic s 2 dT T')``: columns of the temperature's rate whose coefficients are the lag's
 change times the others. All of it is algebra of Gram matrices that hold these columns; to first order a
 delay and a time constant are one. Where samples are at hand the columns are formed again at the lag found.
@@ -351,7 +351,7 @@ def fit_coil_samples(
     each: Sequence[str] = NINE,
     prior: tuple[float, float, float] = PRIOR,
 ) -> CoilFit:
-    """Fit one temperature to samples: columns are formed anew at each lag, until it stands still.
+    """Fit one temperature to samples: columns are formed anew at each lag, until it settles.
 
     Parameters
     ----------
@@ -575,7 +575,7 @@ def rate_of(mjd: Floats, temperature: Floats) -> Floats:
 def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str = "") -> HysteresisLoop:
     """Return the loop of a daily parameter against temperature.
 
-    A parabola of the temperature is taken out before bins are made, and put back at their middles: days of
+    A parabola of the temperature is subtracted before bins are made, and added at their middles: days of
     the two branches lie differently within a bin.
 
     Parameters

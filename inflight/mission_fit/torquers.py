@@ -219,7 +219,7 @@ class TorquerFit:
 
     @property
     def value(self) -> Floats:
-        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual still follows."""
+        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual follows after correction."""
         return self.fit.value.reshape(3, 3)
 
     @property
@@ -476,17 +476,19 @@ class FilledRunningMean:
         """Return `value`, `sigma` (interval, axis) A, `coverage` and `state`, one interval a day."""
         dims = ("interval", "axis")
         bounds = np.array([day_bounds(np.datetime64(int(day), "D")) for day in self.day], dtype=np.int64)
-        return xr.Dataset(
+        days = xr.Dataset(
             {
                 "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
                 "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
-                "value": (dims, self.value, {"units": "A"}),
-                "sigma": (dims, self.sigma, {"units": "A"}),
-                "daily": (dims, self.daily, {"units": "A"}),
-                "coverage": ("interval", self.coverage),
-                "state": ("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
             },
             coords={"axis": list(AXES)},
+        )
+        return days.assign(
+            value=(dims, self.value, {"units": "A"}),
+            sigma=(dims, self.sigma, {"units": "A"}),
+            daily=(dims, self.daily, {"units": "A"}),
+            coverage=("interval", self.coverage),
+            state=("interval", self.state, {"flag_meanings": " ".join(MEAN_STATES)}),
         )
 
 
@@ -521,7 +523,7 @@ def filled_running_mean(
     SamplesError
         Shapes differ, a day is given twice, or nowhere is the window covered.
     """
-    daily, weight = _every_day(day, value, count)
+    daily, weight = _daily_values(day, value, count)
     first = int(np.min(day))
     means = window_means(daily, weight, window)
     mean, spread, coverage = means.mean, means.spread, means.coverage
@@ -541,12 +543,12 @@ def filled_running_mean(
         scatter / np.sqrt(np.maximum(means.weight, 1e-12))[:, None], (1.0 - coverage)[:, None] * spread
     )
     state = np.where(coverage >= TORQUERS.whole, 0, 1).astype(np.int8)
-    mean, sigma, state = _filled(mean, sigma, state, good, spread[good].max(axis=0))
+    mean, sigma, state = _fill_uncovered(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
     return FilledRunningMean(days, mean, sigma, coverage, state, daily, window)
 
 
-def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
+def _daily_values(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
     """Return daily values (day, 3) and weights (day,) with no day left out."""
     given = np.asarray(day, dtype=np.int64)
     if np.shape(value) != (given.size, 3) or np.shape(count) != given.shape or not given.size:
@@ -567,7 +569,7 @@ def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats
     return daily, np.minimum(weight / np.median(weight[weight > 0]), 1.0)
 
 
-def _filled(
+def _fill_uncovered(
     mean: Floats,
     sigma: Floats,
     state: npt.NDArray[np.int8],
@@ -582,12 +584,12 @@ def _filled(
     after = np.clip(np.searchsorted(known, index), 0, known.size - 1)
     before = np.clip(np.searchsorted(known, index, side="right") - 1, 0, known.size - 1)
     away = np.minimum(np.abs(index - known[before]), np.abs(index - known[after]))
-    change = _change_over(mean, good, int(away.max()), unknown)[away]
+    change = _rms_change(mean, good, int(away.max()), unknown)[away]
     outside = (index < known[0]) | (index > known[-1])
     return filled, np.hypot(width, change), np.where(good, state, np.where(outside, 3, 2)).astype(np.int8)
 
 
-def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknown: Floats) -> Floats:
+def _rms_change(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknown: Floats) -> Floats:
     """Return by how much (rms) the running mean changes over 0, 1, ... `longest` days; (day + 1, 3).
 
     Beyond the lags that the covered days show it grows in proportion; with none it is `unknown`.

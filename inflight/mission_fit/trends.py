@@ -127,7 +127,7 @@ def equations_of_table(table: xr.Dataset) -> NormalEquations:
     if not known.any():
         raise CalibrationError("the table determines no parameter", remedy="use longer intervals")
     seen = np.where(known, table["sigma"].values, np.nan)
-    # A parameter that no interval knows has an empty column, of any unit.
+    # A parameter that no interval determines has an empty column, of any unit.
     scale = np.array([np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 1.0 for one in seen.T])
     centre = np.array(
         [np.median(one[use]) if use.any() else 0.0 for one, use in zip(value.T, known.T, strict=True)]

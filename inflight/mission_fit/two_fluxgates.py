@@ -157,13 +157,13 @@ def relation_grams(
     Returns
     -------
     gram : ndarray, shape (cluster, 13, 13)
-        Of [twelve columns | difference], nT^2; those of several stretches stand one after the other.
+        Of [twelve columns | difference], nT^2; those of several stretches are concatenated.
     rows : ndarray, shape (cluster,)
     """
     use = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
     use &= True if good is None else good
     difference, columns = first - second, _columns(second)
-    cluster = _cluster(stamps, cluster_s)
+    cluster = _cluster_of(stamps, cluster_s)
     for _ in range(TWO_FLUXGATES.passes):
         gram, rows = _grams(columns[use], difference[use], cluster[use])
         fit = solve_clusters(gram, rows)
@@ -211,7 +211,7 @@ def _grams(columns: Floats, difference: Floats, cluster: Int64) -> tuple[Floats,
     return grams_by_cluster(wide, difference.reshape(-1), weight, np.repeat(cluster, 3))
 
 
-def _cluster(stamps: Int64, cluster_s: float) -> Int64:
+def _cluster_of(stamps: Int64, cluster_s: float) -> Int64:
     return np.asarray(stamps // round(cluster_s * SECOND), dtype=np.int64)
 
 
@@ -305,7 +305,7 @@ def corner_moments(
     use = np.isfinite(main) & np.isfinite(second)
     if not use.any():
         return np.zeros((0, 6))
-    bins, index = np.unique(_cluster(stamps[use], mean_s), return_inverse=True)
+    bins, index = np.unique(_cluster_of(stamps[use], mean_s), return_inverse=True)
     count = np.bincount(index)
     a, b = (np.bincount(index, one[use]) / count for one in (main, second))
     _, which = np.unique(bins * round(mean_s * SECOND) // round(cluster_s * SECOND), return_inverse=True)
@@ -327,13 +327,13 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
             remedy="take a longer span or shorter clusters",
         )
     whole = moments.sum(axis=0)
-    without = _parts(whole - moments)
+    without = _variances(whole - moments)
     spread = without - without.mean(axis=0)
     covariance = (total - 1) / total * spread.T @ spread
-    return ThreeCornerVariances(_parts(whole), covariance, closure, mean_s, total)
+    return ThreeCornerVariances(_variances(whole), covariance, closure, mean_s, total)
 
 
-def _parts(moments: Floats) -> Floats:
+def _variances(moments: Floats) -> Floats:
     """Return the variances of first, second and scalar sensor from sums; (..., 3)."""
     count, a, b, aa, ab, bb = np.moveaxis(moments, -1, 0)
     own_main, shared, own_second = (

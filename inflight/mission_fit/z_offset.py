@@ -172,7 +172,7 @@ def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> Spr
         `day_statistics` of the days along ``interval``.
     offset, sigma : ndarray, shape (interval,)
         Offset of each day that is still in the residual (nT), such as that of a daily calibration less the
-        one applied, and its standard deviation. The square of the latter is taken out of the former's.
+        one applied, and its standard deviation. The square of the latter is subtracted from the former's.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> Spr
         )
     spread = statistics["variance"].values[known]
     own = statistics["covariance"].values[known, 1, 1]
-    found = _both_err(square, spread, own, sigma[known])
+    found = _fit_both_with_errors(square, spread, own, sigma[known])
     geometry = float(statistics["geometry"].values[known].mean())
     return SpreadLaw(
         float(found.value[0]),
@@ -201,7 +201,7 @@ def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> Spr
     )
 
 
-def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -> RobustFit:
+def _fit_both_with_errors(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -> RobustFit:
     """Fit ``spread = a square + noise`` where both err (York et al. 2004), by biweights.
 
     The square of an offset Z with the error s errs by ``4 Z^2 s^2 + 2 s^4``; Z is taken from the law

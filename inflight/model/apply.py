@@ -16,14 +16,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects import Effect, with_field
+from inflight.effects import VECTOR_ROLES, Effect, with_field
 from inflight.errors import SamplesError
 from inflight.mission import Sensor
 from inflight.model.time_dependence import TimedValue
 from inflight.samples import PlainSamples
-
-#: Roles that read a vector, in the order of correction: the field of the last one present is kept.
-VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 #: What a correction makes of the vector reading.
 _FIELD = ["field", "field_direction"]

@@ -57,25 +57,25 @@ def changes(before: Sequence[Entry], after: Sequence[Entry]) -> list[dict[str, A
         down to what differs), ``from`` and ``to`` (None where there is none) and ``sentence``.
     """
     mine, theirs = ({name_of(entry): entry for entry in entries} for entries in (before, after))
-    found = [_change("added", name, to=dict(theirs[name])) for name in theirs if name not in mine]
-    found += [_change("dropped", name, was=dict(mine[name])) for name in mine if name not in theirs]
+    found = [_change_record("added", name, to=dict(theirs[name])) for name in theirs if name not in mine]
+    found += [_change_record("dropped", name, was=dict(mine[name])) for name in mine if name not in theirs]
     for name in mine:
         if name in theirs:
             found += [
-                _change("changed", name, key, was, to)
-                for key, was, to in _differing(mine[name], theirs[name])
+                _change_record("changed", name, key, was, to)
+                for key, was, to in _differences(mine[name], theirs[name])
             ]
     # Effects that both have, in another order: the order is that of correction.
     kept, now = [name for name in mine if name in theirs], [name for name in theirs if name in mine]
     found += [
-        _change("moved", name, was=kept.index(name) + 1, to=place + 1)
+        _change_record("moved", name, was=kept.index(name) + 1, to=place + 1)
         for place, name in enumerate(now)
         if kept[place] != name
     ]
     return found
 
 
-def _differing(before: Entry, after: Entry, place: str = "") -> list[tuple[str, Any, Any]]:
+def _differences(before: Entry, after: Entry, place: str = "") -> list[tuple[str, Any, Any]]:
     found = []
     for key in [*before, *(key for key in after if key not in before)]:
         was, to = before.get(key), after.get(key)
@@ -83,17 +83,19 @@ def _differing(before: Entry, after: Entry, place: str = "") -> list[tuple[str, 
         if was == to:
             continue
         if isinstance(was, Mapping) and isinstance(to, Mapping):
-            found += _differing(was, to, f"{inner}.")
+            found += _differences(was, to, f"{inner}.")
         else:
             found.append((inner, was, to))
     return found
 
 
-def _change(change: str, effect: str, key: str = "", was: Any = None, to: Any = None) -> dict[str, Any]:
+def _change_record(
+    change: str, effect: str, key: str = "", was: Any = None, to: Any = None
+) -> dict[str, Any]:
     sentences = {
         "added": f"added {effect}",
         "dropped": f"dropped {effect}",
-        "changed": f"changed {effect}.{key}: {_shown(was)} -> {_shown(to)}",
+        "changed": f"changed {effect}.{key}: {_as_text(was)} -> {_as_text(to)}",
         "moved": f"moved {effect} from place {was} to {to}",
     }
     return {
@@ -106,11 +108,11 @@ def _change(change: str, effect: str, key: str = "", was: Any = None, to: Any = 
     }
 
 
-def _shown(value: Any) -> str:
+def _as_text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.{_DIGITS}g}"
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key}: {_shown(inner)}' for key, inner in value.items())}}}"
+        return f"{{{', '.join(f'{key}: {_as_text(inner)}' for key, inner in value.items())}}}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_as_text, value))}]"
     return "nothing" if value is None else str(value)

@@ -72,7 +72,7 @@ def make_effect(
     kind = effect_class(str(given.pop("effect")), own)
     name = str(given.pop("name", None) or "")
     sensor = _sensor_of(kind, given.pop("sensor", None), sensors)
-    # What is no parameter of the class is an option: the effect itself knows which there are.
+    # What is no parameter of the class is an option: the effect itself refuses unknown ones.
     options = {key: given.pop(key) for key in list(given) if key not in kind.parameters()}
     effect = kind(name, **options)
     timed = {
@@ -146,7 +146,7 @@ class Model:
     effects : tuple of ModelEffect
         In the order of correction; `disturb` runs it backwards.
     layout : Layout, optional
-        Kind and sensors of the comparison; a model without one knows the sensors its effects act on.
+        Kind and sensors of the comparison; of a model without one, those its effects act on.
     own : tuple of EffectSource
         Files with effects of the mission's own that `parse` was given.
     """
@@ -346,7 +346,7 @@ class Model:
         return rows_of(self, samples).residual
 
     def correction_terms(self, samples: xr.Dataset) -> dict[str, Floats]:
-        """Return what each additive effect takes out: see `inflight.model.apply.correction_terms`."""
+        """Return what each additive effect subtracts: see `inflight.model.apply.correction_terms`."""
         return correction_terms(self.effects, samples)
 
     def changes(self, other: Model) -> list[dict[str, Any]]:

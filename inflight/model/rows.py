@@ -179,7 +179,7 @@ def rows_of(model: Correction, samples: xr.Dataset) -> ResidualRows:
     Parameters
     ----------
     model : Model
-        Its effects are taken out of the readings first; its layout says what is compared.
+        The readings are corrected for its effects first; its layout states what is compared.
     samples : xarray.Dataset
         Aligned raw samples with the comparison's roles, `flag` and `tt2000`.
 

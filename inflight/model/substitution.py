@@ -108,7 +108,7 @@ class Typical:
 
 @dataclass(frozen=True)
 class EffectSubstitution:
-    """What was done for one effect: how many samples, for want of which channels, with what instead."""
+    """What was substituted for one effect: how many samples, which missing channels, and by what."""
 
     samples: int
     channels: tuple[str, ...]
@@ -121,7 +121,7 @@ class EffectSubstitution:
 
 @dataclass(frozen=True)
 class SubstitutedSamples:
-    """Samples with stand-ins.
+    """Samples whose missing channels have typical values.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class SubstitutedSamples:
     @property
     def lost(self) -> Rows:
         """Samples without one of their channels; (time,)."""
-        return np.asarray(np.logical_or.reduce([_any(one) for one in self.rows.values()]))
+        return np.asarray(np.logical_or.reduce([_any_component(one) for one in self.rows.values()]))
 
     def model(self, model: Model) -> Model:
         """Return a model that leaves effects out where nothing of their channels is known."""
@@ -152,7 +152,7 @@ class SubstitutedSamples:
             model,
             effects=tuple(
                 replace(entry, effect=_WithoutUnknown(entry))
-                if unknown & _factors(entry, self.samples)
+                if unknown & _series_of(entry, self.samples)
                 else entry
                 for entry in model.effects
             ),
@@ -162,16 +162,16 @@ class SubstitutedSamples:
         """Return what was substituted, by effect."""
         out = {}
         for entry in model.effects:
-            names = sorted(_factors(entry, self.samples) & set(self.rows))
+            names = sorted(_series_of(entry, self.samples) & set(self.rows))
             if names:
-                rows = np.logical_or.reduce([_any(self.rows[name]) for name in names])
+                rows = np.logical_or.reduce([_any_component(self.rows[name]) for name in names])
                 instead = {self.typical[name].source if name in self.typical else "" for name in names}
                 replaced_by = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
                 out[entry.name] = EffectSubstitution(int(rows.sum()), tuple(names), replaced_by)
         return out
 
     def variance(self, model: Model) -> tuple[Floats, Floats]:
-        """Return how uncertain the stand-ins make the fields.
+        """Return the variance of the fields by the substituted values.
 
         Channels are taken as independent of each other, components of one channel as they are
         related. A sample's own error lasts as long as its channel is missing: it does not average out.
@@ -190,8 +190,8 @@ class SubstitutedSamples:
         count = self.samples.sizes["time"]
         vector, scalar = np.zeros((count, 3)), np.zeros(count)
         for name, rows in self.rows.items():
-            users = [entry for entry in model.effects if name in _factors(entry, self.samples)]
-            missing = _any(rows)
+            users = [entry for entry in model.effects if name in _series_of(entry, self.samples)]
+            missing = _any_component(rows)
             near = np.convolve(missing, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0
             part = self.samples.isel(time=near)
             known = self.model(model)
@@ -221,7 +221,7 @@ class SubstitutedSamples:
             low, high = self.ranges[name]
             places = low + (high - low) * (np.arange(SUBSTITUTION.parts) + 0.5) / SUBSTITUTION.parts
         for place in places:
-            yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
+            yield _with_series(part, name, np.where(rows, place, np.asarray(part[name].values)))
 
     def _deviations(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
         """Yield samples in which a channel deviates by each of its modes where it was missing.
@@ -236,7 +236,7 @@ class SubstitutedSamples:
         for mode in usual.modes:
             for wave in (np.cos(usual.rate * seconds), np.sin(usual.rate * seconds)):
                 change = wave[:, None] * mode if values.ndim == 2 else wave * mode[0]
-                yield _assigned(part, name, values + rows * change)
+                yield _with_series(part, name, values + rows * change)
 
 
 def substitute(
@@ -263,7 +263,7 @@ def substitute(
 
     Returns
     -------
-    Substituted or None
+    SubstitutedSamples or None
         None when nothing is missing.
     """
     rows = missing_rows(model, samples) if missing is None else missing
@@ -274,9 +274,11 @@ def substitute(
         if name in typical:
             values = np.asarray(samples[name].values, dtype=np.float64)
             mean = typical[name].mean if values.ndim == 2 else typical[name].mean[0]
-            out = _assigned(out, name, np.where(rows[name], mean, values))
+            out = _with_series(out, name, np.where(rows[name], mean, values))
     flag = samples["flag"].values.copy()
-    flag[np.logical_or.reduce([_any(one) for one in rows.values()])] |= np.uint32(Flag.CHANNEL_MISSING)
+    flag[np.logical_or.reduce([_any_component(one) for one in rows.values()])] |= np.uint32(
+        Flag.CHANNEL_MISSING
+    )
     out = out.assign(flag=("time", flag, samples["flag"].attrs))
     used = {name: one for name, one in typical.items() if name in rows}
     # A slow response or a play of geometry stays within its possible values; a product does not.
@@ -288,11 +290,11 @@ def substitute(
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
     """Return what is missing of each channel the model uses: (time,) or (time, component), by name.
 
-    A channel is not missed where the sensor has no reading that its effect could be taken out of.
+    A channel is not missing where the sensor has no reading to be corrected.
     """
     users: dict[str, set[str]] = {}
     for entry in model.effects:
-        for name in _factors(entry, samples):
+        for name in _series_of(entry, samples):
             users.setdefault(name, set()).add(entry.sensor.role)
     found: dict[str, Rows] = {}
     for name in sorted(users):
@@ -331,12 +333,12 @@ class _WithoutUnknown(Effect):
 
     def _known(self, samples: xr.Dataset, made: Floats, otherwise: Floats | float) -> Floats:
         lost = np.logical_or.reduce(
-            [_any(~np.isfinite(samples[name].values)) for name in self.channels if name in samples]
+            [_any_component(~np.isfinite(samples[name].values)) for name in self.channels if name in samples]
         )
         return np.where(lost[:, None] if made.ndim == 2 else lost, otherwise, made)
 
 
-def _factors(entry: ModelEffect, samples: xr.Dataset) -> set[str]:
+def _series_of(entry: ModelEffect, samples: xr.Dataset) -> set[str]:
     """Return the series in the samples that an effect's channels are, or are products of."""
     found: set[str] = set()
     for name in entry.effect.channels:
@@ -351,7 +353,7 @@ def _parts(name: str, samples: xr.Dataset) -> Sequence[str]:
     return parts if all(part in samples for part in parts) else []
 
 
-def _assigned(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
+def _with_series(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
     """Return samples with other values of a series, and with the products it is a factor of."""
     out = samples.assign({name: samples[name].copy(data=values)})
     for whole in map(str, samples.data_vars):
@@ -367,5 +369,5 @@ def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
     return np.asarray(corrected["field"].values), np.asarray(corrected["scalar"].values)
 
 
-def _any(rows: Rows) -> Rows:
+def _any_component(rows: Rows) -> Rows:
     return rows if rows.ndim == 1 else np.asarray(rows.any(axis=1))

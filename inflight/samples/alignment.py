@@ -1,6 +1,6 @@
 """`align`: channels of unequal cadence on one time base, without inventing data across gaps.
 
-Each channel is carried to the base by one of three stated methods (attribute ``resampling``):
+Each channel is resampled on the base by one of three stated methods (attribute ``resampling``):
 
 exact
     The base's stamps are among the channel's: values are picked (but never from a faster field).
@@ -31,13 +31,13 @@ from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.time import GAP, Int64, in_leap_second, to_utc
 
-#: Roles that hold fields: they are carried band-limited, the rest linearly.
+#: Roles that hold fields: they are interpolated band-limited, the rest linearly.
 FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlignmentSettings:
-    """How channels are carried to a base.
+    """How channels are resampled on a time base.
 
     Attributes
     ----------
@@ -68,9 +68,8 @@ ALIGNMENT = AlignmentSettings()
 
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
 
-_MISSING = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
-
-_MISSING |= {"inboard": Flag.VECTOR_MISSING, "outboard": Flag.VECTOR_MISSING}
+_MISSING = dict.fromkeys(("vector", "inboard", "outboard"), Flag.VECTOR_MISSING)
+_MISSING["scalar"] = Flag.SCALAR_MISSING
 
 
 def align(
@@ -106,27 +105,22 @@ def align(
     variables: dict[str, xr.Variable] = {}
     for name, series in channels.items():
         lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
-        values, method = _carry(name, series, stamps - lag)
+        values, method = _resample(name, series, stamps - lag)
         if name in _MISSING:
             lost = ~np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
             flag[lost] |= np.uint32(_MISSING[name])
             if name == "scalar":
                 # No place near the Earth or in the solar wind has no field: the instrument failed.
                 flag[values <= 0] |= np.uint32(Flag.OUT_OF_RANGE)
-            flag |= _carried_flags(series, stamps - lag)
+            flag |= _flags_at(series, stamps - lag)
         attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
-        variables[name] = xr.Variable(_dims(name, values), values, attrs)
+        # `axis` belongs to vectors of three, other components get a dimension of their own.
+        component = "axis" if values.ndim > 1 and values.shape[1] == 3 else f"{name}_component"
+        variables[name] = xr.Variable(("time", component)[: values.ndim], values, attrs)
     variables["tt2000"] = xr.Variable("time", stamps)
     variables["flag"] = xr.Variable("time", flag)
     variables["weight"] = xr.Variable("time", (flag & ~np.uint32(Flag.LEAP_SECOND) == 0).astype(np.float64))
     return xr.Dataset(variables, coords={"time": to_utc(stamps)})
-
-
-def _dims(name: str, values: Floats) -> tuple[str, ...]:
-    """Name the dimensions: `axis` belongs to vectors of three, others get one of their own."""
-    if values.ndim == 1:
-        return ("time",)
-    return ("time", "axis" if values.shape[1] == 3 else f"{name}_component")
 
 
 def _stamps(name: str, series: xr.DataArray) -> Int64:
@@ -138,17 +132,17 @@ def _stamps(name: str, series: xr.DataArray) -> Int64:
     return stamps
 
 
-def _carry(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]:
+def _resample(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]:
     """Return values at the targets, (time,) or (time, axis), and the method used."""
     stamps = _stamps(name, series)
     values = np.asarray(series.values, dtype=np.float64)
     if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
-        carried, method = _between(name, series.attrs, stamps, _one_sign(values), target)
-        return carried / np.linalg.norm(carried, axis=1, keepdims=True), method
-    return _between(name, series.attrs, stamps, values, target, _own_flags(series))
+        found, method = _resample_values(name, series.attrs, stamps, _continuous_sign(values), target)
+        return found / np.linalg.norm(found, axis=1, keepdims=True), method
+    return _resample_values(name, series.attrs, stamps, values, target, _own_flags(series))
 
 
-def _one_sign(quaternion: Floats) -> Floats:
+def _continuous_sign(quaternion: Floats) -> Floats:
     """Return the same rotations with signs that do not jump: q and -q turn alike but do not average."""
     valid = np.isfinite(quaternion).all(axis=1)
     flips = np.einsum("ij,ij->i", quaternion[valid][1:], quaternion[valid][:-1]) < 0
@@ -157,7 +151,7 @@ def _one_sign(quaternion: Floats) -> Floats:
     return quaternion * sign[:, None]
 
 
-def _between(
+def _resample_values(
     name: str,
     attrs: Mapping[Any, Any],
     stamps: Int64,
@@ -165,7 +159,7 @@ def _between(
     target: Int64,
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
-    """Carry values from stamps to targets by the method that fits name and cadence."""
+    """Resample values from stamps to targets by the method that fits name and cadence."""
     same = _slice_of(stamps, target)
     if same is not None:
         return values[same], "exact"
@@ -189,8 +183,8 @@ def _between(
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
     if is_field and cadence <= base_step * (1 + ALIGNMENT.same_cadence):
         cutoff = min(1.0, cadence / base_step)
-        carried = _sinc(stamps, wide, target, float(cadence), cutoff, ALIGNMENT.lobes, ALIGNMENT.kaiser_beta)
-        return carried.reshape(shape), "band_limited"
+        found = _sinc(stamps, wide, target, float(cadence), cutoff, ALIGNMENT.lobes, ALIGNMENT.kaiser_beta)
+        return found.reshape(shape), "band_limited"
     return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
 
 
@@ -224,7 +218,7 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
     return None if between.any() else (nearest.astype(np.int64), there)
 
 
-def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
+def _flags_at(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
     """Return the instrument's own flags at the targets: those of the samples on both sides."""
     out = np.zeros(target.size, dtype=np.uint32)
     own = _own_flags(series)

@@ -139,10 +139,11 @@ def parse_channel(name: str) -> DerivedChannel:
     ModelError
         When it is no such name.
     """
-    return DerivedChannel(tuple(_part(text, name) for text in name.split("*")))
+    return DerivedChannel(tuple(_parse_factor(text, name) for text in name.split("*")))
 
 
-def _part(text: str, name: str) -> ChannelFactor:
+def _parse_factor(text: str, name: str) -> ChannelFactor:
+    """Read one factor of the derived channel `name`."""
     match = _PART.match(text.strip())
     if match is None:
         raise ModelError(f"{name!r} names no channel", channel=name, remedy=_REMEDY)
@@ -150,7 +151,13 @@ def _part(text: str, name: str) -> ChannelFactor:
     for key, value in _OPTION.findall(match["options"]):
         if key not in ("lag", "width") or key in options:
             raise ModelError(f"{name!r} has no use for '@{key}={value}'", channel=name, remedy=_REMEDY)
-        options[key] = _size(key, value, name)
+        try:
+            size = parse_duration(value) / SECOND if key == "lag" else float(value)
+        except ValueError as error:
+            raise ModelError(f"{name!r}: {error}", channel=name, remedy=_REMEDY) from None
+        if not (0 < size < np.inf):
+            raise ModelError(f"{name!r}: '{key}' must be positive", channel=name, remedy=_REMEDY)
+        options[key] = size
     return ChannelFactor(
         match["channel"].strip(),
         options.get("lag", 0.0),
@@ -158,16 +165,6 @@ def _part(text: str, name: str) -> ChannelFactor:
         int(match["placebo"] or 0),
         text.strip(),
     )
-
-
-def _size(key: str, value: str, name: str) -> float:
-    try:
-        size = parse_duration(value) / SECOND if key == "lag" else float(value)
-    except ValueError as error:
-        raise ModelError(f"{name!r}: {error}", channel=name, remedy=_REMEDY) from None
-    if not (0 < size < np.inf):
-        raise ModelError(f"{name!r}: '{key}' must be positive", channel=name, remedy=_REMEDY)
-    return size
 
 
 def base_channels(name: str) -> tuple[str, ...]:
@@ -208,7 +205,7 @@ def channel_product(factors: Sequence[Floats]) -> Floats:
 
 
 def derive_channel(name: str, channels: Mapping[str, Floats], step_s: float | Floats) -> Floats:
-    """Return a derived channel from channels that already stand on one time base.
+    """Return a derived channel from channels on one time base.
 
     Parameters
     ----------
@@ -280,20 +277,20 @@ def slow_response(values: Floats, step_s: float | Floats, lag_s: float) -> Float
 def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Floats:  # pragma: no cover
     out = np.full_like(values, np.nan)
     for column in range(values.shape[1]):
-        state, previous, passed, known = 0.0, 0.0, 0.0, False
+        state, previous, elapsed, known = 0.0, 0.0, 0.0, False
         for i in range(values.shape[0]):
             if i > 0:
-                passed += steps[i - 1]
+                elapsed += steps[i - 1]
             now = values[i, column]
             if not np.isfinite(now):
                 continue
-            if not known or passed > longest:
+            if not known or elapsed > longest:
                 state = now
-            elif passed > 0.0:
+            elif elapsed > 0.0:
                 # Solution for an input that is a straight line: it lags by the slope times the lag.
-                behind = (now - previous) / passed * lag
-                state = now - behind + (state - previous + behind) * np.exp(-passed / lag)
-            previous, passed, known = now, 0.0, True
+                delay = (now - previous) / elapsed * lag
+                state = now - delay + (state - previous + delay) * np.exp(-elapsed / lag)
+            previous, elapsed, known = now, 0.0, True
             out[i, column] = state
     return out
 

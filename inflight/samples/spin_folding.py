@@ -1,13 +1,13 @@
-"""A day of a spinning sensor folded into synthetic turns: what goes with the spin, in few samples.
+"""A day of a spinning sensor folded into synthetic turns: what repeats with the spin, in few samples.
 
 Takes native samples with their spin phase; makes samples at even phases, one synthetic turn an interval, with
-weights that fall with nature's noise (Plaschke et al. 2019, section 5, choose intervals of a hundred turns).
+weights that fall with natural noise (Plaschke et al. 2019, section 5, choose intervals of a hundred turns).
 
 The field outside turns with the spin in the sensor and changes slowly; what the sensor and the spacecraft add
-is fixed in the body. In each interval of many turns the slow change of the outside field is taken out
+is fixed in the body. In each interval of many turns the slow change of the outside field is removed
 in payload axes, and a Fourier sum of the phase is fitted to the rest. Its values at even phases are
 the interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any
-effect, and of any channel that goes with the spin, are kept as they are; natural changes between are not.
+effect, and of any channel that repeats with the spin, are kept as they are; natural changes are not.
 
 `fourier_sums` fits the sums of all turns or intervals at once: the normal equations of ``exp(i h phase)`` are
 Fourier sums of the phase alone.
@@ -22,7 +22,7 @@ import numpy.typing as npt
 import xarray as xr
 from scipy.interpolate import CubicSpline
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, sums_of_runs
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
@@ -57,17 +57,17 @@ class FoldingSettings:
     quiet_nT : float
         Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it:
         no magnetometer in space measures its spin's tone better than this in a few minutes. Assumed.
-    higher : float
+    harmonics_power : float
         Power of all harmonics up to the fifth over that of the first two. Derived: of nature's spectrum
         (f^-5/3).
-    next_turn : float
+    neighbour_turns : float
         Turns whose means are this much of a turn apart are neighbours. Assumed.
-    least : float
+    least_share : float
         An interval is used with this part of its samples. Assumed.
     turn_order : int
         Harmonics of one turn's fit: offsets are at the first in payload axes, gains at the second.
-    wild : float
-        A sample is wild when it is this many sigma from its turn's fit, by the median of the day's
+    outlier : float
+        A sample is an outlier when it is this many sigma from its turn's fit, by the median of the day's
         deviations. Assumed.
     """
 
@@ -77,11 +77,11 @@ class FoldingSettings:
         length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0
     )
     quiet_nT: float = 1e-3  # noqa: N815 (a unit)
-    higher: float = 1.25
-    next_turn: float = 1.6
-    least: float = 0.5
+    harmonics_power: float = 1.25
+    neighbour_turns: float = 1.6
+    least_share: float = 0.5
     turn_order: int = 2
-    wild: float = 8.0
+    outlier: float = 8.0
 
 
 FOLDING = FoldingSettings()
@@ -154,25 +154,16 @@ def fourier_sums(
     sums = np.empty((groups, 2 * order + 1), dtype=np.complex128)
     right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
     for harmonic in range(2 * order + 1):
-        sums[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
+        sums[:, harmonic] = sums_of_runs(angle[:, None], starts)[:, 0]
         if harmonic <= order:
-            right[:, order + harmonic] = _sums(data * np.conj(angle)[:, None], starts)
-            right[:, order - harmonic] = _sums(data * angle[:, None], starts)
+            right[:, order + harmonic] = sums_of_runs(data * np.conj(angle)[:, None], starts)
+            right[:, order - harmonic] = sums_of_runs(data * angle[:, None], starts)
         angle = angle * wave
     count = sums[:, 0].real.copy()
-    return FourierSums(_solved(sums, right, order), count)
+    return FourierSums(_solve_sums(sums, right, order), count)
 
 
-def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
-    """Return the sums of rows from each start to the next; (group, column)."""
-    out = np.zeros((starts.size - 1, values.shape[1]), dtype=np.complex128)
-    filled = np.flatnonzero(np.diff(starts))
-    if filled.size:
-        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
-    return out
-
-
-def _solved(sums: Complex, right: Complex, order: int) -> Complex:
+def _solve_sums(sums: Complex, right: Complex, order: int) -> Complex:
     """Solve the groups' normal equations; NaN where they are nearly singular."""
     size = 2 * order + 1
     difference = np.arange(size)[None, :] - np.arange(size)[:, None]
@@ -300,7 +291,7 @@ def fold(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dat
     for name in samples.data_vars:
         if name not in _OWN and samples[name].dims[:1] == ("time",):
             made[str(name)] = day.channel(samples[name], good)
-    return day.dressed(made, samples["spin_phase"].attrs)
+    return day.to_dataset(made, samples["spin_phase"].attrs)
 
 
 def fold_series(
@@ -349,13 +340,13 @@ class _Day:
         bad = np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
         flag = np.asarray(samples["flag"].values)
         good = self.known & np.isfinite(raw).all(axis=1) & ((flag & bad) == 0)
-        good &= ~self._spoilt(flag)
+        good &= ~self._in_bad_interval(flag)
         wheel = np.exp(1j * np.where(self.known, self.phase, 0.0))
         # In payload axes the outside field hardly turns; along the axis it never did.
         payload = np.column_stack([(raw[:, 0] + 1j * raw[:, 1]) * wheel, raw[:, 2]])
         payload[~good] = 0.0
-        good = good & ~self._wild(payload, good)
-        slow = self._slow(payload, good)
+        good = good & ~self._outlying(payload, good)
+        slow = self._slow_change(payload, good)
         steady = payload - (slow - self._interval_means(slow, good)[self.interval])
         good = good & np.isfinite(steady).all(axis=1)
         found = fourier_sums(
@@ -372,13 +363,13 @@ class _Day:
                 found.coefficients[:, place, 0] = 0.0
             if abs(harmonic) > FOLD_ORDER:
                 found.coefficients[:, place, 1] = 0.0
-        turned = self._sectors(found, good)
+        folded = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
-        plane = turned[:, 0] * back
-        self.noise = self._natural(steady, good)
-        return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
+        plane = folded[:, 0] * back
+        self.noise = self._natural_noise(steady, good)
+        return np.column_stack([plane.real, plane.imag, folded[:, 1].real]), good
 
-    def _spoilt(self, flag: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+    def _in_bad_interval(self, flag: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
         """Return the samples of intervals in which the phase jumps or the sensor was saturated; (time,).
 
         Turns on both sides of a jump are not of one phase, and those of a full sensor lack their tops.
@@ -388,12 +379,12 @@ class _Day:
         hit[self.interval[((flag & jump) == jump) | ((flag & np.uint32(Flag.SATURATED)) != 0)]] = True
         return np.asarray(hit[self.interval])
 
-    def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
+    def _natural_noise(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
         """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""
         modulus = np.abs(steady[:, 0])
         rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
         rows[~good] = 0.0
-        fits = self._of_turns(rows.astype(np.complex128), good)
+        fits = self._fit_turns(rows.astype(np.complex128), good)
         tones = fits.coefficients[:, FOLDING.turn_order + 1 :].reshape(self.turns, -1)
         # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
         change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
@@ -405,27 +396,27 @@ class _Day:
         with np.errstate(invalid="ignore", divide="ignore"):
             total = np.bincount(place[1:][known], change[known], self.intervals) / count
             # Twice the real part of each tone, on average over two rows.
-            return np.asarray(np.sqrt(FOLDING.higher * total / count))
+            return np.asarray(np.sqrt(FOLDING.harmonics_power * total / count))
 
-    def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    def _outlying(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples are far from their own turn's fit."""
-        fit = self._of_turns(payload, good)
+        fit = self._fit_turns(payload, good)
         off = np.abs(payload - fit.along(self.phase, self.turn)).max(axis=1)
         usual = np.median(off[good & np.isfinite(off)]) if good.any() else 0.0
-        # A wild sample also pulls its turn's fit: its neighbours must not go with it.
+        # An outlier also pulls its turn's fit: its neighbours must not go with it.
         around = np.full(self.turns, np.nan)
         finite = good & np.isfinite(off)
         np.fmax.at(around, self.turn[finite], off[finite])
         worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
-        return np.asarray(finite & worst & (off > FOLDING.wild * _TO_SIGMA * max(usual, 1e-6)))
+        return np.asarray(finite & worst & (off > FOLDING.outlier * _TO_SIGMA * max(usual, 1e-6)))
 
-    def _of_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
+    def _fit_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
         phase = np.where(self.known, self.phase, 0.0)
         return fourier_sums(values, phase, self.turn, self.turns, FOLDING.turn_order, good)
 
-    def _slow(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
+    def _slow_change(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
         """Return the change that is slower than the spin: a smooth line through the turns' means."""
-        means = self._of_turns(values, good).mean
+        means = self._fit_turns(values, good).mean
         phase = np.where(good, self.phase, 0.0)
         count = np.bincount(self.turn[good], minlength=self.turns)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -439,29 +430,30 @@ class _Day:
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)
         # Beyond the ends, and next to a missing turn, the line is a guess.
-        sure = inside & (knots[after] - knots[after - 1] < FOLDING.next_turn * _TWO_PI)
-        out = np.asarray(line(np.where(sure, phase, knots[0])))
-        out[~sure] = np.nan
+        known = inside & (knots[after] - knots[after - 1] < FOLDING.neighbour_turns * _TWO_PI)
+        out = np.asarray(line(np.where(known, phase, knots[0])))
+        out[~known] = np.nan
         return out
 
     def _interval_means(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
+        """Return the means of values (time, column) over each interval; (interval, column)."""
         used = good & np.isfinite(values).all(axis=1)
         count = np.bincount(self.interval[used], minlength=self.intervals)
         out = np.empty((self.intervals, values.shape[1]), dtype=np.complex128)
         with np.errstate(invalid="ignore", divide="ignore"):
             for column in range(values.shape[1]):
-                total = [
+                real, imaginary = (
                     np.bincount(self.interval[used], part[used], self.intervals)
                     for part in (values[:, column].real, values[:, column].imag)
-                ]
-                out[:, column] = (total[0] + 1j * total[1]) / count
+                )
+                out[:, column] = (real + 1j * imaginary) / count
         return out
 
     def _sectors(self, found: FourierSums, good: npt.NDArray[np.bool_]) -> Complex:
         """Return sums at the phases of a synthetic turn, one after another; (time, column)."""
         usual = self.folding.interval_ns / max(1.0, float(np.median(np.diff(self.stamps))))
         values = found.at(self.folding.phases)
-        values[found.count < FOLDING.least * usual] = np.nan
+        values[found.count < FOLDING.least_share * usual] = np.nan
         return np.asarray(values.reshape(-1, values.shape[2]))
 
     def channel(self, series: xr.DataArray, good: npt.NDArray[np.bool_]) -> xr.Variable:
@@ -470,7 +462,7 @@ class _Day:
         flat = values.reshape(values.shape[0], -1)
         known = good & np.isfinite(flat).all(axis=1)
         complex_values = np.where(known[:, None], flat, 0.0).astype(np.complex128)
-        slow = self._slow(complex_values, known)
+        slow = self._slow_change(complex_values, known)
         steady = complex_values - (slow - self._interval_means(slow, known)[self.interval])
         usable = known & np.isfinite(steady).all(axis=1)
         phase = np.where(self.known, self.phase, 0.0)
@@ -480,7 +472,7 @@ class _Day:
         out = self._sectors(found, usable).real
         return xr.Variable(series.dims, out.reshape(-1, *values.shape[1:]), series.attrs)
 
-    def dressed(self, made: dict[str, xr.Variable], phase_attrs: dict[str, object]) -> xr.Dataset:
+    def to_dataset(self, made: dict[str, xr.Variable], phase_attrs: dict[str, object]) -> xr.Dataset:
         """Return the folded samples with stamps, phases and flags."""
         count = self.intervals * self.folding.sectors
         step = self.folding.cadence_ns

@@ -7,7 +7,7 @@ from effect_cases import MISSION, true_samples
 from numpy.testing import assert_allclose
 
 from inflight.calibration import day_parameters, level2, reference_of
-from inflight.calibration.product import Parameters
+from inflight.calibration.product import DayParameters
 from inflight.errors import ModelError
 from inflight.flags import Flag
 from inflight.frames import itrf_to_nec, to_nec
@@ -38,7 +38,7 @@ def samples_of(value: np.ndarray, count: int = 60) -> xr.Dataset:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_uncertainty_is_the_spread_of_fields_over_likely_parameters(seed):
-    known = Parameters(VALUE, covariance(seed), True, 0.0)
+    known = DayParameters(VALUE, covariance(seed), True, 0.0)
     samples = samples_of(VALUE)
     stated = level2(model_with(VALUE), samples, known, model_with(VALUE))["uncertainty"].values
     draws = np.random.default_rng(seed).multivariate_normal(VALUE, known.covariance, 1500, method="cholesky")
@@ -49,7 +49,9 @@ def test_the_uncertainty_is_the_spread_of_fields_over_likely_parameters(seed):
 def test_the_residuals_noise_adds_to_the_uncertainty_in_squares():
     samples = samples_of(VALUE)
     quiet, loud = (
-        level2(model_with(VALUE), samples, Parameters(VALUE, covariance(0), True, noise), model_with(VALUE))
+        level2(
+            model_with(VALUE), samples, DayParameters(VALUE, covariance(0), True, noise), model_with(VALUE)
+        )
         for noise in (0.0, 0.3)
     )
     difference = loud["uncertainty"].values ** 2 - quiet["uncertainty"].values ** 2
@@ -87,7 +89,7 @@ def test_flags_say_what_is_missing_and_nothing_else():
     flag[10] = Flag.VECTOR_MISSING
     holed = samples.assign(vector=(("time", "axis"), vector), flag=("time", flag))
     product = level2(
-        model_with(VALUE), holed, Parameters(VALUE, covariance(0), False, 0.1), model_with(VALUE)
+        model_with(VALUE), holed, DayParameters(VALUE, covariance(0), False, 0.1), model_with(VALUE)
     )
     own = product["flag"].values & ~np.uint32(Flag.NO_ATTITUDE)
     assert own[10] == Flag.VECTOR_MISSING | Flag.PRIOR_PARAMETERS
@@ -103,7 +105,7 @@ def test_one_outlier_is_flagged_and_its_value_kept():
     noise[30] = 5.0
     spoiled = samples.assign(scalar=("time", samples["scalar"].values + noise))
     product = level2(
-        model_with(VALUE), spoiled, Parameters(VALUE, covariance(0), True, 0.1), model_with(VALUE)
+        model_with(VALUE), spoiled, DayParameters(VALUE, covariance(0), True, 0.1), model_with(VALUE)
     )
     assert np.flatnonzero(product["flag"].values & np.uint32(Flag.OUTLIER)).tolist() == [30]
     assert product["residual"].values[30] == pytest.approx(-5.0, abs=1e-6)

@@ -6,7 +6,6 @@ import xarray as xr
 
 from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
-from inflight.effects.spacecraft import node_local_time
 from inflight.frames import add_geometry
 from inflight.mission_fit import (
     band_equations,
@@ -14,6 +13,7 @@ from inflight.mission_fit import (
     extract_epochs,
     fit_band,
     fit_step,
+    node_local_time,
     select_panel_model,
 )
 from inflight.mission_fit.epochs import Windows
@@ -92,7 +92,8 @@ def test_the_panels_are_told_from_the_steps_with_the_battery_in_them(solar):
     battery = fit_step(solar).confounding[0]
     assert battery.correlation > 0.99
     assert battery.slope == pytest.approx(1.0, abs=0.02)
-    hours = node_local_time(solar["local_time"].values, solar["orbit_phase"].values, PARAMETERS.inclination)
+    places = (solar[name].values for name in ("local_time", "orbit_phase", "latitude"))
+    hours = node_local_time(*places)
     choice = select_panel_model(solar, hours, areas=PARAMETERS.panel_peaks)
     constant = next(one for one in choice.models if one.name == "constant")
     assert not constant.ties

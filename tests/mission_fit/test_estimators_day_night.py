@@ -30,7 +30,7 @@ from inflight.mission_fit import (
     orbit_plane_sun,
     sunlit_duty,
 )
-from inflight.mission_fit.day_night import series_columns, square_wave_series
+from inflight.mission_fit.day_night import series_columns
 from inflight.model import Model
 
 MISSION = Mission.parse(
@@ -82,16 +82,6 @@ def test_the_sun_stands_off_the_plane_by_local_time():
     beta = orbit_plane_sun(np.array([0.0, 6.0, 12.0, 18.0]), np.zeros(4), 90.0)
     np.testing.assert_allclose(beta, [0.0, -90.0, 0.0, 90.0], atol=1e-6)
     assert sunlit_duty(400.0, np.array(90.0)) == 1.0
-
-
-@pytest.mark.parametrize("duty", [0.39, 0.61, 0.9])
-def test_the_series_of_a_square_wave_is_its_fourier_series(duty):
-    phase = np.linspace(-np.pi, np.pi, 200_000, endpoint=False)
-    wave = (np.abs(phase) < np.pi * duty).astype(float)
-    told = square_wave_series(duty, 5)
-    assert told[0] == pytest.approx(wave.mean(), abs=1e-4)
-    for k in range(1, 6):
-        assert told[k] == pytest.approx(2 * np.mean(wave * np.cos(k * phase)), abs=1e-4)
 
 
 # The fit.

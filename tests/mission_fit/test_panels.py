@@ -8,7 +8,6 @@ import xarray as xr
 from epoch_cases import stored_epochs
 
 from inflight.effects import SIDE_NORMALS, TOP_NORMAL, effect_class, panel_illumination, panel_weights_at
-from inflight.effects.spacecraft import node_local_time
 from inflight.errors import SamplesError
 from inflight.mission_fit import fit_by_local_time, select_panel_model
 
@@ -38,13 +37,6 @@ def test_the_schedule_is_the_thesis_one():
     angle = np.radians(360.0 / 260.5 * (80.0 - 65.125))
     share = panel_weights_at(np.array([(9.0 - 24.0 * 80.0 / 260.5) % 24.0]))[0]
     assert share[0] == pytest.approx(np.sin(angle) / (np.sin(angle) + np.cos(angle)))
-
-
-def test_the_node_s_local_time_is_the_same_from_anywhere_on_the_orbit():
-    phase = np.arange(0.0, 360.0, 7.0)
-    tilt = np.radians(87.3)
-    ahead = np.degrees(np.arctan2(np.cos(tilt) * np.sin(np.radians(phase)), np.cos(np.radians(phase))))
-    assert node_local_time((3.5 + ahead / 15.0) % 24.0, phase, 87.3) == pytest.approx(3.5)
 
 
 def test_light_is_shared_by_cosine_and_area():

@@ -6,14 +6,14 @@ import xarray as xr
 from effect_cases import entry_of, model_of, true_samples
 
 from inflight.calibration import level2
-from inflight.calibration.product import Parameters
+from inflight.calibration.product import DayParameters
 from inflight.effects import Effect, Parameter
 from inflight.flags import Flag
 from inflight.model import Model, SubstitutedSamples, Typical, substitute
 from inflight.time import SECOND
 
 #: Nothing but the stand-ins makes these products uncertain.
-SURE = Parameters(np.array([1.0, 1, 1, 90, 90, 90, 0, 0, 0]), np.zeros((9, 9)), True, 0.0)
+SURE = DayParameters(np.array([1.0, 1, 1, 90, 90, 90, 0, 0, 0]), np.zeros((9, 9)), True, 0.0)
 MISSING = slice(100, 180)
 
 

@@ -1,4 +1,4 @@
-"""A mission of daily equations on a CHAMP-like orbit, made up column by column, with strips beside."""
+"""A mission of daily equations on a CHAMP-like orbit, made up column by column, with auxiliary columns."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ LINEAR, QUADRATIC = np.array([30.2e-6, 29.7e-6, 30.1e-6]), np.array([4.5e-8, 4e-
 
 @dataclass(frozen=True)
 class MadeUp:
-    """Equations of days with their strips, and the fit of all of them."""
+    """Equations of days with their auxiliary columns, and the fit of all of them."""
 
     model: Model
     equations: NormalEquations
-    strips: list[xr.Dataset]
+    auxiliary: list[xr.Dataset]
     found: MissionFit = field(repr=False)
 
 
@@ -62,9 +62,9 @@ def model_with(more: str = "") -> Model:
 
 
 def made_up(model: Model, blocks: list[NormalEquations]) -> MadeUp:
-    """Split blocks into the model's equations and their strips, and fit them."""
+    """Split blocks into equations of the model and auxiliary ones, and fit them."""
     own = [name for term in free_terms(model) for name in term.columns]
-    strips = [split_auxiliary(one.dataset, own, dict.fromkeys(one.columns, True)) for one in blocks]
+    auxiliary = [split_auxiliary(one.dataset, own, dict.fromkeys(one.columns, True)) for one in blocks]
     equations = concat_equations([one.select(own) for one in blocks])
     reference = np.concatenate(
         [term.entry.parameters[p].value[:, 0] for term in free_terms(model) for p in term.parameters]
@@ -72,7 +72,7 @@ def made_up(model: Model, blocks: list[NormalEquations]) -> MadeUp:
     data = equations.dataset
     whole = np.broadcast_to(np.append(reference, 0.0), data["reference"].shape)
     equations = NormalEquations(data.assign(reference=(data["reference"].dims, whole.copy())))
-    return MadeUp(model, equations, strips, fit_mission(equations, model, "linear"))
+    return MadeUp(model, equations, auxiliary, fit_mission(equations, model, "linear"))
 
 
 def nights(days: range, by_day: tuple[float, float, float], seed: int = 0, noise: float = 0.1) -> MadeUp:
@@ -161,10 +161,10 @@ def with_noise(made: MadeUp, seed: int, sigma: float) -> MadeUp:
     Of white noise n of a block only ``X' n``, of covariance ``sigma^2 X'X``, and ``n' n`` are in them.
     """
     random, data = np.random.default_rng(seed), made.equations.dataset
-    gram, strips = data["gram"].values.copy(), []
-    for place, strip in enumerate(made.strips):
-        inner, cross = gram[place, :-1, :-1], strip["cross"].values.copy()
-        both = np.block([[inner, cross[:, :-1].T], [cross[:, :-1], strip["own"].values]])
+    gram, auxiliary = data["gram"].values.copy(), []
+    for place, part in enumerate(made.auxiliary):
+        inner, cross = gram[place, :-1, :-1], part["cross"].values.copy()
+        both = np.block([[inner, cross[:, :-1].T], [cross[:, :-1], part["own"].values]])
         size = np.sqrt(np.diag(both))
         own, vectors = np.linalg.eigh(both / np.outer(size, size))
         drawn = random.standard_normal(own.size)
@@ -180,6 +180,6 @@ def with_noise(made: MadeUp, seed: int, sigma: float) -> MadeUp:
         gram[place, -1, :-1] += noise[:wide]
         gram[place, -1, -1] += more
         cross[:, -1] += noise[wide:]
-        strips.append(strip.assign(cross=(strip["cross"].dims, cross)))
+        auxiliary.append(part.assign(cross=(part["cross"].dims, cross)))
     equations = NormalEquations(data.assign(gram=(data["gram"].dims, gram)))
-    return MadeUp(made.model, equations, strips, fit_mission(equations, made.model, "linear"))
+    return MadeUp(made.model, equations, auxiliary, fit_mission(equations, made.model, "linear"))

@@ -1,10 +1,10 @@
-"""What the days tell beside the model: lag, rivals, day and night, cross-talk; put in and found."""
+"""Auxiliary columns of days: lag, rivals, day and night, cross-talk; put in and found."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
+from auxiliary_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
 
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
@@ -48,7 +48,7 @@ def wander(daily, name: str) -> float:
 
 
 def test_a_field_by_day_makes_the_angles_wander_until_it_is_in_the_model(hidden):
-    made = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model)
+    made = fit_day_night_jointly(hidden.equations, hidden.auxiliary, hidden.found, hidden.model)
     ignored = daily_parameters(hidden.equations, hidden.found, ["time_shift.seconds"])
     assert wander(ignored, XZ) > 2.0
     assert wander(made.daily(), XZ) < 0.1
@@ -59,7 +59,7 @@ def test_a_field_by_day_makes_the_angles_wander_until_it_is_in_the_model(hidden)
 
 
 def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
-    made = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model)
+    made = fit_day_night_jointly(hidden.equations, hidden.auxiliary, hidden.found, hidden.model)
     tables = {
         "day-night": made.field.table(),
         "daily-after": daily_parameters(hidden.equations, hidden.found, ["time_shift.seconds"]),
@@ -78,19 +78,19 @@ def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
 
 def test_without_a_field_by_day_none_is_told():
     none = nights(range(2300, 2820, 12), (0.0, 0.0, 0.0), seed=1)
-    found = fit_day_night_jointly(none.equations, none.strips, none.found, none.model).field
+    found = fit_day_night_jointly(none.equations, none.auxiliary, none.found, none.model).field
     assert np.abs(found.value / found.sigma).max() < 4
 
 
 def test_a_model_with_its_own_field_by_day_has_none_beside_it(hidden):
     own = model_with("  - {effect: day_night, sensor: fgm, vector: {unit: nT, value: [0, 0, 0], sigma: 1}}")
     with pytest.raises(CalibrationError, match="itself"):
-        fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, own)
+        fit_day_night_jointly(hidden.equations, hidden.auxiliary, hidden.found, own)
 
 
 def test_days_that_do_not_know_a_column_are_left_out(hidden):
     blind = [
-        strip.assign(known=strip["known"] & (place % 2 == 0)) for place, strip in enumerate(hidden.strips)
+        part.assign(known=part["known"] & (place % 2 == 0)) for place, part in enumerate(hidden.auxiliary)
     ]
     names = ["day_night.vector[z]"]
     assert len(with_auxiliary_columns(hidden.equations, [None, *blind[1:]], names)) == (len(blind) - 1) // 2
@@ -101,7 +101,7 @@ def test_days_that_do_not_know_a_column_are_left_out(hidden):
 @pytest.mark.parametrize("lag", [25.0, -15.0])
 def test_the_lag_is_found_with_its_sign(lag):
     made = warm_days(MONTH, lag, seed=0)
-    fit = fit_coil_lag(made.equations, made.strips, made.found, made.model, 100.0)
+    fit = fit_coil_lag(made.equations, made.auxiliary, made.found, made.model, 100.0)
     value, sigma = fit.lag
     assert value == pytest.approx(100.0 + lag, abs=max(4 * sigma, 0.01 * abs(lag)))
     assert sigma < 1.5
@@ -113,7 +113,7 @@ def test_stated_errors_of_coefficients_and_lag_hold():
     quiet, pulls = warm_days(CYCLES, 10.0, seed=0, scale=1e-3), []
     for seed in range(40):
         made = with_noise(quiet, seed, 0.2)
-        fit = fit_coil_lag(made.equations, made.strips, made.found, made.model, 100.0)
+        fit = fit_coil_lag(made.equations, made.auxiliary, made.found, made.model, 100.0)
         value, sigma = fit.lag
         away = ((fit.linear - LINEAR) / fit.fit.sigma[:3])[[0, 2]]
         pulls += [(value - 110.0) / sigma, *away]
@@ -125,7 +125,7 @@ def test_stated_errors_of_a_field_by_day_hold():
     quiet, pulls = nights(CYCLES, FIELD, noise=1e-3), []
     for seed in range(40):
         made = with_noise(quiet, seed, 0.2)
-        found = fit_day_night_jointly(made.equations, made.strips, made.found, made.model).field
+        found = fit_day_night_jointly(made.equations, made.auxiliary, made.found, made.model).field
         pulls += list((found.value - FIELD) / found.sigma)
     assert 0.6 < np.mean(np.abs(pulls) < 1.0) < 0.76
     assert np.abs(pulls).max() < 4.0
@@ -149,16 +149,16 @@ def test_with_no_temperature_to_follow_none_is_beaten():
 
 def _judged(made: MadeUp) -> TemperatureChoice:
     names = ["coil_temperature", "electronics_temperature"]
-    return compare_temperatures_jointly(made.equations, made.strips, made.found, made.model, names)
+    return compare_temperatures_jointly(made.equations, made.auxiliary, made.found, made.model, names)
 
 
 def test_without_an_effect_of_temperature_the_reason_is_told(hidden):
     with pytest.raises(CalibrationError, match="no effect 'temperature'"):
-        fit_coil_lag(hidden.equations, hidden.strips, hidden.found, hidden.model, 100.0)
+        fit_coil_lag(hidden.equations, hidden.auxiliary, hidden.found, hidden.model, 100.0)
 
 
 def test_ignored_causes_shift_the_nine_as_the_thesis_says(hidden):
-    wide = with_auxiliary_columns(hidden.equations, hidden.strips, ["day_night.vector[z]"])
+    wide = with_auxiliary_columns(hidden.equations, hidden.auxiliary, ["day_night.vector[z]"])
     found = nine_parameter_cross_talk(wide, {"time_shift.seconds": "s"}, hidden.model)
     # The column is that of a reading taken late: 10 ms of it answer with minus 3.2 arcsec.
     assert found.of("time_shift.seconds", "misalignment[xz]") == pytest.approx(-3.2, abs=0.15)
@@ -187,14 +187,14 @@ def test_what_one_parameter_does_to_all_others_is_what_a_fit_without_it_gives(hi
 
 
 def test_tables_give_back_what_they_were_made_of(hidden):
-    wide = with_auxiliary_columns(hidden.equations, hidden.strips, ["day_night.vector[z]"])
+    wide = with_auxiliary_columns(hidden.equations, hidden.auxiliary, ["day_night.vector[z]"])
     shifts = nine_parameter_cross_talk(wide, {}, hidden.model)
     again = CrossTalkTable.of_table(shifts.table(), ["day_night.vector[z]"])
     np.testing.assert_array_equal(again.shift, shifts.shift[1:])
-    field = fit_day_night_jointly(hidden.equations, hidden.strips, hidden.found, hidden.model).field
+    field = fit_day_night_jointly(hidden.equations, hidden.auxiliary, hidden.found, hidden.model).field
     np.testing.assert_array_equal(DayNightField.of_table(field.table()).value, field.value)
     made = warm_days(MONTH[:12], 0.0, seed=4)
-    fit = fit_coil_lag(made.equations, made.strips, made.found, made.model, 100.0)
+    fit = fit_coil_lag(made.equations, made.auxiliary, made.found, made.model, 100.0)
     assert CoilFit.of_table(fit.table()).summary() == fit.summary()
     choice = _judged(warm_days(MONTH, 0.0, seed=5))
     assert TemperatureChoice.of_table(choice.table()).summary() == choice.summary()
