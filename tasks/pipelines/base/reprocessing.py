@@ -172,7 +172,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
                 preflight=plan.model,
             )
             arguments.append((pipeline, batch))
-    done, reports = set(adopted), {}
+    done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()
     for outcome in work.mapper("produce", product_batch, arguments):
         fresh = register_outcome(work.run, plan.product, outcome, work.failed)
         done |= {day.day for day in fresh}

@@ -19,11 +19,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day, Run
-from inflight.errors import CalibrationError, CatalogError, InflightError, SettingsError
+from inflight.errors import CalibrationError, CatalogError, InflightError, SamplesError, SettingsError
 from inflight.mission import Mission
 from inflight.mission_fit import (
     MissionFit,
-    concat_band_equations,
     concat_epochs,
     continuous_table,
     daily_fits,
@@ -226,9 +225,20 @@ class MissionFitResults:
     skipped: dict[str, str] = field(default_factory=dict)
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
-    def why_absent(self, *names: str) -> str:
-        """Return why the first of some tables that is absent is not there."""
-        name = next(name for name in names if name not in self.tables)
+    def table(self, name: str) -> xr.Dataset:
+        """Return a table.
+
+        Raises
+        ------
+        SamplesError
+            When it is absent; the message says why.
+        """
+        if name not in self.tables:
+            raise SamplesError(self.why_absent(name))
+        return self.tables[name]
+
+    def why_absent(self, name: str) -> str:
+        """Return why a table is absent."""
         return self.skipped.get(name) or f"table {self.comparison}-{name} is not there; {_REMEDY}"
 
     @cached_property
@@ -236,12 +246,6 @@ class MissionFitResults:
         """Epochs of all days at which the first current steps; None without any."""
         parts = unpack_part(self.read, "epoch")
         return concat_epochs(parts) if parts else None
-
-    @cached_property
-    def band(self) -> xr.Dataset | None:
-        """Equations of the torquers' band of all days; None without torquers."""
-        parts = unpack_part(self.read, "band")
-        return concat_band_equations(parts) if parts else None
 
     @property
     def span(self) -> list[str]:
