@@ -41,14 +41,14 @@ def show_model(
     """Show the effects of a model in the order of correction, with values and uncertainties."""
     from inflight.model import parse_tree
 
-    found = _versions(session, comparison).named(named)
+    found = _versions(session, comparison).find(named)
     tree = parse_tree(found.text)
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
         made = f" (from version {found.fields['parent']})" if found.fields["parent"] else ""
         told = f": {message}" if message else ""
-        console.print(f"{found.told}{made}{told}", soft_wrap=True, markup=False)
+        console.print(f"{found.label}{made}{told}", soft_wrap=True, markup=False)
         console.print(
             _table(("effect", "sensor", "parameter", "value", "sigma", "unit", "time", "fit"), tree)
         )
@@ -72,11 +72,11 @@ def diff_models(
     from inflight.model import changes, parse_tree
 
     versions = _versions(session, comparison)
-    old, new = versions.named(before), versions.named(after)
+    old, new = versions.find(before), versions.find(after)
     found = changes(parse_tree(old.text)["effects"], parse_tree(new.text)["effects"])
 
     def show(console: Console) -> None:
-        console.print(f"{old.told} -> {new.told}")
+        console.print(f"{old.label} -> {new.label}")
         for change in found:
             console.print(f"  {change['sentence']}", soft_wrap=True, markup=False)
         if not found:

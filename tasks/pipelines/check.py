@@ -2,7 +2,7 @@
 
 It takes a pipeline and, for the checks that need measurements, a small workspace with an archive. There it
 makes a plan, a day, a whole run and the same run again, as `reprocess` does, and looks at what was published.
-All that fails is collected and said at once, each time with what to mend.
+All that fails is collected and listed at once, each time with what to mend.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _GUIDE = "docs/how-to/own-pipeline.md"
 def check_pipeline(
     pipeline: Pipeline, workspace: Workspace | None = None, settings: ReprocessSettings | None = None
 ) -> None:
-    """Check that a pipeline keeps its contract; say nothing when it does.
+    """Check that a pipeline keeps its contract.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _describes_itself(pipeline: Pipeline) -> Iterator[str]:
     kind = type(pipeline)
     known = {*dir(Pipeline), *Pipeline.__annotations__}
     if not (kind.__dict__.get("__doc__") or "").strip():
-        yield "the class has no docstring; say what is measured against what, and what a day leaves"
+        yield "the class has no docstring; say what is measured against what, and what is kept of a day"
     if not isinstance(pipeline.tag, str) or not pipeline.tag.isidentifier():
         yield f"tag is {pipeline.tag!r}; give one word, as users will call it"
     for name, member in kind.__dict__.items():
@@ -225,7 +225,7 @@ def _makes_a_day(case: _Case) -> Iterator[str]:
             yield "start and end of the statistics are no part of the day"
     to_json(report)
     if len(case.pipeline.unify_variables([made])) != 1:
-        yield "alike gives another number of days than it was given"
+        yield "unify_variables gives another number of days than it was given"
 
 
 def _runs(case: _Case) -> Iterator[str]:
@@ -307,7 +307,7 @@ def _is_shown(case: _Case) -> Iterator[str]:
         return
     span = slice(None, None)
     days = published_products(case.cat, case.comparison, span)
-    found = case.pipeline.compare(case.cat, case.mission, case.comparison, days, span, _no_progress)
+    found = case.pipeline.compare(case.cat, case.mission, case.comparison, days, span, lambda *_: None)
     fields: dict[str, Any] = found.report.as_json()
     to_json(fields)
     for name in ("command", "comparison", "residual", "fails_where", "path"):
@@ -315,7 +315,3 @@ def _is_shown(case: _Case) -> Iterator[str]:
             yield f"the JSON of compare has no {name!r}"
     if not found.parts or not found.report.summary():
         yield "compare shows nothing"
-
-
-def _no_progress(stage: str, done: int, total: int) -> None:
-    """Take a report of progress that nobody watches."""
