@@ -1,8 +1,8 @@
 """The model that a workspace uses, and its history in the catalog.
 
 `current_model` returns the newest version; the first is the mission's pre-flight file, and a changed file
-with effects makes another. `ModelHistory` lists versions and finds one by name. History only grows: an undo is
-a version like any other, whose text is that of an older one.
+with effects makes another. `ModelHistory` lists versions and finds one by name. History only grows: an undo
+is a version like any other, whose text is that of an older one.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, Day, Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.conformance import Faults
 from inflight.mission import Mission
 from inflight.samples import base_channels
@@ -279,24 +279,20 @@ def _publishes_products(case: _Case) -> Iterator[str]:
         return
     for day in published_products(case.cat, case.comparison, slice(None, None)):
         product = case.cat.read(day, with_time=False)
-        yield from (f"{day.day}: {fault}" for fault in _faults_of_product(product, day))
-
-
-def _faults_of_product(product: xr.Dataset, day: Day) -> Iterator[str]:
-    for name in ("tt2000", "flag"):
-        if name not in product.variables:
-            yield f"the product has no {name}"
-            return
-    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-    start, end = day_bounds(day.day)
-    if not (np.diff(stamps) > 0).all() or stamps[0] < start or stamps[-1] >= end:
-        yield "tt2000 does not ascend within the day"
-    for variable, values in product.data_vars.items():
-        if values.dtype.kind == "f" and "units" not in values.attrs:
-            yield f"variable {variable!r} has no units; write '1' for a number without"
-    for key in ("coverage", "samples"):
-        if key not in day.report:
-            yield f"the report of a product has no {key!r}"
+        missing = [name for name in ("tt2000", "flag") if name not in product.variables]
+        if missing:
+            yield f"{day.day}: the product has no {missing[0]}"
+            continue
+        stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
+        start, end = day_bounds(day.day)
+        if not (np.diff(stamps) > 0).all() or stamps[0] < start or stamps[-1] >= end:
+            yield f"{day.day}: tt2000 does not ascend within the day"
+        for variable, values in product.data_vars.items():
+            if values.dtype.kind == "f" and "units" not in values.attrs:
+                yield f"{day.day}: variable {variable!r} has no units; write '1' for a number without"
+        for key in ("coverage", "samples"):
+            if key not in day.report:
+                yield f"{day.day}: the report of a product has no {key!r}"
 
 
 def _is_shown(case: _Case) -> Iterator[str]:

@@ -82,7 +82,7 @@ class Plan:
     Attributes
     ----------
     settings : ReprocessSettings
-    used : UsedModel
+    used : VersionedModel
         The model, with the version the catalog knows it by.
     context : str
         Id of mission, model and version in the catalog.
@@ -174,7 +174,7 @@ def plan_days(
 
     Parameters
     ----------
-    used : UsedModel
+    used : VersionedModel
     equations : str
         Dataset of the days' statistics.
     version : int
