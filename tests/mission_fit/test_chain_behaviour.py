@@ -48,7 +48,7 @@ def found():
         periods={"orbit": 5580 * 10**9, "local_time": round(260.5 * DAY)}, events=[event]
     )
     tables = {"daily-after": daily, "daily-temperature": means}
-    return MissionFitResults(mission, "main", None, None, "", [], [], tables, {})
+    return MissionFitResults(mission, "main", None, None, "", [], [], tables)
 
 
 def test_periods_means_and_steps_are_told(found):

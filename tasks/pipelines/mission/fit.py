@@ -35,7 +35,7 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
-from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, product_of
+from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, newest_tables, product_of
 from inflight.tasks.pipelines.mission.day import equations_of_days, unpack_part
 from inflight.tasks.pipelines.mission.tables import (
     AUXILIARY_TABLES,
@@ -205,8 +205,6 @@ class MissionFitResults:
         Theirs: parts, `before` and `after`.
     tables : dict of str to Dataset
         Those of `TABLES`; ``z-offset``, of the products; ``window``, of another reprocessing.
-    ids : dict of str to int
-        Of the tables.
     skipped : dict of str to str
         Why a table is not there.
     reports : mapping of datetime64[D] to mapping
@@ -221,7 +219,6 @@ class MissionFitResults:
     days: list[Day]
     read: list[xr.Dataset]
     tables: dict[str, xr.Dataset]
-    ids: dict[str, int]
     skipped: dict[str, str] = field(default_factory=dict)
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -279,17 +276,14 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
     days.sort(key=lambda day: day.day)
     if not days:
         raise CatalogError("the days of the published chain are gone", remedy=_REMEDY)
-    tables, ids = _tables_of_one_fit(cat, comparison)
+    tables = _tables_of_one_fit(cat, comparison)
     skipped: dict[str, str] = (
         json.loads(tables["trend"].attrs.get(SKIPPED, "{}")) if "trend" in tables else {}
     )
     # Only products of this fit have the spread of their residual in their report.
     products = cat.days(product_of(comparison), states=("published",))
     reports = {day.day: day.report for day in products if day.report.get("spread")}
-    for name in ("z-offset", "window"):
-        record = newest_record(cat, f"{comparison}-{name}")
-        if record is not None:
-            tables[name], ids[name] = cat.table_by_id(record.id), record.id
+    tables |= newest_tables(cat, comparison, ("z-offset", "window"))
     if "window" not in tables:
         skipped["window"] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"
@@ -314,16 +308,14 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
         days=days,
         read=read,
         tables=tables,
-        ids=ids,
         skipped=skipped,
         reports=reports,
     )
 
 
-def _tables_of_one_fit(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], dict[str, int]]:
-    """Return the newest certified tables of the newest fit, and their ids, by name."""
+def _tables_of_one_fit(cat: Catalog, comparison: str) -> dict[str, xr.Dataset]:
+    """Return the newest certified tables of the newest fit, by name."""
     tables: dict[str, xr.Dataset] = {}
-    ids: dict[str, int] = {}
     for name in TABLES:
         for record in reversed(cat.tables(f"{comparison}-{name}")):
             if record.damaged or not record.certified:
@@ -331,9 +323,9 @@ def _tables_of_one_fit(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Data
             table = cat.table_by_id(record.id)
             # The first of the names is the fit itself, the newest there is.
             if not tables or table.attrs.get(FIT_KEY) == tables[TABLES[0]].attrs.get(FIT_KEY):
-                tables[name], ids[name] = table, record.id
+                tables[name] = table
                 break
-    return tables, ids
+    return tables
 
 
 def _models_of_fit(cat: Catalog, mission: Mission, comparison: str, day: Day) -> tuple[Model, Model, str]:
