@@ -1,7 +1,7 @@
 """`check_pipeline`: whether a class keeps what `reprocess`, `compare`, the verbs and the explorer rely on.
 
 It takes a pipeline and, for the checks that need measurements, a small workspace with an archive. There it
-makes a plan, a day, a whole run and the same run again, as `reprocess` does, and looks at what was published.
+makes a plan, a day, a whole run and the same run again, as `reprocess` does, and examines what was published.
 All that fails is collected and listed at once, each time with what to mend.
 """
 
@@ -52,7 +52,7 @@ def check_pipeline(
         It need not be among `PIPELINES`.
     workspace : Workspace, optional
         With some days in its archive of a comparison that the pipeline handles: a copy, because tables and
-        products are published in it. Without one, only what the class says of itself is checked.
+        products are published in it. Without one, only the class itself is checked.
     settings : ReprocessSettings, optional
         Which comparison, and which table products take; the comparison ``main`` when absent.
 
@@ -72,15 +72,15 @@ def check_pipeline(
         faults.collect(check, pipeline)
     if workspace is not None and not faults.found:
         case = _Case(pipeline, workspace, settings or ReprocessSettings())
-        for look in (_handles_the_comparison, _names_known_channels, _keeps_keys, _makes_a_day):
-            faults.collect(look, case)
+        for check_case in (_handles_the_comparison, _names_known_channels, _keeps_keys, _makes_a_day):
+            faults.collect(check_case, case)
         if not faults.found:
-            for look in (_runs, _runs_again, _publishes_tables, _publishes_products, _is_shown):
-                faults.collect(look, case)
+            for check_case in (_runs, _runs_again, _publishes_tables, _publishes_products, _is_shown):
+                faults.collect(check_case, case)
     faults.require_none(f"pipeline {pipeline.tag!r}", _GUIDE)
 
 
-# --- what the class says of itself ----------------------------------------------------------------------
+# --- the class itself -----------------------------------------------------------------------------------
 
 
 def _describes_itself(pipeline: Pipeline) -> Iterator[str]:
@@ -114,12 +114,12 @@ def _has_versions(pipeline: Pipeline) -> Iterator[str]:
 
 def _is_complete(pipeline: Pipeline) -> Iterator[str]:
     kind = type(pipeline)
-    wanted = {
+    required = {
         "make_day": bool(pipeline.statistics),
         "make_product": pipeline.has_products,
         "compare": pipeline.has_products,
     }
-    for name, needed in wanted.items():
+    for name, needed in required.items():
         own = getattr(kind, name) is not getattr(Pipeline, name)
         if needed != own:
             yield f"{name} is {'missing' if needed else 'never called'}: see 'statistics' and 'has_products'"
@@ -172,8 +172,8 @@ class _Case:
 
 def _handles_the_comparison(case: _Case) -> Iterator[str]:
     for name in case.mission.comparisons:
-        asked = case.settings.model_copy(update={"comparison": name})
-        answer: object = case.pipeline.handles(case.mission, asked)
+        settings = case.settings.model_copy(update={"comparison": name})
+        answer: object = case.pipeline.handles(case.mission, settings)
         if not isinstance(answer, bool):
             yield f"handles answers {answer!r} of comparison {name!r}; answer True or False"
         elif name == case.comparison and not answer:

@@ -2,7 +2,7 @@
 
 `ReprocessSettings` is what a user may choose; a `Plan` is made from it, the archive and the model in use.
 Each planned day has a key, a hash of everything its statistics are made from: a day whose published
-statistics carry the same key is left alone.
+statistics carry the same key is not made anew.
 """
 
 from __future__ import annotations

@@ -59,8 +59,8 @@ class FittedDay:
 def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
-    A day whose fields were measured and whose housekeeping was not has empty equations: it tells nothing of
-    the parameters, and gets its product with those of the days around.
+    A day whose fields were measured and whose housekeeping was not has empty equations: it has no information
+    on the parameters, and gets its product with those of the days around.
 
     Returns
     -------

@@ -115,7 +115,7 @@ def compare_samples(
     days : sequence of Day
         Of the products.
     span : slice
-        Its normal equations tell what the data determine.
+        Of the normal equations that show what the data determine.
     progress : callable
         Called with (stage, done, total).
     """
