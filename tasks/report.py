@@ -101,7 +101,7 @@ class RunReport:
             "run": self.run,
             "context": self.context,
             "days": dict(self.days),
-            "problems": [_whole_problem(item) for item in self.problems],
+            "problems": [problem("", "") | item for item in self.problems],
             "outputs": list(self.outputs),
             **self.extra,
         }
@@ -116,33 +116,25 @@ class RunReport:
         )
 
 
-def _whole_problem(item: Mapping[str, str]) -> dict[str, str]:
-    return dict.fromkeys(("day", "channel", "cause", "remedy", "message"), "") | dict(item)
+def problem(
+    cause: str, message: str, *, day: object = "", channel: str = "", remedy: str = ""
+) -> dict[str, str]:
+    """Return one entry of `RunReport.problems`."""
+    return {"day": str(day), "channel": channel, "cause": cause, "remedy": remedy, "message": message}
 
 
 def no_work_problems(no_work: Mapping[Any, str]) -> list[dict[str, str]]:
     """Return days without a measurement as entries of `RunReport.problems`: day -> what is missing."""
     return [
-        {
-            "day": str(day),
-            "channel": "",
-            "cause": "no_work",
-            "remedy": "ingest the day's files",
-            "message": message,
-        }
+        problem("no_work", message, day=day, remedy="ingest the day's files")
         for day, message in no_work.items()
     ]
 
 
 def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
     """Return an error as one entry of `RunReport.problems`."""
-    return {
-        "day": error.day or day,
-        "channel": error.channel,
-        "cause": error.cause,
-        "remedy": error.remedy,
-        "message": f"{error.file}: {error.message}" if error.file else error.message,
-    }
+    message = f"{error.file}: {error.message}" if error.file else error.message
+    return problem(error.cause, message, day=error.day or day, channel=error.channel, remedy=error.remedy)
 
 
 def print_report(report: RunReport, console: Console) -> None:
@@ -157,7 +149,7 @@ def print_report(report: RunReport, console: Console) -> None:
         for name in ("day", "where", "cause", "what was found", "what to do"):
             table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
         for item in report.problems[:SHOWN_PROBLEMS]:
-            whole = _whole_problem(item)
+            whole = problem("", "") | item
             where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
             row = (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])
             table.add_row(*map(escape, row))
