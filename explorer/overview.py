@@ -85,7 +85,7 @@ def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> Com
         days[-1] if days else None,
         len(products),
         len(archived),
-        ModelHistory(cat, mission, comparison).used.told,
+        ModelHistory(cat, mission, comparison).used.label,
         tuple(sorted(name for name in names if _is_of(name, comparison, mission))),
         pipeline.note if pipeline else "",
     )

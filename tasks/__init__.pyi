@@ -4,11 +4,9 @@ from .analysis import (
     Workbench,
     compare,
     diagnose,
-    diagnose_span,
-    open_workbench,
 )
 from .archive import ingest, simulate, simulate_dual, simulate_spinning
-from .batches import Mapper, batch_mapper, iter_results, result_of, with_progress
+from .batches import Mapper, batch_mapper, result_of, with_progress
 from .models import ModelHistory, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
@@ -20,7 +18,6 @@ from .report import (
     location_of,
     print_report,
     to_json,
-    write_page,
 )
 
 __all__ = [
@@ -38,14 +35,11 @@ __all__ = [
     "comparison_of",
     "current_model",
     "diagnose",
-    "diagnose_span",
     "error_fields",
     "find_model",
     "ingest",
-    "iter_results",
     "location_of",
     "make_release",
-    "open_workbench",
     "preflight_model",
     "print_report",
     "reprocess",
@@ -55,5 +49,4 @@ __all__ = [
     "simulate_spinning",
     "to_json",
     "with_progress",
-    "write_page",
 ]

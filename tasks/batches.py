@@ -3,7 +3,7 @@
 `reprocess`, `ingest` and `diagnose` cut their work into batches whose results do not depend on each other.
 `iter_results` runs them and yields the results in the order of the batches, so that what is registered does
 not depend on which process was faster; a `Mapper` is the same with a name for the stage, and is what a flow
-puts in its place.
+uses instead.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def result_of(future: Any) -> Any:
     Raises
     ------
     WorkerError
-        When several processes in turn ended while they did it. What the function itself raised is raised
-        as it is.
+        When several processes in turn ended while they ran it. Errors of the function itself are raised as
+        they are.
     """
     from distributed import KilledWorker
 
@@ -68,12 +68,12 @@ def result_of(future: Any) -> Any:
 
 def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
     """Return a mapper that runs batches here, or on a Dask client, and reports how many are done."""
-    tell = progress or (lambda stage, done, total: None)
+    report = progress or (lambda stage, done, total: None)
 
     def run_batches(
         stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
     ) -> Iterator[Any]:
-        return with_progress(tell, stage, iter_results(client, function, arguments), len(arguments))
+        return with_progress(report, stage, iter_results(client, function, arguments), len(arguments))
 
     return run_batches
 

@@ -1,12 +1,8 @@
-"""Models, versions, history.
+"""The model that a workspace uses, and its history in the catalog.
 
-Which model a workspace uses: the newest in the catalog, begun from the mission's pre-flight file.
-
-The versions of a workspace's models: found by name, listed with the one in use.
-
-The history of a model: which version its evidence was made at, and which one came before the last change.
-
-History only grows. Going back is a version like any other, whose text is an older one's.
+`current_model` returns the newest version; the first is the mission's pre-flight file, and a changed file
+with effects makes another. `ModelHistory` lists versions and finds one by name. History only grows: an undo
+is a version like any other, whose text is that of an older one.
 """
 
 from __future__ import annotations
@@ -22,10 +18,10 @@ from inflight.errors import CatalogError, MissionError, ModelError, SettingsErro
 from inflight.mission import Mission, sensors_of
 from inflight.model import Layout, Model, make_effect
 
-#: What a model's text says of the files its effects come from.
+#: Where the text of a model states the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
 
-#: What is free of an ideal vector sensor, by what it is held against: its effect and parameters.
+#: Free parameters of an ideal vector sensor, by the kind of comparison: its effect and their names.
 _FREE: dict[str, tuple[str, tuple[str, ...]]] = {
     "scalar": ("vector_sensor", ("scale_factor", "misalignment", "offset")),
     "spin": ("spinning_sensor", tuple(SpinningSensor.SPIN_RELATED)),
@@ -49,25 +45,24 @@ def effect_sources(cat: Catalog, mission: Mission) -> tuple[EffectSource, ...]:
     MissionError
         When a file is not there, or is no text.
     """
-    return tuple(_source(Path(cat.workspace), name) for name in mission.effects)
-
-
-def _source(workspace: Path, name: str) -> EffectSource:
-    try:
-        return EffectSource(name, (workspace / name).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        told = "is no text" if isinstance(error, UnicodeDecodeError) else "is not there"
-        raise MissionError(
-            f"effects: the file {name!r} {told}",
-            file="mission.yaml",
-            remedy="put it into the workspace, or take its name out of 'effects'",
-        ) from None
+    sources = []
+    for name in mission.effects:
+        try:
+            sources.append(EffectSource(name, (Path(cat.workspace) / name).read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError) as error:
+            fault = "is no text" if isinstance(error, UnicodeDecodeError) else "is not there"
+            raise MissionError(
+                f"effects: the file {name!r} {fault}",
+                file="mission.yaml",
+                remedy="put it into the workspace, or take its name out of 'effects'",
+            ) from None
+    return tuple(sources)
 
 
 def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Model:
     """Return a comparison's pre-flight model, or that of ideal sensors when it has none.
 
-    Its own file goes before the mission's, which is for the comparison that file names.
+    The comparison's own file has priority over the mission's, which is for the comparison that it names.
 
     Raises
     ------
@@ -103,7 +98,7 @@ def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSou
     """Return a model of ideal sensors.
 
     Against a scalar sensor the vector sensor's nine parameters are free, in a spin comparison the eight
-    that the spin tells, with the effect's own wide priors; else readings are taken as delivered.
+    that the spin determines, with the effect's own wide priors; else readings are taken as delivered.
     """
     name, layout = f"{mission.mission}-ideal", Layout.of(mission, comparison)
     if layout.kind not in _FREE:
@@ -111,8 +106,7 @@ def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSou
     sensors = sensors_of(mission, comparison)
     vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
     kind, names = _FREE[layout.kind]
-    parts = {part: {"time": "block"} for part in names}
-    entry = {"effect": kind, "sensor": vector.name, **parts}
+    entry = {"effect": kind, "sensor": vector.name, **{part: {"time": "block"} for part in names}}
     effects = (make_effect(entry, sensors, mission=mission),)
     return Model(name, mission.mission, comparison, effects, layout=layout, own=own)
 
@@ -125,15 +119,14 @@ def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> V
     history: the newest version, with the effects of the file as it is now.
     """
     found = find_model(cat, mission, comparison)
-    if found.version and _sources(found.model.text) == _sources(found.text):
-        return found
     text = found.model.text
     if not found.version:
-        return VersionedModel(
-            found.model, cat.save_model(found.model.name, text, message="pre-flight model"), text
-        )
-    files = ", ".join(mission.effects)
-    version = cat.save_model(found.model.name, text, parent=found.version, message=f"{files} changed")
+        version = cat.save_model(found.model.name, text, message="pre-flight model")
+    elif _SOURCE.findall(text) != _SOURCE.findall(found.text):
+        message = f"{', '.join(mission.effects)} changed"
+        version = cat.save_model(found.model.name, text, parent=found.version, message=message)
+    else:
+        return found
     return VersionedModel(found.model, version, text)
 
 
@@ -143,28 +136,20 @@ def find_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Vers
     Nothing is saved. Version 0 is a pre-flight model the catalog does not know yet.
     """
     start = preflight_model(cat, mission, comparison)
-    records = [record for record in cat.models() if record.name == start.name]
-    plain = _SOURCE.sub("", start.text)
-    newest = 0
-    for record in records:
-        # What was made from the file's text, step by step, goes before it; other texts of the file do not.
-        is_root = record.parent is None and _SOURCE.sub("", _text(cat, record.name, record.version)) == plain
-        if is_root or (newest and record.parent == newest):
+    plain, newest = _SOURCE.sub("", start.text), 0
+    for record in cat.models():
+        if record.name != start.name:
+            continue
+        # What was made from the file's present text, step by step; other texts of the file do not count.
+        if record.parent is None:
+            text = cat.model_text(record.name, record.version)[2]
+            follows = _SOURCE.sub("", text) == plain
+        else:
+            follows = record.parent == newest
+        if follows:
             newest = record.version
-    if not newest:
-        return VersionedModel(start, 0, start.text)
-    text = _text(cat, start.name, newest)
-    return VersionedModel(
-        Model.parse(text, mission, f"{start.name} version {newest}", start.own), newest, text
-    )
-
-
-def _text(cat: Catalog, name: str, version: int) -> str:
-    return cat.model_text(name, version)[2]
-
-
-def _sources(text: str) -> list[str]:
-    return _SOURCE.findall(text)
+    unsaved = VersionedModel(start, 0, start.text)
+    return version_of(cat, mission, unsaved, newest) if newest else unsaved
 
 
 def comparison_of(mission: Mission, named: str | None) -> str:
@@ -185,8 +170,8 @@ def comparison_of(mission: Mission, named: str | None) -> str:
 
 
 @dataclass(frozen=True)
-class ModelVersion:
-    """A text of a model, and what the catalog knows of it."""
+class HistoryEntry:
+    """A version of a model: its text, and its record in the catalog; none for a model not used yet."""
 
     name: str
     version: int
@@ -200,13 +185,13 @@ class ModelVersion:
         return {"name": self.name, "version": self.version or None, "parent": parent}
 
     @property
-    def told(self) -> str:
-        """How a person calls it."""
+    def label(self) -> str:
+        """Name and version in words."""
         return f"{self.name} version {self.version}" if self.version else f"{self.name}, not used yet"
 
 
 class ModelHistory:
-    """The models of a workspace; nothing is saved by looking at them."""
+    """The models of a workspace, read from the catalog; nothing is saved."""
 
     def __init__(self, cat: Catalog, mission: Mission, comparison: str = "main") -> None:
         self._cat = cat
@@ -214,11 +199,17 @@ class ModelHistory:
         self._records = {(record.name, record.version): record for record in self._cat.models()}
         self.used = self._version(used.model.name, used.version, used.text)
 
-    def _version(self, name: str, version: int, text: str) -> ModelVersion:
-        return ModelVersion(name, version, text, self._records.get((name, version)))
+    def _version(self, name: str, version: int, text: str) -> HistoryEntry:
+        return HistoryEntry(name, version, text, self._records.get((name, version)))
 
-    def named(self, text: str | None) -> ModelVersion:
-        """Return the version a person names: its number, a name's newest, or ``name:number``."""
+    def find(self, text: str | None) -> HistoryEntry:
+        """Return a version by number, by name (the newest) or as ``name:number``; None is the one in use.
+
+        Raises
+        ------
+        CatalogError
+            When there is none.
+        """
         if text is None:
             return self.used
         name, _, number = text.rpartition(":") if ":" in text else ("", "", text)
@@ -227,8 +218,8 @@ class ModelHistory:
         name = name or self.used.name
         known = [key for key in self._records if key[0] == name and number in ("", str(key[1]))]
         if not known:
-            listed = [f"{one}:{version}" for one, version in self._records]
-            names = [one for one, _ in self._records]
+            listed = [f"{model}:{version}" for model, version in self._records]
+            names = [model for model, _ in self._records]
             raise CatalogError(
                 f"there is no model {text!r}{did_you_mean(text, [*listed, *names])}",
                 remedy=f"the catalog has {', '.join(listed) or 'none yet; reprocess saves the first'}",
@@ -251,7 +242,7 @@ class ModelHistory:
         ]
 
 
-#: How the message of a version begins that is an older one again.
+#: Beginning of the message of a version that undoes another.
 UNDO = "undo"
 
 
@@ -267,36 +258,33 @@ def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: in
 def version_with_gram_blocks(
     cat: Catalog, mission: Mission, current: VersionedModel
 ) -> tuple[VersionedModel, Mission] | None:
-    """Return the nearest version with evidence, the present one or one it came from, and its mission.
+    """Return the nearest version with Gram blocks, the present one or an ancestor, and its mission.
 
-    The mission is the text the evidence was made with: naming another file with effects changes
-    nothing of what was made before. None when no version has evidence.
+    The mission is the text that the blocks were made with: naming another file with effects changes nothing
+    of what was made before. None when no version has Gram blocks.
     """
     dataset = f"equations/{current.model.comparison}/library"
     contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
+    words = {"effects", "description", "acknowledgement"}
     versions = {}
-    for record in (cat.context(str(one)) for one in contexts):
+    for record in (cat.context(str(context)) for context in contexts):
         before = mission if record.mission_text == mission.text else Mission.parse(record.mission_text)
-        if record.model_name == current.model.name and _measures_as(before, mission):
+        # Missions that differ only in words and in the files of a user's own effects measure the same.
+        same = before is mission or before.model_dump(exclude=words) == mission.model_dump(exclude=words)
+        if record.model_name == current.model.name and same:
             versions[record.model_version] = before
     records = _records(cat, current)
-    at: int | None = current.version
-    while at is not None:
-        if at in versions:
-            used = current if at == current.version else version_of(cat, mission, current, at)
-            return used, versions[at]
-        at = records[at].parent
-    return None
-
-
-def _measures_as(one: Mission, other: Mission) -> bool:
-    """Return True when two missions differ in nothing but words and the files of a user's own effects."""
-    words = {"effects", "description", "acknowledgement"}
-    return one is other or one.model_dump(exclude=words) == other.model_dump(exclude=words)
+    version: int | None = current.version
+    while version is not None and version not in versions:
+        version = records[version].parent
+    if version is None:
+        return None
+    used = current if version == current.version else version_of(cat, mission, current, version)
+    return used, versions[version]
 
 
 def version_before_change(cat: Catalog, mission: Mission, current: VersionedModel) -> VersionedModel:
-    """Return the version before the last change; one that was taken back does not count.
+    """Return the version before the last change; a change that was undone does not count.
 
     Raises
     ------
@@ -304,7 +292,7 @@ def version_before_change(cat: Catalog, mission: Mission, current: VersionedMode
         When nothing was changed.
     """
     records = _records(cat, current)
-    parent = _before(records, current.version)
+    parent = records[_without_undo(records, current.version)].parent
     if parent is None:
         raise ModelError(
             f"version {current.version} of model '{current.model.name}' is where it began",
@@ -313,23 +301,19 @@ def version_before_change(cat: Catalog, mission: Mission, current: VersionedMode
     return version_of(cat, mission, current, parent)
 
 
-def _before(records: dict[int, ModelRecord], version: int) -> int | None:
-    return records[_meant(records, version)].parent
-
-
-def _meant(records: dict[int, ModelRecord], version: int) -> int:
-    """Return the version that a version is again: itself, unless it takes something back."""
+def _without_undo(records: dict[int, ModelRecord], version: int) -> int:
+    """Return the version whose text a version has again: itself, unless it is an undo."""
     record = records[version]
     if record.parent is None or not record.message.startswith(UNDO):
         return version
-    found = _before(records, record.parent)
-    if found is None:
+    restored = records[_without_undo(records, record.parent)].parent
+    if restored is None:
         raise CatalogError(
             f"version {version} takes back version {record.parent}, before which there is none",
             remedy="the history of the model is damaged: 'inflight catalog verify'",
         )
-    return _meant(records, found)
+    return _without_undo(records, restored)
 
 
 def _records(cat: Catalog, current: VersionedModel) -> dict[int, ModelRecord]:
-    return {one.version: one for one in cat.models() if one.name == current.model.name}
+    return {record.version: record for record in cat.models() if record.name == current.model.name}

@@ -1,11 +1,8 @@
-"""RunReport, errors as told to a person.
+"""What a run did, and errors: as text for a person and as fields for other programs.
 
-What a run did, as the command line prints it and other programs read it.
-
-One report serves every verb that makes something: which days were planned and what became of them,
-what went wrong and what to do about it, where the outputs are. `exit_code` follows from it.
-
-Errors as they are told to a person: by the command line and by the page.
+`RunReport` is the outcome of every verb that makes something: which days were planned and what became of
+them, what went wrong and what to do about it, where the outputs are. `exit_code` follows from it.
+`error_fields` returns any error as the command line and the page show it.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-#: Told (stage, done, total) while a run goes on.
+#: Called with (stage, done, total) while a run goes on.
 Progress = Callable[[str, int, int], None]
 
 #: What can become of a planned day, in the order it is shown.
@@ -104,7 +101,7 @@ class RunReport:
             "run": self.run,
             "context": self.context,
             "days": dict(self.days),
-            "problems": [_whole_problem(item) for item in self.problems],
+            "problems": [problem("", "") | item for item in self.problems],
             "outputs": list(self.outputs),
             **self.extra,
         }
@@ -119,41 +116,44 @@ class RunReport:
         )
 
 
-def _whole_problem(item: Mapping[str, str]) -> dict[str, str]:
-    return dict.fromkeys(("day", "channel", "cause", "remedy", "message"), "") | dict(item)
+def problem(
+    cause: str, message: str, *, day: object = "", channel: str = "", remedy: str = ""
+) -> dict[str, str]:
+    """Return one entry of `RunReport.problems`."""
+    return {"day": str(day), "channel": channel, "cause": cause, "remedy": remedy, "message": message}
 
 
 def no_work_problems(no_work: Mapping[Any, str]) -> list[dict[str, str]]:
     """Return days without a measurement as entries of `RunReport.problems`: day -> what is missing."""
     return [
-        {
-            "day": str(day),
-            "channel": "",
-            "cause": "no_work",
-            "remedy": "ingest the day's files",
-            "message": message,
-        }
+        problem("no_work", message, day=day, remedy="ingest the day's files")
         for day, message in no_work.items()
     ]
 
 
 def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
     """Return an error as one entry of `RunReport.problems`."""
-    return {
-        "day": error.day or day,
-        "channel": error.channel,
-        "cause": error.cause,
-        "remedy": error.remedy,
-        "message": f"{error.file}: {error.message}" if error.file else error.message,
-    }
+    message = f"{error.file}: {error.message}" if error.file else error.message
+    return problem(error.cause, message, day=error.day or day, channel=error.channel, remedy=error.remedy)
 
 
 def print_report(report: RunReport, console: Console) -> None:
     """Print a report for a person: one line of counts, a short table of problems, the outputs."""
+    from rich.markup import escape
+    from rich.table import Table
+
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.days.items() if count)
     console.print(f"[bold]{report.command}[/bold]: days {counts or 'none'}", highlight=False)
     if report.problems:
-        console.print(_problem_table(report.problems))
+        table = Table(box=None, pad_edge=False)
+        for name in ("day", "where", "cause", "what was found", "what to do"):
+            table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
+        for item in report.problems[:SHOWN_PROBLEMS]:
+            whole = problem("", "") | item
+            where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
+            row = (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])
+            table.add_row(*map(escape, row))
+        console.print(table)
     hidden = len(report.problems) - SHOWN_PROBLEMS
     if hidden > 0:
         console.print(f"... and {hidden} more; --json lists all", highlight=False)
@@ -164,20 +164,6 @@ def print_report(report: RunReport, console: Console) -> None:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     if len(report.outputs) > SHOWN_OUTPUTS:
         console.print(f"  ... and {len(report.outputs) - SHOWN_OUTPUTS} more", highlight=False)
-
-
-def _problem_table(problems: list[dict[str, str]]) -> Any:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for name in ("day", "where", "cause", "what was found", "what to do"):
-        table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
-    for item in problems[:SHOWN_PROBLEMS]:
-        whole = _whole_problem(item)
-        where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
-        table.add_row(*map(escape, (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])))
-    return table
 
 
 def to_json(fields: Mapping[str, Any]) -> str:
@@ -200,7 +186,7 @@ def _plain(value: Any) -> Any:
 def error_fields(error: Exception) -> Mapping[str, str]:
     """Return ``kind``, ``message``, ``remedy``, ``file``, ``channel`` and ``day`` of any error.
 
-    One that is not an `InflightError` is a defect of the software, and told as one.
+    One that is not an `InflightError` is a defect of the software, and the message says so.
     """
     error = as_settings_error(error)
     if isinstance(error, InflightError):
@@ -216,19 +202,18 @@ def error_fields(error: Exception) -> Mapping[str, str]:
 
 
 def as_settings_error(error: Exception) -> Exception:
-    """Return pydantic's complaint about an option as ours; every other error as it is."""
-    complaints = getattr(error, "errors", None)
-    if type(error).__name__ != "ValidationError" or not callable(complaints):
+    """Return pydantic's error about an option as a `SettingsError`; every other error as it is."""
+    details = getattr(error, "errors", None)
+    if type(error).__name__ != "ValidationError" or not callable(details):
         return error
-    told = "; ".join(_complaint(item) for item in complaints())
-    return SettingsError(told, remedy="correct the option and run the command again")
-
-
-def _complaint(item: Mapping[str, Any]) -> str:
-    place = ".".join(map(str, item["loc"])) or "settings"
-    if item["type"].startswith("date_"):
-        return f"{place}: {str(item['input'])!r} is no date; write YYYY-MM-DD, as in 2024-03-01"
-    return f"{place}: {item['msg'].removeprefix('Value error, ')}"
+    messages = []
+    for item in details():
+        place = ".".join(map(str, item["loc"])) or "settings"
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"].startswith("date_"):
+            message = f"{str(item['input'])!r} is no date; write YYYY-MM-DD, as in 2024-03-01"
+        messages.append(f"{place}: {message}")
+    return SettingsError("; ".join(messages), remedy="correct the option and run the command again")
 
 
 def location_of(fields: Mapping[str, str]) -> str:

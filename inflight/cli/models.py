@@ -36,14 +36,14 @@ def show_model(
     """Show the effects of a model in the order of correction, with values and uncertainties."""
     from inflight.model import parse_tree
 
-    found = _versions(command, comparison).named(named)
+    found = _versions(command, comparison).find(named)
     tree = parse_tree(found.text)
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
         parent = f" (from version {found.fields['parent']})" if found.fields["parent"] else ""
         why = f": {message}" if message else ""
-        console.print(f"{found.told}{parent}{why}", soft_wrap=True, markup=False)
+        console.print(f"{found.label}{parent}{why}", soft_wrap=True, markup=False)
         columns = ("effect", "sensor", "parameter", "value", "sigma", "unit", "time", "fit")
         console.print(text_table(columns, _rows(tree), right=("value", "sigma")))
         for entry in tree["effects"]:
@@ -66,11 +66,11 @@ def diff_models(
     from inflight.model import changes, parse_tree
 
     versions = _versions(command, comparison)
-    old, new = versions.named(before), versions.named(after)
+    old, new = versions.find(before), versions.find(after)
     found = changes(parse_tree(old.text)["effects"], parse_tree(new.text)["effects"])
 
     def show(console: Console) -> None:
-        console.print(f"{old.told} -> {new.told}")
+        console.print(f"{old.label} -> {new.label}")
         for change in found:
             console.print(f"  {change['sentence']}", soft_wrap=True, markup=False)
         if not found:

@@ -75,7 +75,7 @@ class Revision:
     ----------
     command, effect : str
         What was asked for.
-    model : UsedModel
+    model : VersionedModel
         The new version.
     parent : int
         The version before.

@@ -1,8 +1,8 @@
 """`check_pipeline`: whether a class keeps what `reprocess`, `compare`, the verbs and the explorer rely on.
 
 It takes a pipeline and, for the checks that need measurements, a small workspace with an archive. There it
-makes a plan, a day, a whole run and the same run again, as `reprocess` does, and looks at what was published.
-All that fails is collected and said at once, each time with what to mend.
+makes a plan, a day, a whole run and the same run again, as `reprocess` does, and examines what was published.
+All that fails is collected and listed at once, each time with what to mend.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, Day, Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.conformance import Faults
 from inflight.mission import Mission
 from inflight.samples import base_channels
@@ -44,7 +44,7 @@ _GUIDE = "docs/how-to/own-pipeline.md"
 def check_pipeline(
     pipeline: Pipeline, workspace: Workspace | None = None, settings: ReprocessSettings | None = None
 ) -> None:
-    """Check that a pipeline keeps its contract; say nothing when it does.
+    """Check that a pipeline keeps its contract.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def check_pipeline(
         It need not be among `PIPELINES`.
     workspace : Workspace, optional
         With some days in its archive of a comparison that the pipeline handles: a copy, because tables and
-        products are published in it. Without one, only what the class says of itself is checked.
+        products are published in it. Without one, only the class itself is checked.
     settings : ReprocessSettings, optional
         Which comparison, and which table products take; the comparison ``main`` when absent.
 
@@ -72,22 +72,22 @@ def check_pipeline(
         faults.collect(check, pipeline)
     if workspace is not None and not faults.found:
         case = _Case(pipeline, workspace, settings or ReprocessSettings())
-        for look in (_handles_the_comparison, _names_known_channels, _keeps_keys, _makes_a_day):
-            faults.collect(look, case)
+        for check_case in (_handles_the_comparison, _names_known_channels, _keeps_keys, _makes_a_day):
+            faults.collect(check_case, case)
         if not faults.found:
-            for look in (_runs, _runs_again, _publishes_tables, _publishes_products, _is_shown):
-                faults.collect(look, case)
+            for check_case in (_runs, _runs_again, _publishes_tables, _publishes_products, _is_shown):
+                faults.collect(check_case, case)
     faults.require_none(f"pipeline {pipeline.tag!r}", _GUIDE)
 
 
-# --- what the class says of itself ----------------------------------------------------------------------
+# --- the class itself -----------------------------------------------------------------------------------
 
 
 def _describes_itself(pipeline: Pipeline) -> Iterator[str]:
     kind = type(pipeline)
     known = {*dir(Pipeline), *Pipeline.__annotations__}
     if not (kind.__dict__.get("__doc__") or "").strip():
-        yield "the class has no docstring; say what is measured against what, and what a day leaves"
+        yield "the class has no docstring; say what is measured against what, and what is kept of a day"
     if not isinstance(pipeline.tag, str) or not pipeline.tag.isidentifier():
         yield f"tag is {pipeline.tag!r}; give one word, as users will call it"
     for name, member in kind.__dict__.items():
@@ -114,12 +114,12 @@ def _has_versions(pipeline: Pipeline) -> Iterator[str]:
 
 def _is_complete(pipeline: Pipeline) -> Iterator[str]:
     kind = type(pipeline)
-    wanted = {
+    required = {
         "make_day": bool(pipeline.statistics),
         "make_product": pipeline.has_products,
         "compare": pipeline.has_products,
     }
-    for name, needed in wanted.items():
+    for name, needed in required.items():
         own = getattr(kind, name) is not getattr(Pipeline, name)
         if needed != own:
             yield f"{name} is {'missing' if needed else 'never called'}: see 'statistics' and 'has_products'"
@@ -172,8 +172,8 @@ class _Case:
 
 def _handles_the_comparison(case: _Case) -> Iterator[str]:
     for name in case.mission.comparisons:
-        asked = case.settings.model_copy(update={"comparison": name})
-        answer: object = case.pipeline.handles(case.mission, asked)
+        settings = case.settings.model_copy(update={"comparison": name})
+        answer: object = case.pipeline.handles(case.mission, settings)
         if not isinstance(answer, bool):
             yield f"handles answers {answer!r} of comparison {name!r}; answer True or False"
         elif name == case.comparison and not answer:
@@ -225,7 +225,7 @@ def _makes_a_day(case: _Case) -> Iterator[str]:
             yield "start and end of the statistics are no part of the day"
     to_json(report)
     if len(case.pipeline.unify_variables([made])) != 1:
-        yield "alike gives another number of days than it was given"
+        yield "unify_variables gives another number of days than it was given"
 
 
 def _runs(case: _Case) -> Iterator[str]:
@@ -279,24 +279,20 @@ def _publishes_products(case: _Case) -> Iterator[str]:
         return
     for day in published_products(case.cat, case.comparison, slice(None, None)):
         product = case.cat.read(day, with_time=False)
-        yield from (f"{day.day}: {fault}" for fault in _faults_of_product(product, day))
-
-
-def _faults_of_product(product: xr.Dataset, day: Day) -> Iterator[str]:
-    for name in ("tt2000", "flag"):
-        if name not in product.variables:
-            yield f"the product has no {name}"
-            return
-    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-    start, end = day_bounds(day.day)
-    if not (np.diff(stamps) > 0).all() or stamps[0] < start or stamps[-1] >= end:
-        yield "tt2000 does not ascend within the day"
-    for variable, values in product.data_vars.items():
-        if values.dtype.kind == "f" and "units" not in values.attrs:
-            yield f"variable {variable!r} has no units; write '1' for a number without"
-    for key in ("coverage", "samples"):
-        if key not in day.report:
-            yield f"the report of a product has no {key!r}"
+        missing = [name for name in ("tt2000", "flag") if name not in product.variables]
+        if missing:
+            yield f"{day.day}: the product has no {missing[0]}"
+            continue
+        stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
+        start, end = day_bounds(day.day)
+        if not (np.diff(stamps) > 0).all() or stamps[0] < start or stamps[-1] >= end:
+            yield f"{day.day}: tt2000 does not ascend within the day"
+        for variable, values in product.data_vars.items():
+            if values.dtype.kind == "f" and "units" not in values.attrs:
+                yield f"{day.day}: variable {variable!r} has no units; write '1' for a number without"
+        for key in ("coverage", "samples"):
+            if key not in day.report:
+                yield f"{day.day}: the report of a product has no {key!r}"
 
 
 def _is_shown(case: _Case) -> Iterator[str]:
@@ -307,7 +303,7 @@ def _is_shown(case: _Case) -> Iterator[str]:
         return
     span = slice(None, None)
     days = published_products(case.cat, case.comparison, span)
-    found = case.pipeline.compare(case.cat, case.mission, case.comparison, days, span, _no_progress)
+    found = case.pipeline.compare(case.cat, case.mission, case.comparison, days, span, lambda *_: None)
     fields: dict[str, Any] = found.report.as_json()
     to_json(fields)
     for name in ("command", "comparison", "residual", "fails_where", "path"):
@@ -315,7 +311,3 @@ def _is_shown(case: _Case) -> Iterator[str]:
             yield f"the JSON of compare has no {name!r}"
     if not found.parts or not found.report.summary():
         yield "compare shows nothing"
-
-
-def _no_progress(stage: str, done: int, total: int) -> None:
-    """Take a report of progress that nobody watches."""

@@ -10,7 +10,7 @@ from inflight.errors import MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
-from inflight.tasks.pipelines.base import Pipeline, Plan, Report, ReprocessSettings, carry_out
+from inflight.tasks.pipelines.base import Pipeline, Report, ReprocessSettings, carry_out
 from inflight.tasks.pipelines.mission import MissionPipeline
 from inflight.tasks.pipelines.relation import RelationPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
@@ -64,31 +64,6 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )
     return found
-
-
-def plan(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
-    settings: ReprocessSettings | None = None,
-) -> Plan:
-    """Find out what has to be done for the half-open span of UTC days.
-
-    Parameters
-    ----------
-    start, end : UTC date, optional
-        All there is when absent.
-
-    Raises
-    ------
-    MissionError
-        When the mission has no such comparison, or one in which nothing is calibrated.
-    CatalogError
-        When there is no day to work on in the span.
-    """
-    settings = settings or ReprocessSettings()
-    return pipeline_of(mission, settings.comparison, settings).make_plan(cat, mission, settings, (start, end))
 
 
 def reprocess(

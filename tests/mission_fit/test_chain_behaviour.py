@@ -1,5 +1,6 @@
 """Behaviour over two years of daily values, made up: what was put in is told, figure by figure."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import xarray as xr
 
 from inflight.figures import html_page
+from inflight.tasks.pipelines.mission.fit import MissionFitResults
 from inflight.tasks.pipelines.mission.parameter_sections import behaviour, clock, temperature
 from inflight.time import DAY, day_bounds
 
@@ -46,7 +48,7 @@ def found():
         periods={"orbit": 5580 * 10**9, "local_time": round(260.5 * DAY)}, events=[event]
     )
     tables = {"daily-after": daily, "daily-temperature": means}
-    return SimpleNamespace(tables=tables, mission=mission, why_absent=lambda name, *_: f"no {name}")
+    return MissionFitResults(mission, "main", None, None, "", [], [], tables)
 
 
 def test_periods_means_and_steps_are_told(found):
@@ -78,7 +80,7 @@ def test_a_lag_behind_the_temperature_opens_the_loop(found):
 
 
 def test_without_daily_values_the_reason_stands_there(found):
-    empty = SimpleNamespace(tables={}, mission=found.mission, why_absent=lambda name, *_: f"no {name}")
+    empty = replace(found, tables={}, skipped={"daily-after": "no daily-after"})
     for make in (behaviour, clock, temperature):
         part = make(empty)
         assert list(part.absent.values()) == ["no daily-after"]

@@ -20,7 +20,7 @@ from inflight.dual import (
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.archive import ingest, simulate_dual
-from inflight.tasks.pipelines import ReprocessSettings, plan
+from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 from inflight.tasks.pipelines.states import constant_sentences
 from inflight.tasks.pipelines.states.day import body_of, correction_of, table_of, window_readings
 from inflight.tasks.pipelines.states.tables import (
@@ -43,7 +43,8 @@ def days(tmp_path_factory):
     simulate_dual(DualSettings(days=2, seed=102, overrides={"cadence": 8.0}), made.data, workers=1)
     cat, mission = Catalog(made.root), made.mission()
     assert ingest(cat, mission, made.data).days["failed"] == 0
-    planned = plan(cat, mission, settings=ReprocessSettings(table="daily"))
+    settings = ReprocessSettings(table="daily")
+    planned = pipeline_of(mission, "main", settings).make_plan(cat, mission, settings, (None, None))
     return [forced(cat, mission, planned, day) for day in planned.days]
 
 

@@ -1,4 +1,4 @@
-from .compare_report import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
+from .compare_report import CompareReport, CompareResult, Report, scatter_html, structures_html
 from .compare_rows import (
     Sources,
     Spans,
@@ -17,21 +17,17 @@ from .planning import (
     Plan,
     ReprocessSettings,
     equations_of,
-    plan_archive_days,
     plan_days,
     product_of,
 )
 from .publication import (
-    Certificate,
     Reprocessing,
     Solved,
-    TableStager,
     UsedTable,
     adopt_days,
     record_failure,
     register_outcome,
     rounded,
-    table_row_hash,
 )
 from .reprocessing import carry_out, product_key, residual_of_days
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
@@ -39,7 +35,6 @@ from .tables import content_keys, month_edges, newest_record, newest_table, newe
 __all__ = [
     "ONE_DAY",
     "Batch",
-    "Certificate",
     "CompareReport",
     "CompareResult",
     "Failure",
@@ -55,8 +50,6 @@ __all__ = [
     "Solved",
     "Sources",
     "Spans",
-    "Structure",
-    "TableStager",
     "TablesReport",
     "TextLine",
     "UsedTable",
@@ -75,7 +68,6 @@ __all__ = [
     "newest_table",
     "newest_tables",
     "page_sections",
-    "plan_archive_days",
     "plan_days",
     "product_key",
     "product_of",
@@ -88,7 +80,6 @@ __all__ = [
     "scalar_channels",
     "scatter_html",
     "structures_html",
-    "table_row_hash",
     "window_edges",
     "with_error",
 ]

@@ -99,7 +99,6 @@ class CompareReport:
     path: Path | None = None
     skipped: int = 0
     outliers: int = 0
-    acknowledgement: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""

@@ -2,7 +2,7 @@
 
 `ReprocessSettings` is what a user may choose; a `Plan` is made from it, the archive and the model in use.
 Each planned day has a key, a hash of everything its statistics are made from: a day whose published
-statistics carry the same key is left alone.
+statistics carry the same key is not made anew.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Plan:
     Attributes
     ----------
     settings : ReprocessSettings
-    used : UsedModel
+    used : VersionedModel
         The model, with the version the catalog knows it by.
     context : str
         Id of mission, model and version in the catalog.
@@ -174,7 +174,7 @@ def plan_days(
 
     Parameters
     ----------
-    used : UsedModel
+    used : VersionedModel
     equations : str
         Dataset of the days' statistics.
     version : int

@@ -17,6 +17,7 @@ from inflight.model import Model
 from inflight.tasks.batches import Mapper
 from inflight.tasks.pipelines.base.job import Failure, Job, Outcome
 from inflight.tasks.pipelines.base.planning import Plan
+from inflight.tasks.report import problem
 from inflight.time import day_bounds
 
 #: A table to certify: its id, the span it holds for in TT2000, and the context (None for any).
@@ -228,13 +229,9 @@ def record_failure(
 ) -> None:
     """Register with the run why a day could not be made, and add it to `failed`."""
     run.record(dataset, day, "failed", failure.cause, failure.message)
-    failed[day] = {
-        "day": str(day),
-        "channel": failure.channel,
-        "cause": failure.cause,
-        "remedy": failure.remedy,
-        "message": failure.message,
-    }
+    failed[day] = problem(
+        failure.cause, failure.message, day=day, channel=failure.channel, remedy=failure.remedy
+    )
 
 
 def rounded(product: xr.Dataset) -> xr.Dataset:

@@ -34,12 +34,12 @@ _MOST_PASSES = 4
 
 
 def carry_out(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, mapper: Mapper) -> RunReport:
-    """Do what a plan says, publish it as one run, and report.
+    """Carry out a plan, publish it as one run, and return its report.
 
     Raises
     ------
     InflightError
-        When the tables of all days cannot be made; what days have is kept for the next run.
+        When the tables of all days cannot be made; statistics of days remain for the next run.
     """
     with cat.run("reprocess", plan.recorded, context=plan.context) as run:
         work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
@@ -79,18 +79,18 @@ def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
     """Make the statistics of days until they are linearised near enough to their solution."""
     plan = work.plan
     published = work.cat.days(plan.equations, states=("published",))
-    kept = {day.day: day for day in published if plan.keys.get(day.day) == day.key}
+    current = {day.day: day for day in published if plan.keys.get(day.day) == day.key}
     # Days outside the span that were made with the same mission and model.
     others = {day.day: day for day in published if day.day not in plan.keys and day.context == plan.context}
     fresh = _make_pass(pipeline, work, plan.batches, plan.reference)
     last: Sequence[float] | None = plan.reference
     for _ in range(_MOST_PASSES):
-        last = pipeline.linearise_at(work.cat, plan, others | kept | fresh, last) if fresh else None
+        last = pipeline.linearise_at(work.cat, plan, others | current | fresh, last) if fresh else None
         if last is None:
             break
         batches = plan.in_batches([day for day in plan.days if day not in work.failed])
         fresh = _make_pass(pipeline, work, batches, last)
-    return _Statistics(others | kept | fresh, list(fresh))
+    return _Statistics(others | current | fresh, list(fresh))
 
 
 def _make_pass(
@@ -102,10 +102,10 @@ def _make_pass(
     """Make and stage the statistics of batches of days; return the staged days."""
     plan, fresh = work.plan, {}
     if reference is None:
-        # A run killed amid a later pass leaves equations linearised here and there, and one killed after
-        # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
-        asked = [day for batch in batches for day in batch]
-        adopted = adopt_days(work.run, plan.equations, plan.keys, asked)
+        # Statistics that a killed run linearised in a later pass differ in their bytes from those of an
+        # undisturbed run: only those of the first pass are adopted.
+        days = [day for batch in batches for day in batch]
+        adopted = adopt_days(work.run, plan.equations, plan.keys, days)
         fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
     todo = [[day for day in batch if day not in fresh] for batch in batches]
     arguments = [
@@ -172,7 +172,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
                 preflight=plan.model,
             )
             arguments.append((pipeline, batch))
-    done, reports = set(adopted), {}
+    done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()
     for outcome in work.mapper("produce", product_batch, arguments):
         fresh = register_outcome(work.run, plan.product, outcome, work.failed)
         done |= {day.day for day in fresh}

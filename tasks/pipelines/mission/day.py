@@ -271,9 +271,8 @@ def mission_statistics(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, di
     means = _channel_means(batch, day, samples, channels)
     if not fit.used:
         # Fields without the channels the model needs: no equations, and a product all the same.
-        return pack_parts(
-            empty_equations(model, span, fitted.attributes).assign(own_fit), {"channel": means}
-        ), fitted.report
+        empty = empty_equations(model, span, fitted.attributes).assign(own_fit)
+        return pack_parts(empty, {"channel": means}), fitted.report
     own = with_nine_parameters(model, fit.value)
     rows = rows_of(own, samples)
     auxiliary = AuxiliaryColumns(channels.temperatures, channels.orbit)

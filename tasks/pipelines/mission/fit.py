@@ -19,11 +19,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day, Run
-from inflight.errors import CalibrationError, CatalogError, InflightError, SettingsError
+from inflight.errors import CalibrationError, CatalogError, InflightError, SamplesError, SettingsError
 from inflight.mission import Mission
 from inflight.mission_fit import (
     MissionFit,
-    concat_band_equations,
     concat_epochs,
     continuous_table,
     daily_fits,
@@ -36,7 +35,7 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
-from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, product_of
+from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, newest_tables, product_of
 from inflight.tasks.pipelines.mission.day import equations_of_days, unpack_part
 from inflight.tasks.pipelines.mission.tables import (
     AUXILIARY_TABLES,
@@ -206,8 +205,6 @@ class MissionFitResults:
         Theirs: parts, `before` and `after`.
     tables : dict of str to Dataset
         Those of `TABLES`; ``z-offset``, of the products; ``window``, of another reprocessing.
-    ids : dict of str to int
-        Of the tables.
     skipped : dict of str to str
         Why a table is not there.
     reports : mapping of datetime64[D] to mapping
@@ -222,13 +219,23 @@ class MissionFitResults:
     days: list[Day]
     read: list[xr.Dataset]
     tables: dict[str, xr.Dataset]
-    ids: dict[str, int]
     skipped: dict[str, str] = field(default_factory=dict)
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
-    def why_absent(self, *names: str) -> str:
-        """Return why the first of some tables that is absent is not there."""
-        name = next(name for name in names if name not in self.tables)
+    def table(self, name: str) -> xr.Dataset:
+        """Return a table.
+
+        Raises
+        ------
+        SamplesError
+            When it is absent; the message says why.
+        """
+        if name not in self.tables:
+            raise SamplesError(self.why_absent(name))
+        return self.tables[name]
+
+    def why_absent(self, name: str) -> str:
+        """Return why a table is absent."""
         return self.skipped.get(name) or f"table {self.comparison}-{name} is not there; {_REMEDY}"
 
     @cached_property
@@ -236,12 +243,6 @@ class MissionFitResults:
         """Epochs of all days at which the first current steps; None without any."""
         parts = unpack_part(self.read, "epoch")
         return concat_epochs(parts) if parts else None
-
-    @cached_property
-    def band(self) -> xr.Dataset | None:
-        """Equations of the torquers' band of all days; None without torquers."""
-        parts = unpack_part(self.read, "band")
-        return concat_band_equations(parts) if parts else None
 
     @property
     def span(self) -> list[str]:
@@ -275,17 +276,14 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
     days.sort(key=lambda day: day.day)
     if not days:
         raise CatalogError("the days of the published chain are gone", remedy=_REMEDY)
-    tables, ids = _tables_of_one_fit(cat, comparison)
+    tables = _tables_of_one_fit(cat, comparison)
     skipped: dict[str, str] = (
         json.loads(tables["trend"].attrs.get(SKIPPED, "{}")) if "trend" in tables else {}
     )
     # Only products of this fit have the spread of their residual in their report.
     products = cat.days(product_of(comparison), states=("published",))
     reports = {day.day: day.report for day in products if day.report.get("spread")}
-    for name in ("z-offset", "window"):
-        record = newest_record(cat, f"{comparison}-{name}")
-        if record is not None:
-            tables[name], ids[name] = cat.table_by_id(record.id), record.id
+    tables |= newest_tables(cat, comparison, ("z-offset", "window"))
     if "window" not in tables:
         skipped["window"] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"
@@ -310,16 +308,14 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
         days=days,
         read=read,
         tables=tables,
-        ids=ids,
         skipped=skipped,
         reports=reports,
     )
 
 
-def _tables_of_one_fit(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], dict[str, int]]:
-    """Return the newest certified tables of the newest fit, and their ids, by name."""
+def _tables_of_one_fit(cat: Catalog, comparison: str) -> dict[str, xr.Dataset]:
+    """Return the newest certified tables of the newest fit, by name."""
     tables: dict[str, xr.Dataset] = {}
-    ids: dict[str, int] = {}
     for name in TABLES:
         for record in reversed(cat.tables(f"{comparison}-{name}")):
             if record.damaged or not record.certified:
@@ -327,9 +323,9 @@ def _tables_of_one_fit(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Data
             table = cat.table_by_id(record.id)
             # The first of the names is the fit itself, the newest there is.
             if not tables or table.attrs.get(FIT_KEY) == tables[TABLES[0]].attrs.get(FIT_KEY):
-                tables[name], ids[name] = table, record.id
+                tables[name] = table
                 break
-    return tables, ids
+    return tables
 
 
 def _models_of_fit(cat: Catalog, mission: Mission, comparison: str, day: Day) -> tuple[Model, Model, str]:

@@ -102,20 +102,18 @@ def deviations(daily: xr.Dataset) -> list[Deviation]:
 def behaviour(found: MissionFitResults) -> Part:
     """What still varies from day to day: size, periods, running means, steps."""
     part = Part("behaviour", "Behaviour of daily parameters")
-    daily = found.tables.get("daily-after")
-    if daily is None:
-        part.add_absent("Parameters of each day", found.why_absent("daily-after"))
-        return part
-    part.add_text(
-        "Each day's own parameters less the continuous ones, everything else at the fit of all days. What "
-        "is left here repeats, steps or wanders beyond what a trend can say."
-    )
-    series, mjd = deviations(daily), middles(daily)
-    _add_scatter(part, series)
-    _add_periods(part, found, daily)
-    _add_means(part, series, mjd)
-    _add_event_steps(part, found, daily, series)
-    _add_weekdays(part, series, mjd)
+    with part.optional("Parameters of each day"):
+        daily = found.table("daily-after")
+        part.add_text(
+            "Each day's own parameters less the continuous ones, everything else at the fit of all days. "
+            "What is left here repeats, steps or wanders beyond what a trend can say."
+        )
+        series, mjd = deviations(daily), middles(daily)
+        _add_scatter(part, series)
+        _add_periods(part, found, daily)
+        _add_means(part, series, mjd)
+        _add_event_steps(part, found, daily, series)
+        _add_weekdays(part, series, mjd)
     return part
 
 
@@ -254,63 +252,63 @@ def _add_weekdays(part: Part, series: Sequence[Deviation], mjd: Floats) -> None:
 def clock(found: MissionFitResults) -> Part:
     """Spans of days on which a clock was wrong."""
     part = Part("clock_faults", "Clock")
-    daily = found.tables.get("daily-after")
-    if daily is None:
-        part.add_absent("Time shift of each day", found.why_absent("daily-after"))
-        return part
-    with part.optional("Clock faults"):
-        faults, shift = faults_of(daily)
-        _, sigma = time_shifts(daily)
-        sentences = faults.told()
-        usual = 1e3 * float(np.median(shift[np.isfinite(shift)]))
-        part.fields = {"faults": [vars(one) for one in faults.faults], "told": sentences, "usual_ms": usual}
-        part.add_text(
-            f"The time shift is usually {usual:.3f} ms. "
-            + ("; ".join(sentences) if sentences else "No span of days stands out.")
-        )
-        part.plots.append(clock_figure(faults, shift, sigma))
+    with part.optional("Time shift of each day"):
+        daily = found.table("daily-after")
+        with part.optional("Clock faults"):
+            faults, shift = faults_of(daily)
+            _, sigma = time_shifts(daily)
+            sentences = faults.told()
+            usual = 1e3 * float(np.median(shift[np.isfinite(shift)]))
+            part.fields = {
+                "faults": [vars(one) for one in faults.faults],
+                "told": sentences,
+                "usual_ms": usual,
+            }
+            part.add_text(
+                f"The time shift is usually {usual:.3f} ms. "
+                + ("; ".join(sentences) if sentences else "No span of days stands out.")
+            )
+            part.plots.append(clock_figure(faults, shift, sigma))
     return part
 
 
 def temperature(found: MissionFitResults) -> Part:
     """Daily parameters against the day's temperature: what they follow still, and the loop."""
     part = Part("temperature", "Against temperature")
-    daily, temperatures = found.tables.get("daily-after"), found.tables.get("daily-temperature")
-    if daily is None or temperatures is None:
-        reason = found.why_absent("daily-after", "daily-temperature")
-        part.add_absent("Parameters against temperature", reason)
-        return part
-    first = temperatures.isel(channel=0)
-    channel = str(first["channel"].item())
-    means = dict(zip(first["start"].values.tolist(), first["value"].values.tolist(), strict=True))
-    degrees = np.array([means.get(start, np.nan) for start in daily["start"].values.tolist()])
-    part.fields = {"channel": channel, "correlation": {}, "loops": {}}
-    part.add_text(
-        f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous ones."
-    )
-    why: dict[str, None] = {}
-    for name, short, value, sigma, unit in deviations(daily):
-        both = np.isfinite(value) & np.isfinite(degrees)
-        if both.sum() < 3:
-            why.setdefault(f"{int(both.sum())} days have parameter and temperature")
-            continue
-        part.fields["correlation"][name] = float(np.corrcoef(degrees[both], value[both])[0, 1])
-        try:
-            loop = hysteresis_loop(middles(daily), degrees, value, unit)
-        except InflightError as error:
-            why.setdefault(error.message)
-            title = f"{short} against temperature"
-            part.plots.append(temperature_figure(degrees[both], value[both], sigma[both], title, unit))
-            continue
-        part.fields["loops"][name] = {
-            "area": loop.area,
-            "sigma": loop.sigma,
-            "open": loop.is_open,
-            "unit": f"{unit} K",
-        }
-        part.plots.append(hysteresis_figure(loop, short))
-    for reason in why:
-        part.add_absent("Loop against temperature", reason)
+    with part.optional("Parameters against temperature"):
+        daily, temperatures = found.table("daily-after"), found.table("daily-temperature")
+        first = temperatures.isel(channel=0)
+        channel = str(first["channel"].item())
+        means = dict(zip(first["start"].values.tolist(), first["value"].values.tolist(), strict=True))
+        degrees = np.array([means.get(start, np.nan) for start in daily["start"].values.tolist()])
+        part.fields = {"channel": channel, "correlation": {}, "loops": {}}
+        part.add_text(
+            f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous "
+            "ones."
+        )
+        why: dict[str, None] = {}
+        for name, short, value, sigma, unit in deviations(daily):
+            both = np.isfinite(value) & np.isfinite(degrees)
+            if both.sum() < 3:
+                why.setdefault(f"{int(both.sum())} days have parameter and temperature")
+                continue
+            part.fields["correlation"][name] = float(np.corrcoef(degrees[both], value[both])[0, 1])
+            try:
+                loop = hysteresis_loop(middles(daily), degrees, value, unit)
+            except InflightError as error:
+                why.setdefault(error.message)
+                title = f"{short} against temperature"
+                part.plots.append(temperature_figure(degrees[both], value[both], sigma[both], title, unit))
+                continue
+            part.fields["loops"][name] = {
+                "area": loop.area,
+                "sigma": loop.sigma,
+                "open": loop.is_open,
+                "unit": f"{unit} K",
+            }
+            part.plots.append(hysteresis_figure(loop, short))
+        for reason in why:
+            part.add_absent("Loop against temperature", reason)
     return part
 
 
@@ -323,10 +321,8 @@ _ANGLE = (3600.0, "arcsec")
 def coil_temperature(found: MissionFitResults) -> Part:
     """What the scale factors follow: coefficients of the coil's temperature, its lag, and rivals."""
     part = Part("coil_temperature", "Temperature of the coil")
-    table = found.tables.get("coil-temperature")
-    if table is None:
-        part.add_absent("Lag of the coil's temperature", found.why_absent("coil-temperature"))
-    else:
+    with part.optional("Lag of the coil's temperature"):
+        table = found.table("coil-temperature")
         fit = CoilFit.of_table(table)
         part.fields = _coefficient_fields(table) | {"told": fit.told(), "channel": fit.channel}
         part.add_text(
@@ -340,15 +336,12 @@ def coil_temperature(found: MissionFitResults) -> Part:
             low = float((own["value"] - 2.0 * own["spread"]).min())
             high = float((own["value"] + 2.0 * own["spread"]).max())
         part.plots.append(scale_curves_figure(fit, np.linspace(low, high, 61)))
-    rivals = found.tables.get("temperature-rivals")
-    if rivals is None:
-        part.add_absent("Rival temperatures", found.why_absent("temperature-rivals"))
-        return part
-    choice = TemperatureChoice.of_table(rivals)
-    part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
-    part.fields["choice"] = choice.summary()
-    part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.summary()}.")
-    part.plots.append(rivals_figure(choice))
+    with part.optional("Rival temperatures"):
+        choice = TemperatureChoice.of_table(found.table("temperature-rivals"))
+        part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
+        part.fields["choice"] = choice.summary()
+        part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.summary()}.")
+        part.plots.append(rivals_figure(choice))
     return part
 
 
@@ -379,25 +372,20 @@ def day_night(found: MissionFitResults) -> Part:
     """The field of day and night beside the model, and what daily angles do without and with it."""
     part = Part("day_night", "Day and night")
     for name, what in (("day-night", "Switched field"), ("day-night-series", "Series along the orbit")):
-        table = found.tables.get(name)
-        if table is None:
-            part.add_absent(what, found.why_absent(name))
-            continue
-        before, after = table.attrs["before_nT"], table.attrs["after_nT"]
-        fields = _coefficient_fields(table)
-        part.fields[name] = fields | {"before_nT": before, "after_nT": after}
-        part.add_text(
-            f"{what}, vector less scalar sensor, beside everything the model has: residual of all days "
-            f"{before:.5g} nT without and {after:.5g} nT with it."
-        )
-        part.text.append(_coefficient_table(fields["items"]))
-        if name == "day-night-series":
-            part.plots.append(day_night_figure(DayNightField.of_table(table)))
-    ignored, added = found.tables.get("daily-after"), found.tables.get("day-night-daily")
-    if ignored is None or added is None:
-        part.add_absent("Wander of the angles", found.why_absent("daily-after", "day-night-daily"))
-        return part
-    _add_angles(part, found, ignored, added)
+        with part.optional(what):
+            table = found.table(name)
+            before, after = table.attrs["before_nT"], table.attrs["after_nT"]
+            fields = _coefficient_fields(table)
+            part.fields[name] = fields | {"before_nT": before, "after_nT": after}
+            part.add_text(
+                f"{what}, vector less scalar sensor, beside everything the model has: residual of all days "
+                f"{before:.5g} nT without and {after:.5g} nT with it."
+            )
+            part.text.append(_coefficient_table(fields["items"]))
+            if name == "day-night-series":
+                part.plots.append(day_night_figure(DayNightField.of_table(table)))
+    with part.optional("Wander of the angles"):
+        _add_angles(part, found, found.table("daily-after"), found.table("day-night-daily"))
     return part
 
 
@@ -444,17 +432,14 @@ def _add_angles(part: Part, found: MissionFitResults, ignored: xr.Dataset, added
 def cross_talk(found: MissionFitResults, cause: str = "") -> Part:
     """What an ignored cause does to the nine, and parameters of the whole model to each other."""
     part = Part("cross_talk", "Cross-talk")
-    nine, joint = found.tables.get("cross-talk"), found.tables.get("cross-talk-all")
-    if nine is None:
-        part.add_absent("Shift of the nine", found.why_absent("cross-talk"))
-    else:
-        _add_nine_shifts(part, nine)
-    if joint is None:
-        part.add_absent("Shift of all parameters", found.why_absent("cross-talk-all"))
-        return part
-    _add_joint_shifts(part, joint)
-    if cause:
-        part.fields["asked"] = cross_talk_of(joint, nine, cause)
+    with part.optional("Shift of the nine"):
+        _add_nine_shifts(part, found.table("cross-talk"))
+    with part.optional("Shift of all parameters"):
+        _add_joint_shifts(part, found.table("cross-talk-all"))
+    if cause and "cross-talk-all" in found.tables:
+        part.fields["asked"] = cross_talk_of(
+            found.tables["cross-talk-all"], found.tables.get("cross-talk"), cause
+        )
     return part
 
 

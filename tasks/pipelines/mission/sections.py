@@ -49,7 +49,7 @@ from inflight.mission_fit import (
 from inflight.model import component_names
 from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.mission.fit import MissionFitResults
-from inflight.tasks.pipelines.mission.tables import node_times
+from inflight.tasks.pipelines.mission.tables import node_times, torquer_band
 from inflight.time import Int64, to_utc
 
 
@@ -207,14 +207,14 @@ def trend(found: MissionFitResults) -> Part:
         "have one value. Points are each day's own, with everything else at the fit of all days; the line is "
         "the fit's. Its sigma is mostly common to all days: a field that both sensors may share, say."
     )
-    daily = found.tables.get("daily-after")
-    if daily is None:
-        part.add_absent("Parameters of each day", found.why_absent("daily-after"))
+    daily = table
+    with part.optional("Parameters of each day"):
+        daily = found.table("daily-after")
     names = [str(name) for name in table["parameter"].values]
     for group, title, factor, unit in NINE_SHOWN:
         own = [name for name in names if f".{group}[" in name]
-        points = (table if daily is None else daily).sel(parameter=own)
-        part.plots.append(continuous_figure(points, table.sel(parameter=own), title, factor, unit))
+        points, line = daily.sel(parameter=own), table.sel(parameter=own)
+        part.plots.append(continuous_figure(points, line, title, factor, unit))
     choice = found.tables.get("trend-choice")
     if choice is None:
         reason = found.skipped.get("trend-choice", "the trend was stated, or too few days")
@@ -248,12 +248,8 @@ def rivals_of(table: xr.Dataset) -> TrendComparison:
 def jumps(found: MissionFitResults) -> Part:
     """Steps of a table of windows at their boundaries against the continuous parameters'."""
     part, what = Part("jumps", "Jumps between intervals"), "Jumps of a table of windows"
-    window = found.tables.get("window")
-    if window is None:
-        part.add_absent(what, found.why_absent("window"))
-        return part
     with part.optional(what):
-        steps, continuous = table_jumps(window), found.tables["continuous"]
+        steps, continuous = table_jumps(found.table("window")), found.tables["continuous"]
         inside = (steps.at > continuous["start"].values[0]) & (steps.at < continuous["end"].values[-1])
         own = replace(
             steps,
@@ -381,17 +377,14 @@ def panels(found: MissionFitResults) -> Part:
         part.add_absent("Field by local time", found.why_absent("panels"))
         return part
     with part.optional("Choice of the panels' model"):
-        _add_panel_models(part, found)
+        _add_panel_models(part, found.table("panels"))
     with part.optional("Field by local time"):
         _add_local_time(part, epochs)
     return part
 
 
-def _add_panel_models(part: Part, found: MissionFitResults) -> None:
+def _add_panel_models(part: Part, table: xr.Dataset) -> None:
     """Add the models of panels by their held-out scores, and the coefficients of the chosen one."""
-    table = found.tables.get("panels")
-    if table is None:
-        raise SamplesError(found.why_absent("panels"))
     keys = ("score", "behind", "behind_sigma", "ties")
     rows = zip(*(table[key].values.tolist() for key in keys), strict=True)
     models = [
@@ -451,34 +444,27 @@ def _add_local_time(part: Part, epochs: xr.Dataset) -> None:
 def torquers(found: MissionFitResults) -> Part:
     """The band of the torquers' modulation before and after, the matrix, and the running mean of currents."""
     part = Part("torquers", "Magneto-torquers")
-    matrix, equations = found.tables.get("torquer-band"), found.band
-    if matrix is None or equations is None:
-        part.add_absent("Matrix from the band at 20 s", found.why_absent("torquer-band"))
-    else:
-        _add_torquer_matrix(part, matrix, equations)
-    daily, mean = found.tables.get("torquer-band-daily"), found.tables.get("torquer-band-mean")
-    if daily is None or mean is None:
-        part.add_absent("Matrix of each day", found.why_absent("torquer-band-daily", "torquer-band-mean"))
-    else:
-        part.plots += coefficient_figures(daily, mean)
-    running = found.tables.get("torquer-mean")
-    if running is None:
-        part.add_absent("Running mean of the currents", found.why_absent("torquer-mean"))
-        return part
-    currents = FilledRunningMean(
-        day=to_utc(running["start"].values).astype("datetime64[D]").astype(np.int64),
-        window=float(running.attrs.get("window_days", CURRENT_WINDOW_DAYS)),
-        **{name: running[name].values for name in ("value", "sigma", "coverage", "state", "daily")},
-    )
-    low, high, best = currents.coverage.min(), currents.coverage.max(), int(np.argmax(currents.coverage))
-    part.fields["running_mean"] = {
-        "sentence": currents.sentence,
-        "coverage": [float(low), float(high)],
-        "best_day_A": currents.value[best],
-        "best_day_sigma_A": currents.sigma[best],
-    }
-    part.add_text(f"{currents.sentence}; the window is covered by {low:.0%} to {high:.0%}.")
-    part.plots += torquer_mean_figures(currents, remanent_field(currents))
+    with part.optional("Matrix from the band at 20 s"):
+        _add_torquer_matrix(part, found.table("torquer-band"), torquer_band(found.read))
+    with part.optional("Matrix of each day"):
+        daily = found.table("torquer-band-daily")
+        part.plots += coefficient_figures(daily, found.table("torquer-band-mean"))
+    with part.optional("Running mean of the currents"):
+        running = found.table("torquer-mean")
+        currents = FilledRunningMean(
+            day=to_utc(running["start"].values).astype("datetime64[D]").astype(np.int64),
+            window=float(running.attrs.get("window_days", CURRENT_WINDOW_DAYS)),
+            **{name: running[name].values for name in ("value", "sigma", "coverage", "state", "daily")},
+        )
+        low, high, best = currents.coverage.min(), currents.coverage.max(), int(np.argmax(currents.coverage))
+        part.fields["running_mean"] = {
+            "sentence": currents.sentence,
+            "coverage": [float(low), float(high)],
+            "best_day_A": currents.value[best],
+            "best_day_sigma_A": currents.sigma[best],
+        }
+        part.add_text(f"{currents.sentence}; the window is covered by {low:.0%} to {high:.0%}.")
+        part.plots += torquer_mean_figures(currents, remanent_field(currents))
     return part
 
 
@@ -530,32 +516,29 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
 def offsets(found: MissionFitResults) -> Part:
     """Daily offsets along z from the spread of the products' residual."""
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
-    table = found.tables.get("z-offset")
-    if table is None:
-        part.add_absent("Offsets of each day", found.why_absent("z-offset"))
-        return part
-    own = table.isel(parameter=0)
-    seen, unknown = own["determined"].values.astype(bool), np.full(table.sizes["interval"], np.nan)
-    daily = OffsetsFromSpread(
-        unknown,
-        unknown,
-        **{name: own[name].values for name in ("value", "sigma", "wrong_sign", "slope", "sigma_slope")},
-        seen=seen,
-        start=own["start"].values,
-        end=own["end"].values,
-        axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
-    )
-    size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
-    part.fields = {
-        "days": int(seen.size),
-        "seen": int(seen.sum()),
-        "rms_nT": size,
-        "slope_rms_nT": slope,
-    }
-    part.add_text(
-        f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
-        f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
-        f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
-    )
-    part.plots.append(offsets_figure(daily))
+    with part.optional("Offsets of each day"):
+        own = found.table("z-offset").isel(parameter=0)
+        seen, unknown = own["determined"].values.astype(bool), np.full(own.sizes["interval"], np.nan)
+        daily = OffsetsFromSpread(
+            unknown,
+            unknown,
+            **{name: own[name].values for name in ("value", "sigma", "wrong_sign", "slope", "sigma_slope")},
+            seen=seen,
+            start=own["start"].values,
+            end=own["end"].values,
+            axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
+        )
+        size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
+        part.fields = {
+            "days": int(seen.size),
+            "seen": int(seen.sum()),
+            "rms_nT": size,
+            "slope_rms_nT": slope,
+        }
+        part.add_text(
+            f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
+            f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
+            f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
+        )
+        part.plots.append(offsets_figure(daily))
     return part

@@ -59,8 +59,8 @@ class FittedDay:
 def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
-    A day whose fields were measured and whose housekeeping was not has empty equations: it tells nothing of
-    the parameters, and gets its product with those of the days around.
+    A day whose fields were measured and whose housekeeping was not has empty equations: it has no information
+    on the parameters, and gets its product with those of the days around.
 
     Returns
     -------
@@ -118,10 +118,14 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
         return bool(rows.sum() > prior.value.size and coverage(rows) >= batch.settings.min_coverage)
 
     good = usable_samples(samples, *parts)
+    # Samples with both fields, whatever other channels are missing.
+    flag = samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
+    fields = [np.asarray(samples[role].values, dtype=np.float64) for role in ("vector", "scalar")]
+    measured = (flag == 0) & np.isfinite(fields[0].sum(axis=1)) & (fields[1] > 0)
     if is_enough(good):
         fit = fit_block(*parts, good, reference, prior, sub_block_count(good.sum() * step / SECOND))
         residual = {"before_nT": fit.before, "after_nT": fit.after}
-    elif is_enough(_measured_fields(samples)):
+    elif is_enough(measured):
         fit, residual = empty_block(reference, prior), {}
     else:
         raise _too_few_samples(batch, day, samples, good, coverage(good))
@@ -137,13 +141,6 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     }
     attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
     return FittedDay(samples, fit, reference, attributes, report)
-
-
-def _measured_fields(samples: xr.Dataset) -> npt.NDArray[np.bool_]:
-    """Return which samples have both fields, whatever other channels are missing; (time,)."""
-    flag = samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
-    vector, scalar = (np.asarray(samples[role].values, dtype=np.float64) for role in ("vector", "scalar"))
-    return np.asarray((flag == 0) & np.isfinite(vector.sum(axis=1)) & (scalar > 0))
 
 
 def _too_few_samples(

@@ -115,7 +115,7 @@ def compare_samples(
     days : sequence of Day
         Of the products.
     span : slice
-        Its normal equations tell what the data determine.
+        Of the normal equations that show what the data determine.
     progress : callable
         Called with (stage, done, total).
     """
@@ -155,7 +155,6 @@ def compare_samples(
         daily_scatter=daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         skipped=digest.skipped,
         outliers=digest.outliers,
-        acknowledgement=mission.acknowledgement,
     )
     data = FigureData(digest.counts, rows, spectra, found, (daily, used))
     return CompareResult(report, page_title(report, mission), compare_parts(report, data))

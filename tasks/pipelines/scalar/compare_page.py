@@ -82,9 +82,11 @@ class FigureData:
 
 def compare_parts(report: CompareReport, data: FigureData) -> list[LazySection]:
     """Return everything that is shown of a comparison, as the page and the explorer have it."""
+    responses = [one.response for one in report.fails_where if isinstance(one, RankedDependence)]
+    along_axes = [response for response in responses if response is not None]
     return [
         ("Residual", lambda: _residual(report, data)),
-        ("Where it fails", lambda: _structures(report)),
+        ("Where it fails", lambda: (structures_html(report), list(map(axis_figure, along_axes)))),
         ("What the residual follows", lambda: _dependences(report, data)),
         ("Spectrum", lambda: (_lines(report), _spectrum_figures(data.spectra))),
         ("Parameters", lambda: _parameters(report, data)),
@@ -135,16 +137,6 @@ def thin_series(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
         np.minimum.reduceat(rows["low"][shown], first),
         np.maximum.reduceat(rows["high"][shown], first),
     )
-
-
-def _structures(report: CompareReport) -> SectionBody:
-    """Return the structures of the residual, strongest first, and the axes that a field along one follows."""
-    axes = [
-        axis_figure(one.response)
-        for one in report.fails_where
-        if isinstance(one, RankedDependence) and one.response is not None
-    ]
-    return structures_html(report), axes
 
 
 def _dependences(report: CompareReport, data: FigureData) -> SectionBody:

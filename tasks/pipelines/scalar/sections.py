@@ -43,6 +43,11 @@ def _newest_values(table: xr.Dataset) -> list[str]:
     """Return values and errors of the newest intervals, one row a parameter."""
     recent = table.isel(interval=slice(-3, None))
     intervals = [recent.isel(interval=place) for place in range(recent.sizes["interval"])]
+    head = ["parameter", "unit"]
+    for one in intervals:
+        # Half-open: the last instant is within the last day.
+        first, last = (str(to_utc(int(tt2000)))[:10] for tt2000 in (one["start"], one["end"] - 1))
+        head.append(first if first == last else f"{first} to {last}")
     rows = []
     for at, name in enumerate(recent["parameter"].values):
         cells = (one.isel(parameter=at) for one in intervals)
@@ -52,14 +57,7 @@ def _newest_values(table: xr.Dataset) -> list[str]:
         )
         rows.append((_bare(name), str(recent["units"].values[at]), *texts))
     note = "The newest intervals of the table that products take; a dash where one does not determine it."
-    head = ("parameter", "unit", *map(_days, intervals))
     return [html_table(head, rows), paragraph(note, kind="quiet")]
-
-
-def _days(interval: xr.Dataset) -> str:
-    """Return the first and the last day of a half-open interval; one where they are the same."""
-    start, end = (str(to_utc(int(tt2000)))[:10] for tt2000 in (interval["start"], interval["end"] - 1))
-    return start if start == end else f"{start} to {end}"
 
 
 def _bare(name: str) -> str:

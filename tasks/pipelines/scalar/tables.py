@@ -83,7 +83,7 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
 def window_table(
     equations: NormalEquations, model: Model, edges: Sequence[np.datetime64], kind: str
 ) -> xr.Dataset:
-    """Return the table of windows solved from the sums of their blocks; empty windows are left out."""
+    """Return the table of windows solved from the sums of their blocks; empty windows are skipped."""
     rows = []
     for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         part = equations.within(start, end)

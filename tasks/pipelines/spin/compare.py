@@ -273,7 +273,6 @@ def compare_spin(
         [],
         daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         skipped=found.skipped,
-        acknowledgement=mission.acknowledgement,
         tones=(before.size, after.size),
     )
     steady = coordinates["spin phase"]
