@@ -22,7 +22,7 @@ from inflight.arrays import Floats
 from inflight.design import SENSOR_EQUATIONS, Candidate, Library, Term, sensor_matrices
 from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
-from inflight.diagnosis.search import Option
+from inflight.diagnosis.search import Option, prior_precision
 from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
@@ -116,18 +116,18 @@ class FitSetup:
             Hold out every k-th block instead of runs: for effects that lie in few blocks.
         """
         whole, names, sigma = self._model_of(columns, fixed or {})
-        evidence, present = self._marginalised(whole, names, sigma)
-        value, covariance = self._solved(evidence, present)
+        grams, present = self._marginalised(whole, names, sigma)
+        value, covariance = self._solved(grams, present)
         base_value, base_sigma = self._base(whole, names, value, covariance)
-        y = evidence.residuals[0]
-        scale = evidence.scale[present.columns]
+        y = grams.residuals[0]
+        scale = grams.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
         # A column of which the calibration leaves nothing is known as well as beforehand.
-        found = np.where(np.diagonal(evidence.total)[present.columns] > 0, found, np.asarray(sigma))
-        left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
-        left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
-        rows = max(float(evidence.count.sum()), 1.0)
-        held = score(evidence, present, [], y, make_folds(len(evidence), interleaved)).loss0.sum()
+        found = np.where(np.diagonal(grams.total)[present.columns] > 0, found, np.asarray(sigma))
+        left = grams.total[y, y] + 2.0 * grams.total[y, present.columns] @ value
+        left += value @ grams.total[np.ix_(present.columns, present.columns)] @ value
+        rows = max(float(grams.count.sum()), 1.0)
+        held = score(grams, present, [], y, make_folds(len(grams), interleaved)).loss0.sum()
         return JointFit(
             value=dict(zip(names, (value * scale).tolist(), strict=True)),
             sigma=dict(zip(names, found.tolist(), strict=True)),
@@ -168,9 +168,11 @@ class FitSetup:
         self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
     ) -> tuple[GramBlocks, ModelColumns]:
         gone = self._base_names
-        evidence = whole.marginalise(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
-        return evidence, ModelColumns(
-            evidence.index(names), self._precision(evidence, names, np.array(sigma))
+        grams = whole.marginalise(
+            gone, self.intervals, prior_precision(whole, gone, self._base_sigma, self.variance)
+        )
+        return grams, ModelColumns(
+            grams.index(names), prior_precision(grams, names, np.array(sigma), self.variance)
         )
 
     @property
@@ -181,19 +183,14 @@ class FitSetup:
     def _base_sigma(self) -> Floats:
         return np.array([sigma for term in self.base for sigma in term.sigma])
 
-    def _precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
-        scale = evidence.scale[evidence.index(names)]
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
-
-    def _solved(self, evidence: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
+    def _solved(self, grams: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = joint_fit(evidence, present, evidence.residuals[0])
+        value, covariance = joint_fit(grams, present, grams.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
-        inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
+        inner = grams.total[np.ix_(p, p)] + np.diag(present.precision)
         inverse = solve_scaled(inner, np.eye(p.size))
         return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
@@ -205,7 +202,7 @@ class FitSetup:
         if not gone:
             return {}, {}
         at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
-        prior = np.diag(self._precision(whole, gone, self._base_sigma))
+        prior = np.diag(prior_precision(whole, gone, self._base_sigma, self.variance))
         shift, mean_cross = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
@@ -226,7 +223,7 @@ class FitSetup:
 
 
 def combine_columns(
-    evidence: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+    grams: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
 ) -> GramBlocks:
     """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
 
@@ -240,7 +237,7 @@ def combine_columns(
         Changes that join the residual, physical units.
     """
     needed = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
-    small = evidence.select(list(dict.fromkeys(needed)))
+    small = grams.select(list(dict.fromkeys(needed)))
     names = [*plain, *(one.name for one in columns), "residual"]
     weights = np.zeros((len(small), len(names), len(small.names)))
     scale = np.ones(len(names))

@@ -315,16 +315,16 @@ def best_lag(
         for lag, addition in bank.items()
         for column in addition.columns
     ]
-    evidence, present = setup.marginalised([*columns, *tried], fixed)
+    grams, present = setup.marginalised([*columns, *tried], fixed)
     count = len(present.columns) - len(tried)
     present = replace(present, columns=present.columns[:count], precision=present.precision[:count])
     places = {
-        lag: evidence.index([f"{lag:g}|{column.name}" for column in addition.columns])
+        lag: grams.index([f"{lag:g}|{column.name}" for column in addition.columns])
         for lag, addition in bank.items()
     }
-    y = evidence.residuals[0]
+    y = grams.residuals[0]
     if len(places) > 2:
-        found = profile_lag(evidence, present, places, y, make_folds(len(evidence)))
+        found = profile_lag(grams, present, places, y, make_folds(len(grams)))
         return found.best if found.best > found.sigma else 0.0
-    _, explained = fit(evidence, present, list(places.values()), y)
+    _, explained = fit(grams, present, list(places.values()), y)
     return list(places)[int(np.argmax(explained))]

@@ -158,7 +158,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     return found if found.high_nT < floor.low_nT else floor
 
 
-def remaining_residual(search: Search, context: DiagnosisData, accepted: bool = True) -> Floats:
+def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = True) -> Floats:
     """Return the residual of the series after calibration, model and what was taken; (sample, row).
 
     Parameters
@@ -166,8 +166,8 @@ def remaining_residual(search: Search, context: DiagnosisData, accepted: bool = 
     accepted : bool
         False leaves what was taken in the residual.
     """
-    options, series = search.accepted if accepted else (), context.series
-    rows, names, columns = model_columns(search, series, context.sensor_matrices, options)
+    options, series = search.accepted if accepted else (), data.series
+    rows, names, columns = model_columns(search, series, data.sensor_matrices, options)
     present = [name for option in options for name in option.columns]
     values = joint_values(search, present)
     out = rows.residual.copy()
@@ -210,13 +210,13 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
     With each come the names of the refined and taken columns.
     """
-    evidence = search.forms["raw"]
+    grams = search.forms["raw"]
     refined = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]
     names = [*refined, *present]
-    precision = search.precision(evidence, names, np.asarray([*sigma, *[np.inf] * len(present)]))
-    total = evidence.total
-    place, y = evidence.index(names), search.y("raw")
+    precision = search.precision(grams, names, np.asarray([*sigma, *[np.inf] * len(present)]))
+    total = grams.total
+    place, y = grams.index(names), search.y("raw")
     common = (
         -solve_scaled(total[np.ix_(place, place)] + np.diag(precision), total[place, y])
         if names
@@ -451,64 +451,64 @@ class DiagnosisData:
         return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
-def with_correctable_rows(search: Search, context: DiagnosisData) -> DiagnosisData:
+def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:
     """Return the context of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
     """
-    if context.mission.comparisons[context.model.comparison].kind == "platform":
-        return context
-    whole = context.series if context.gaps is None else context.gaps.series
+    if data.mission.comparisons[data.model.comparison].kind == "platform":
+        return data
+    whole = data.series if data.gaps is None else data.gaps.series
     gaps = uncorrectable_rows(search, whole)
     if gaps is None:
-        return replace(context, series=whole, gaps=None)
-    return replace(context, series=whole.without(gaps.rows), gaps=gaps)
+        return replace(data, series=whole, gaps=None)
+    return replace(data, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence_of_sizes(search: Search, context: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
+def _evidence_of_sizes(search: Search, data: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
     """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
-    if context.gaps is None:
+    if data.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    evidence = correctable_evidence(search, context.gaps, context.sensor_matrices)
-    return evidence, search.present_in(evidence), evidence.residuals[0]
+    grams = correctable_evidence(search, data.gaps, data.sensor_matrices)
+    return grams, search.present_in(grams), grams.residuals[0]
 
 
-def held_out_rms(search: Search, context: DiagnosisData) -> float:
+def held_out_rms(search: Search, data: DiagnosisData) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    evidence, present, y = _evidence_of_sizes(search, context)
+    grams, present, y = _evidence_of_sizes(search, data)
     interleaved = any(option.interleaved for option in search.accepted)
     empty: list[Any] = []
-    found = score(evidence, present, empty, y, make_folds(len(evidence), interleaved))
-    mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
-    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(context)))
+    found = score(grams, present, empty, y, make_folds(len(grams), interleaved))
+    mean = float(found.loss0.sum() / max(grams.count.sum(), 1.0))
+    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(data)))
 
 
-def _square_within_bins(context: DiagnosisData) -> float:
-    return context.sums.get("inside", 0.0) / max(context.sums.get("count", 1.0), 1.0)
+def _square_within_bins(data: DiagnosisData) -> float:
+    return data.sums.get("inside", 0.0) / max(data.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(context: DiagnosisData, search: Search) -> float:
+def native_rms(data: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
-    evidence, present, y = _evidence_of_sizes(search, context)
-    total = evidence.total
+    grams, present, y = _evidence_of_sizes(search, data)
+    total = grams.total
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
-    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
+    return float(np.sqrt(max(left, 0.0) / max(grams.count.sum(), 1.0) + _square_within_bins(data)))
 
 
-def effective_blocks(search: Search, context: DiagnosisData, residual: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, data: DiagnosisData, residual: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
     the residual's square hardly count: of four days, a storm of some hours may hold all the information.
     """
-    raw, evidence, y = search.raw, search.forms["raw"], search.y()
+    raw, grams, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    correlation = correlation_s(context.series, residual)
+    correlation = correlation_s(data.series, residual)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    square = np.clip(evidence.squares[:, y], 0.0, None)
+    square = np.clip(grams.squares[:, y], 0.0, None)
     informative = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
     by_length = min(float(used), span / max(2.0 * correlation, 1e-9))
     return {
@@ -522,7 +522,7 @@ def effective_blocks(search: Search, context: DiagnosisData, residual: Floats) -
     }
 
 
-def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]]:
+def dominant_blocks(grams: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
@@ -531,8 +531,8 @@ def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]
         return []
     return [
         {
-            "start": utc_text(int(evidence.start[place])),
-            "end": utc_text(int(evidence.end[place])),
+            "start": utc_text(int(grams.start[place])),
+            "end": utc_text(int(grams.end[place])),
             "part": float(square[place] / whole),
         }
         for place in sorted(order[:most].tolist())

@@ -68,14 +68,14 @@ class Fits:
 
     Parameters
     ----------
-    evidence : GramBlocks
+    grams : GramBlocks
     present : ndarray of int
         Columns of the model.
     candidates : list of ndarray of int
         Columns of each candidate.
     """
 
-    evidence: GramBlocks
+    grams: GramBlocks
     present: Index
     candidates: list[Index]
     folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
@@ -99,12 +99,12 @@ class Fits:
             return None
         first, second = self.candidates[one], self.candidates[other]
         columns = np.concatenate([self.present, first, second])
-        out = np.zeros(len(self.evidence))
+        out = np.zeros(len(self.grams))
         for fold, own, fitted in self.folds:
             own_one = own[:, first] @ fitted[one]
             own_other = own[:, second] @ fitted[other]
             values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
-            blocks = self.evidence.rows(columns, columns, fold)
+            blocks = self.grams.rows(columns, columns, fold)
             out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
         return np.maximum(out, 0.0)
 
@@ -268,9 +268,9 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def active_blocks(evidence: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
-    own = evidence.squares
+    own = grams.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
     lively = own > SCORING.quiet * peak
     return (
@@ -298,10 +298,10 @@ def projected(gram: Floats, present: ModelColumns) -> Floats:
 
 
 def fit(
-    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
+    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = projected(evidence.total, present)
+    gram = projected(grams.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in group_by_size(candidates):
@@ -315,13 +315,13 @@ def fit(
 
 
 def score(
-    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    evidence : GramBlocks
+    grams : GramBlocks
         One form, the calibration marginalised.
     present : Present
         The model's columns.
@@ -332,13 +332,13 @@ def score(
     folds : sequence of ndarray
         Blocks held out together.
     """
-    total = evidence.total
-    loss0 = np.zeros(len(evidence))
-    loss, expected = np.zeros((2, len(evidence), len(candidates)))
-    fits = Fits(evidence, p := present.columns, list(candidates))
-    given = evidence.rows(np.append(p, y))
+    total = grams.total
+    loss0 = np.zeros(len(grams))
+    loss, expected = np.zeros((2, len(grams), len(candidates)))
+    fits = Fits(grams, p := present.columns, list(candidates))
+    given = grams.rows(np.append(p, y))
     groups = group_by_size(candidates)
-    for fold, held in zip(folds, evidence.sums(folds), strict=True):
+    for fold, held in zip(folds, grams.sums(folds), strict=True):
         blocks = given[fold]
         train = total - held
         own = present.solve(train)
@@ -355,14 +355,14 @@ def score(
             half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
-            inner = evidence.products_within(columns, fold)
+            inner = grams.products_within(columns, fold)
             change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
             expected[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
-    gamma_all, explained = fit(evidence, present, candidates, y)
-    active = active_blocks(evidence, candidates)
+    gamma_all, explained = fit(grams, present, candidates, y)
+    active = active_blocks(grams, candidates)
     t = expected_gain_t(loss0[:, None] - loss, expected, active)
     return Scores(
         loss0=loss0,
@@ -411,15 +411,15 @@ def _loss_change(
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: GramBlocks, present: ModelColumns, y: int) -> Floats:
+def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
     """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
-    total = evidence.total
+    total = grams.total
     own = present.solve(total)
     p = present.columns
-    given = evidence.rows(np.append(p, y))
+    given = grams.rows(np.append(p, y))
     if not p.size:
         return np.asarray(given[:, -1])
     right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
@@ -435,7 +435,7 @@ def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def sign_flip_ratios(
-    evidence: GramBlocks,
+    grams: GramBlocks,
     present: ModelColumns,
     candidates: Sequence[Index],
     y: int,
@@ -443,9 +443,9 @@ def sign_flip_ratios(
     units: Sequence[Index],
 ) -> tuple[Floats, Floats]:
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
-    scores = block_scores(evidence, present, y)
+    scores = block_scores(grams, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = projected(evidence.total, present)
+    gram = projected(grams.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):

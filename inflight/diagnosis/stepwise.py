@@ -119,34 +119,34 @@ class Estimate:
     rms: float
 
 
-def joint_fit(evidence: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
+def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
     follows them. No sigma is smaller than that from rows of white noise of the residual's size.
     """
-    total = evidence.total
+    total = grams.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
-    blocks = evidence.rows(p, np.append(p, y))
+    blocks = grams.rows(p, np.append(p, y))
     scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
     meat = bartlett_covariance(scores, SELECTION.bartlett)
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
-    white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
+    white = max(float(left), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
     return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
-    evidence, present, y = search.forms[form], search.present(form), search.y(form)
-    value, covariance = joint_fit(evidence, present, y)
-    columns = evidence.index(option.columns)
+    grams, present, y = search.forms[form], search.present(form), search.y(form)
+    value, covariance = joint_fit(grams, present, y)
+    columns = grams.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
-    scale = evidence.scale[columns]
+    scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
     kept, rms = _retained(search, option, own, form)
     return Estimate(
@@ -165,12 +165,12 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
     Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
     moves by one kelvin.
     """
-    evidence = search.forms[form]
-    columns = evidence.index(option.columns)
-    left = projected(evidence.total, search.present(form, option))
+    grams = search.forms[form]
+    columns = grams.index(option.columns)
+    left = projected(grams.total, search.present(form, option))
     kept = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
     whole = float(gamma @ centred(search, option) @ gamma)
-    rows = max(float(evidence.count.sum()), 1.0)
+    rows = max(float(grams.count.sum()), 1.0)
     return min(kept / whole, 1.0) if whole > 0 else 0.0, float(np.sqrt(max(kept, 0.0) / rows))
 
 
@@ -187,15 +187,15 @@ def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> F
 
     From the scatter of the blocks' scores around the present model, the option not being in it.
     """
-    evidence, y = search.forms[form], search.y(form)
+    grams, y = search.forms[form], search.y(form)
     present = search.present(form, option)
-    columns = evidence.index(option.columns)
+    columns = grams.index(option.columns)
     both = ModelColumns(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
-    _, covariance = joint_fit(evidence, both, y)
+    _, covariance = joint_fit(grams, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))
-    return np.asarray(3.0 * sigma * evidence.scale[columns])
+    return np.asarray(3.0 * sigma * grams.scale[columns])
 
 
 def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
@@ -284,10 +284,10 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     """
     if len(rival.columns) <= len(option.columns) or rival.change is not None or option.change is not None:
         return False
-    evidence = search.forms[form]
-    own, wide = evidence.index(option.columns), evidence.index(rival.columns)
-    left = projected(evidence.total, search.present(form, option))
-    gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
+    grams = search.forms[form]
+    own, wide = grams.index(option.columns), grams.index(rival.columns)
+    left = projected(grams.total, search.present(form, option))
+    gamma, _ = fit(grams, search.present(form, option), [own], search.y(form))
     shared = left[np.ix_(wide, own)] @ gamma[0]
     half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
@@ -371,7 +371,7 @@ def check_rivals(
 
 
 def select_effects(
-    search: Search, context: DiagnosisData, shapes_first: bool = False
+    search: Search, data: DiagnosisData, shapes_first: bool = False
 ) -> tuple[Search, ScoreTable]:
     """Add and drop until nothing more is justified; return that state and the last table of scores.
 
@@ -387,26 +387,25 @@ def select_effects(
         table = search.table()
         found = best_passing(table, search, shapes_first)
         if found is None:
-            table = few_block_test(search, context, table)
+            table = few_block_test(search, data, table)
             found = best_passing(table, search, shapes_first)
         if found is None:
             return replace(search, ran_out=False), table.without_fits()
-        # What was fitted to folds holds on to the evidence, which grows when the option is refined.
-        search = _one_round(search, context, table.without_fits(), *found)
+        # What was fitted to folds holds on to the Gram blocks, which grow when the option is refined.
+        table = table.without_fits()
+        search = _one_round(search, data, table, *found)
     search = replace(search, ran_out=True)
     return search, search.table().without_fits()
 
 
-def _one_round(
-    search: Search, context: DiagnosisData, table: ScoreTable, option: Option, form: str
-) -> Search:
+def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: Option, form: str) -> Search:
     """Return the state after an option was taken, refined, and kept or taken back."""
     place = table.options.index(option)
     scores = table.scores[form]
     gain = float(scores.gain[place])
     numbers: Any = {"gain": gain, "t": float(scores.t[place]), "p": float(table.p[form][place]), "form": form}
     before = {one: estimate(search, one).retained for one in search.accepted}
-    search, taken = _add_refined(search, context, option)
+    search, taken = _add_refined(search, data, option)
     search = search.noted("add", option, name=taken.name, **numbers)
     if search.is_hidden(taken):
         return search.hide(taken).noted("undo", taken, **numbers)
@@ -419,16 +418,16 @@ def _one_round(
     return search
 
 
-def _add_refined(search: Search, context: DiagnosisData, option: Option) -> tuple[Search, Option]:
+def _add_refined(search: Search, data: DiagnosisData, option: Option) -> tuple[Search, Option]:
     """Return the state with an option in the model, in its best form, and that form."""
-    search, better = refine(search.add(option), context, option)
+    search, better = refine(search.add(option), data, option)
     return search.exchange(option, better), better
 
 
-def refine_all(search: Search, context: DiagnosisData) -> Search:
+def refine_all(search: Search, data: DiagnosisData) -> Search:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in search.accepted:
-        search, better = refine(search, context, option)
+        search, better = refine(search, data, option)
         search = search.exchange(option, better)
     return search
 
@@ -548,7 +547,7 @@ def _drop_superfluous(search: Search) -> Search:
     return search
 
 
-def exchange_and_check(search: Search, context: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
+def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
@@ -560,7 +559,7 @@ def exchange_and_check(search: Search, context: DiagnosisData) -> tuple[Search, 
             tables[option.name] = search.table(without=option)
             better = _better_option(search, option, tables[option.name])
             if better is not None:
-                search, better = _add_refined(search.drop(option), context, better)
+                search, better = _add_refined(search.drop(option), data, better)
                 search = search.noted("exchange", better)
                 break
         else:
@@ -608,7 +607,7 @@ def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float)
     return float(left[place] - left[other]) > gain * float(left[place])
 
 
-def few_block_test(search: Search, context: DiagnosisData, table: ScoreTable) -> ScoreTable:
+def few_block_test(search: Search, data: DiagnosisData, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
     Each is a bound of Student's distribution times the number of options: family-wise, as flips are.
@@ -623,18 +622,18 @@ def few_block_test(search: Search, context: DiagnosisData, table: ScoreTable) ->
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
     for place in places[: FEW_BLOCKS.options]:
-        p[place] = min(p[place], tried * _few_block_p(search, context, table.options[place]))
+        p[place] = min(p[place], tried * _few_block_p(search, data, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
 
-def _few_block_p(search: Search, context: DiagnosisData, option: Option) -> float:
+def _few_block_p(search: Search, data: DiagnosisData, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
     terms = _terms_of(search, option)
     if terms is None:
         return 1.0
-    trials = FormTrials(search, context, option)
+    trials = FormTrials(search, data, option)
     before, after = trials.contribution(option, terms)
-    series = context.series
+    series = data.series
     correlation = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )

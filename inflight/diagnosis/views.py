@@ -133,11 +133,11 @@ class BeforeAfter:
         return BeforeAfter(series, self.before[::step], self.after[::step], self.block[::step])
 
 
-def before_after(search: Search, material: DiagnosisData) -> BeforeAfter:
+def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
-    material = with_correctable_rows(search, material)
-    series = material.series
-    before, after = (remaining_residual(search, material, one) for one in (False, True))
+    data = with_correctable_rows(search, data)
+    series = data.series
+    before, after = (remaining_residual(search, data, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEWS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
@@ -349,9 +349,9 @@ class Step:
         return self.before**2 - self.after**2
 
 
-def waterfall(search: Search, material: DiagnosisData) -> list[Step]:
+def waterfall(search: Search, data: DiagnosisData) -> list[Step]:
     """Return how the held-out error falls with every effect the search took."""
-    taken, known = list(search.accepted), with_correctable_rows(search, material)
+    taken, known = list(search.accepted), with_correctable_rows(search, data)
 
     def size(options: Sequence[Option]) -> float:
         return held_out_rms(search.holding(options), known)
@@ -482,7 +482,7 @@ class Trial:
     values: tuple[tuple[str, float, float, str], ...]
 
 
-def trials(search: Search, material: DiagnosisData, names: Sequence[str]) -> dict[str, Trial]:
+def trials(search: Search, data: DiagnosisData, names: Sequence[str]) -> dict[str, Trial]:
     """Return the values that candidates would have, each alone added to the model as it was.
 
     Changes bound to a time and candidates of many columns are skipped: they have no value to print.
@@ -496,20 +496,20 @@ def trials(search: Search, material: DiagnosisData, names: Sequence[str]) -> dic
         alone = search.holding([option])
         found = estimate(alone, option)
         values = tuple(
-            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, material, option, column))
+            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, data, option, column))
             for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True)
         )
         out[name] = Trial(found.retained, form_disagreement(alone, option), values)
     return out
 
 
-def _unit(search: Search, material: DiagnosisData, option: Option, column: str) -> str:
+def _unit(search: Search, data: DiagnosisData, option: Option, column: str) -> str:
     for key in option.terms:
         term = search.library.by_key[key]
         if column in term.columns:
             kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            return coefficient_unit(kind, material.mission, channel) if channel else kind.unit
+            return coefficient_unit(kind, data.mission, channel) if channel else kind.unit
     return ""
 
 

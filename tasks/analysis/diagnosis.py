@@ -106,10 +106,10 @@ def diagnose(
     """
     settings = settings or DiagnoseSettings()
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    context, searches = diagnosis_data(made, mission), [begin_search(made, settings)]
-    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
+    search, data = begin_search(made, settings), diagnosis_data(made, mission)
+    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    return conclude(searches.pop(), context)[0]
+    return conclude(search, data)[0]
 
 
 def make_pass(

@@ -133,9 +133,9 @@ def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
     return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
-def spectrum(seen: BeforeAfter, context: DiagnosisData) -> Section:
+def spectrum(seen: BeforeAfter, data: DiagnosisData) -> Section:
     """Return the spectra along each axis before and after, with their lines."""
-    known = periods_of(context)
+    known = periods_of(data)
     after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
     before = None
     if seen.changed:
@@ -156,7 +156,7 @@ def spectrum(seen: BeforeAfter, context: DiagnosisData) -> Section:
 # Which effect.
 
 
-def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
+def which_effect(search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return the table of candidates and how their gains fall."""
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
@@ -168,7 +168,7 @@ def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Se
     )
     text = [
         paragraph(note, kind="quiet"),
-        candidate_table(found.candidates, trials(search, context, names), rivals),
+        candidate_table(found.candidates, trials(search, data, names), rivals),
         unscorable_list(found.unscorable),
     ]
     return "Which effect", [one for one in text if one], [gain_change_figure(found.candidates)]
@@ -177,11 +177,11 @@ def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Se
 # The error falls.
 
 
-def error_falls(seen: BeforeAfter, search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
+def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
     sizes_nt = found.residual
     floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
-    steps = waterfall(search, context)
+    steps = waterfall(search, data)
     start, end = float(sizes_nt["held_out_before_nT"]), float(sizes_nt["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
@@ -322,7 +322,7 @@ class Examined(NamedTuple):
     """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
 
     search: Search
-    context: DiagnosisData
+    data: DiagnosisData
     found: Diagnosis
     settings: DiagnoseSettings
     facts: Mapping[str, Any]
@@ -343,18 +343,18 @@ def examine(
     tell = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
-    context = diagnosis_data(made, mission)
-    found, search = conclude(begin_search(made, settings), context)
+    data = diagnosis_data(made, mission)
+    found, search = conclude(begin_search(made, settings), data)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
     units = units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, context, found, settings, facts)
+    return Examined(search, data, found, settings, facts)
 
 
 def diagnosis_page(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -362,14 +362,14 @@ def diagnosis_page(
     """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
     raw = search.raw
     first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
-    name = f"{context.mission.mission}: what is missing from the model, {first} to {last}"
-    sections = diagnosis_sections(search, context, found, settings, facts)
-    return html_page(name, sections, context.mission.acknowledgement)
+    name = f"{data.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, data, found, settings, facts)
+    return html_page(name, sections, data.mission.acknowledgement)
 
 
 def diagnosis_sections(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -383,19 +383,19 @@ def diagnosis_sections(
     facts : mapping, optional
         More lines of the ledger.
     """
-    seen = before_after(search, context)
+    seen = before_after(search, data)
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
         ("Verdict", [strip, *found_effects(fields), *separating_blocks(fields)], []),
         fails_here(seen),
         follows(seen, found),
-        spectrum(seen, context),
-        which_effect(search, context, found),
-        error_falls(seen, search, context, found),
+        spectrum(seen, data),
+        which_effect(search, data, found),
+        error_falls(seen, search, data, found),
         shapes(seen, search, found),
         stands_for(search, found),
-        _ledger(search, context, found, settings, facts or {}),
+        _ledger(search, data, found, settings, facts or {}),
     ]
     return [section for section in sections if section[1] or section[2]]
 
@@ -405,27 +405,27 @@ def diagnosis_sections(
 
 def _ledger(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any],
 ) -> Section:
     y = search.raw.residuals[search.residual]
-    data = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
+    digest = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
     rules = search.rules
     listed = {
-        "mission": context.mission.mission,
+        "mission": data.mission.mission,
         "comparison": found.comparison,
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
         "samples left out": _left_out(found.outliers),
-        "cadence of the search": f"{context.cadence_s:g} s",
+        "cadence of the search": f"{data.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
         f"over the best placebo t > {rules.t:g}",
         "seed of the sign flips": rules.seed,
-        "sha256 of the data's products with the residual": data,
+        "sha256 of the data's products with the residual": digest,
         "run": found.run,
         "context": found.context,
         "software": f"inflight {__version__}",
