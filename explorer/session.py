@@ -153,8 +153,8 @@ class ExplorerSession:
     def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
         known = ModelHistory(self.cat, self.mission(), comparison)
-        effects = [str(entry.get("name", entry["effect"])) for entry in parse_tree(known.used.text)["effects"]]
-        return known.items(), effects
+        entries = parse_tree(known.used.text)["effects"]
+        return known.items(), [str(entry.get("name", entry["effect"])) for entry in entries]
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.

@@ -1,6 +1,6 @@
 """The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-Takes a state of the search and the `DiagnosisData` of its verdict (the coarse series, the model, the noise floor);
+Takes a state of the search and its `DiagnosisData` (the coarse series, the model, the noise floor);
 makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
 sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
 (`correlation_s`) and how many independent blocks there are (`effective_blocks`).

@@ -1,10 +1,10 @@
 """From scores to a verdict: the rounds, rivals, values with errors, and what remains.
 
-Takes the first state of a search and its `DiagnosisData`; makes the `Diagnosis` and the last state (`conclude`).
-The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when something is
-left, rounds with shapes first when named causes may be substitutes, rivals, values, and the description of
-what remains: a line, a fast band, a unit that switches without housekeeping, or what the best rejected
-candidate hints at.
+Takes the first state of a search and its `DiagnosisData`; makes the `Diagnosis` and the last state
+(`conclude`). The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when
+something is left, rounds with shapes first when named causes may be substitutes, rivals, values, and the
+description of what remains: a line, a fast band, a unit that switches without housekeeping, or what the best
+rejected candidate hints at.
 """
 
 from __future__ import annotations

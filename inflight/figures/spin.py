@@ -1,8 +1,8 @@
 """Figures of a spinning sensor: its parameters over days, its estimates, and the tones of its residual.
 
-Takes: tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`SubintervalEstimates`), and the tones and what
-they depend on of `inflight.spin.residual`. Makes: bokeh figures. `estimates_figure` and `uncertainty_figure`
-are figures 3 and 2 (c to f) of Plaschke et al. (2019).
+Takes tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`SubintervalEstimates`), and the
+tones and their dependences (`inflight.spin.residual`); makes Bokeh figures. `estimates_figure` and
+`uncertainty_figure` are figures 3 and 2 (c to f) of Plaschke et al. (2019).
 """
 
 from __future__ import annotations
