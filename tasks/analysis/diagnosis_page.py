@@ -1,9 +1,8 @@
-"""The page of a diagnosis: one HTML file that needs nothing but itself.
+"""The page of a diagnosis: one HTML file that needs no network.
 
-Takes a finished search and its context (`examine` makes them of a span); makes sections, each a heading,
-text that needs no script, and figures (`diagnosis_sections`), and the page of them (`report`): where the
-residual fails, what it follows, which effect explains it, how the error falls, what stands for what, the
-ledger.
+Takes a finished search with its data (`Examined`); makes sections, each a heading, text that needs no script,
+and figures (`diagnosis_sections`), and the page of them (`report`): where the residual fails, what it
+follows, which effect explains it, how the error falls, which parameters imitate each other, the ledger.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from inflight.diagnosis import (
     Signature,
     along_field,
     before_after,
-    conclude,
     cross_talk,
     epoch,
     heat_maps,
@@ -71,13 +69,8 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, fold, format_period
-from inflight.tasks.analysis.diagnosis import (
-    begin_search,
-    diagnosis_data,
-    make_pass,
-)
+from inflight.tasks.analysis.diagnosis import examine
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
@@ -89,7 +82,7 @@ _STATES = ("before", "after")
 # Fails here.
 
 
-def fails_here(seen: BeforeAfter) -> Section:
+def where_it_fails(seen: BeforeAfter) -> Section:
     """Return heat maps, and the residual against the field's direction."""
     plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
     note = [
@@ -111,26 +104,22 @@ def fails_here(seen: BeforeAfter) -> Section:
     )
 
 
-def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
+def what_it_follows(seen: BeforeAfter, found: Diagnosis) -> Section:
     """Return the responses to the channels of found effects and of the best candidates."""
-    found_ones = responses(seen, _channels(seen, found))
+    # Channels of found effects, then those of the best candidates.
+    there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
+    own = [name for one in found.effects for name in one.channels if name in there]
+    others = [name for one in found.candidates if not one["placebo"] for name in one["channels"]]
+    more = [name for name in dict.fromkeys(others) if name in there and name not in own]
+    channels = [*dict.fromkeys(own), *more[:_CHANNELS]]
     note = (
         "Field along each sensor axis that would make the residual follow the channel, fitted bin by bin, "
         "one scale a channel. Bars are one sigma between blocks; the grey band is what the same channel "
         "explains at six other times, so only what leaves it counts. Branches that part and meet again are "
         "a loop: hysteresis or a lag."
     )
-    plots = [plot for one in found_ones for plot in response_figures(one)]
+    plots = [plot for one in responses(seen, channels) for plot in response_figures(one)]
     return "What it follows", [paragraph(note, kind="quiet"), response_legend()] if plots else [], plots
-
-
-def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
-    """Return the channels of found effects, then those of the best candidates."""
-    there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
-    own = [name for one in found.effects for name in one.channels if name in there]
-    others = [name for one in found.candidates if not one["placebo"] for name in one["channels"]]
-    more = [name for name in dict.fromkeys(others) if name in there and name not in own]
-    return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
 def spectrum(seen: BeforeAfter, data: DiagnosisData) -> Section:
@@ -212,23 +201,19 @@ def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
             plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
     signature: Signature | None = found.remaining.get("signature")
     if signature is not None and signature.period_s:
-        plots.append(_folded(seen, signature.period_s))
+        good, series = seen.good, seen.series
+        seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, seen.after.shape[1])
+        y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
+        curve = fold(seconds, y, u, signature.period_s)
+        plots.append(fold_figure(format_period(signature.period_s), *curve))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [paragraph(note, kind="quiet")] if plots else [], plots
-
-
-def _folded(seen: BeforeAfter, period: float) -> Any:
-    good, series = seen.good, seen.series
-    rows = seen.after.shape[1]
-    seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, rows)
-    y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-    return fold_figure(format_period(period), *fold(seconds, y, u, period))
 
 
 # Cross-talk.
 
 
-def stands_for(search: Search, found: Diagnosis) -> Section:
+def imitations(search: Search, found: Diagnosis) -> Section:
     """Return the correlations of parameters, and what ignored effects do to the calibration."""
     talk = cross_talk(search)
     if not talk.names:
@@ -311,45 +296,11 @@ def report(
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    tell = progress or (lambda stage, done, total: None)
-    tell("report", 0, 1)
+    report_progress = progress or (lambda stage, done, total: None)
+    report_progress("report", 0, 1)
     write_page(output, diagnosis_page(*examined))
-    tell("report", 1, 1)
+    report_progress("report", 1, 1)
     return DiagnosisReport(examined.found, output)
-
-
-class Examined(NamedTuple):
-    """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
-
-    search: Search
-    data: DiagnosisData
-    found: Diagnosis
-    settings: DiagnoseSettings
-    facts: Mapping[str, Any]
-
-
-def examine(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
-    settings: DiagnoseSettings | None = None,
-    *,
-    client: Any = None,
-    progress: Progress | None = None,
-) -> Examined:
-    """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
-    settings = settings or DiagnoseSettings()
-    tell = progress or (lambda stage, done, total: None)
-    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    tell("search", 0, 1)
-    data = diagnosis_data(made, mission)
-    found, search = conclude(begin_search(made, settings), data)
-    tell("search", 1, 1)
-    facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
-    units = units_of(cat, mission, settings.comparison, start, end)
-    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, data, found, settings, facts)
 
 
 def diagnosis_page(
@@ -388,13 +339,13 @@ def diagnosis_sections(
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
         ("Verdict", [strip, *found_effects(fields), *separating_blocks(fields)], []),
-        fails_here(seen),
-        follows(seen, found),
+        where_it_fails(seen),
+        what_it_follows(seen, found),
         spectrum(seen, data),
         which_effect(search, data, found),
         error_falls(seen, search, data, found),
         shapes(seen, search, found),
-        stands_for(search, found),
+        imitations(search, found),
         _ledger(search, data, found, settings, facts or {}),
     ]
     return [section for section in sections if section[1] or section[2]]
@@ -419,7 +370,7 @@ def _ledger(
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
-        "samples left out": _left_out(found.outliers),
+        "samples left out": _outlier_text(found.outliers),
         "cadence of the search": f"{data.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
@@ -439,7 +390,7 @@ def _ledger(
     return "Ledger", text, []
 
 
-def _left_out(outliers: Mapping[str, Any]) -> str:
+def _outlier_text(outliers: Mapping[str, Any]) -> str:
     """Return how many samples are not in the Gram blocks, and when the first bursts of them were."""
     if not outliers:
         return "none"
