@@ -1,11 +1,11 @@
 """The best form of what was taken, before the next effect is sought: lag, width, time; and interactions.
 
-Takes a state of the search, the context with the coarse series, and an option of the model; makes the next
-state, in which the option has its best form (`refine`). An effect in a form that is nearly right leaves a
-remnant that wrong companions would explain (MISSING_EFFECT, failure F3).
+Takes a state of the search, its `DiagnosisData` with the coarse series, and an option of the model; makes the
+next state, in which the option has its best form (`refine`). An effect in a form that is nearly right leaves
+a remnant that wrong companions would explain (MISSING_EFFECT, failure F3).
 
 Forms are tried on the coarse series: what each leaves when everything else of the model is fitted with it
-(`FormTrials`). The columns of the best one join the evidence with their products with every other column
+(`FormTrials`). The columns of the best one join the Gram blocks with their products with every other column
 (`join_terms`). The best lag or width is the vertex of a parabola; its error is a jackknife over folds of
 blocks.
 
@@ -14,10 +14,10 @@ it is moved over; the sum of these from row to row is what each time would leave
 that makes the posterior of the time, whose median and standard deviation are returned.
 
 Interactions (`add_interactions`): all products of two channels would be too many columns. When the rounds
-leave something unexplained, those of the strongest channels join the evidence as candidates like any other.
+leave something unexplained, those of the strongest channels are added as candidates like any other.
 
-A lag between two of the bank is a combination of their responses (`lag_weights`); `profile_lag` says how well
-each lag explains the residual.
+A lag between two of the bank is a combination of their responses (`lag_weights`); `profile_lag` returns how
+well each lag explains the residual.
 """
 
 from __future__ import annotations
@@ -177,8 +177,8 @@ Refined = tuple[Search, Option]
 def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the state with the best form of an option, and that form.
 
-    Both are as they were when the bank has the best form already. New columns join the evidence, from the
-    coarse series; the model still holds the option itself (see `Search.exchange`).
+    Both are as they were when the bank has the best form already. New columns come from the coarse
+    series; the model still holds the option itself (see `Search.exchange`).
     """
     if not can_add_columns(search, data):
         return search, option
@@ -186,17 +186,11 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
         return refine_change_time(search, data, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
         return search, option
-    return _of_channel(search, data, option)
-
-
-def _of_channel(search: Search, data: DiagnosisData, option: Option) -> Refined:
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, data, option)
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
         return _with_lag(search, data, option)
-    if len(option.terms) == 1:
-        return _with_response(search, data, option)
-    return search, option
+    return _with_response(search, data, option) if len(option.terms) == 1 else (search, option)
 
 
 # Lags and widths.
@@ -351,7 +345,7 @@ def _vertex(x: Floats, y: Floats) -> float:
 def _with_term(
     search: Search, data: DiagnosisData, option: Option, term: Term, lag: float, sigma: float | None = None
 ) -> Refined:
-    """Return the option with another term, its columns in the evidence and it among the options."""
+    """Return the option with another term, its columns in the Gram blocks and it among the options."""
     made = replace(
         option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag, lag_sigma_s=sigma
     )
@@ -384,7 +378,7 @@ class FormTrials:
     """
 
     def __init__(self, search: Search, data: DiagnosisData, option: Option) -> None:
-        self.context, self.series, self.blocks = data, data.series, len(search.raw)
+        self.data, self.series, self.blocks = data, data.series, len(search.raw)
         self.terms = search.library.by_key
         others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
@@ -401,7 +395,15 @@ class FormTrials:
 
     def loss(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of squares that the terms together leave in each block; (block,) nT^2."""
-        columns = np.concatenate([self.model, *(self._columns(term) for term in terms)], axis=1)
+        parts = [self.model]
+        for term in terms:
+            columns = self._known.get(term.key)
+            if columns is None:
+                columns = self._marginalised(self._flat([term], self._rows([term])))
+            if term.key in self.terms:
+                self._known[term.key] = columns
+            parts.append(columns)
+        columns = np.concatenate(parts, axis=1)
         value = solve_scaled(columns.T @ columns, columns.T @ self.y)
         rest = self.y - columns @ value
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
@@ -433,17 +435,9 @@ class FormTrials:
             before = self.y
         return before, before - own @ solve_scaled(own.T @ own, own.T @ before)
 
-    def _columns(self, term: Term) -> Floats:
-        if term.key in self._known:
-            return self._known[term.key]
-        columns = self._marginalised(self._flat([term], self._rows([term])))
-        if term.key in self.terms:
-            self._known[term.key] = columns
-        return columns
-
     def _rows(self, terms: Sequence[Term]) -> DesignRows:
         channels = {name for term in terms for name in term.entry.effect.channels if name}
-        return self.series.rows(self.context.sensor_matrices, derived_channels(self.series, channels))
+        return self.series.rows(self.data.sensor_matrices, derived_channels(self.series, channels))
 
     def _flat(self, terms: Sequence[Term], rows: DesignRows) -> Floats:
         columns = design_matrix(terms, rows)
@@ -537,11 +531,20 @@ def _change_times(
     """Return when a change begins, and ends if it does, TT2000, and the standard deviation, ns."""
     assert option.change is not None
     series, at = data.series, option.change.at
-    without, residual, columns = _residual_without(search, data, option, changing)
+    rows, names, model = model_columns(search, series, data.sensor_matrices, search.accepted)
+    residual = remaining_residual(search, data)
+    taken = [name for one in search.accepted for name in one.columns]
+    values, known = joint_values(search, taken)[0]
+    value = dict(zip(known, values[len(values) - len(known) :], strict=True))
+    own = model[:, :, [names.index(name) for name in option.columns]]
+    # The residual without the option, and its columns as if it held always.
+    without = residual - own @ np.array([value[name] for name in option.columns])
+    source = _source(search, changing)
+    columns = design_matrix([source], rows)[:, :, [source.columns.index(name) for name in changing]]
     used = series["weight"] > 0
     # Variance of what a row adds to a sum over many, correlation with its neighbours counted.
-    rows = 2.0 * correlation_s(series, residual) / series.step_s
-    noise = float(np.mean(residual[used] ** 2)) * max(rows, 1.0)
+    correlated_rows = 2.0 * correlation_s(series, residual) / series.step_s
+    noise = float(np.mean(residual[used] ** 2)) * max(correlated_rows, 1.0)
     windows = [_window(search, option, place) for place in range(len(at))]
     unit = "datetime64[s]" if series.step_s >= CHANGE_TIME.coarse_s else "datetime64[ms]"
     sigma = 0.0
@@ -565,25 +568,6 @@ def _change_times(
         if not sigma or list(at) != sorted(at)
         else (at, sigma)
     )
-
-
-def _residual_without(
-    search: Search, data: DiagnosisData, option: Option, changing: tuple[str, ...]
-) -> tuple[Floats, Floats, Floats]:
-    """Return the residual without and with an option, and its columns as if it held always.
-
-    Each is (sample, row) or (sample, row, column).
-    """
-    rows, names, columns = model_columns(search, data.series, data.sensor_matrices, search.accepted)
-    residual = remaining_residual(search, data)
-    taken = [name for one in search.accepted for name in one.columns]
-    values, known = joint_values(search, taken)[0]
-    value = dict(zip(known, values[len(values) - len(known) :], strict=True))
-    own = columns[:, :, [names.index(name) for name in option.columns]]
-    without = residual - own @ np.array([value[name] for name in option.columns])
-    source = _source(search, changing)
-    every = design_matrix([source], rows)
-    return without, residual, every[:, :, [source.columns.index(name) for name in changing]]
 
 
 def _window(search: Search, option: Option, place: int) -> tuple[int, int]:
@@ -676,7 +660,13 @@ def _channel_pairs(
 ) -> list[tuple[str, str]]:
     """Return the pairs to try: a channel that was taken with every other one; of the strongest ones all."""
     series = data.series
-    scalars = [name for name in series.channels if series[name].ndim == 1 and _varies(series[name], name)]
+    scalars = []
+    for name in series.channels:
+        values = series[name]
+        known = values[np.isfinite(values)] if values.ndim == 1 and name not in ANGLES else np.zeros(0)
+        # A product with a constant is the other channel alone.
+        if known.size and np.std(known) > INTERACTIONS.steady * np.abs(known).mean():
+            scalars.append(name)
     taken = [name for option in search.accepted for name in option.channels if name in scalars]
     pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
     if unexplained:
@@ -685,13 +675,6 @@ def _channel_pairs(
     for pair in pairs:
         first.setdefault(frozenset(pair), pair)
     return list(first.values())[: INTERACTIONS.pairs]
-
-
-def _varies(values: Floats, name: str) -> bool:
-    """Return True when a product with the channel is another thing than the other channel alone."""
-    known = values[np.isfinite(values)]
-    steady = known.size == 0 or not np.std(known) > INTERACTIONS.steady * np.abs(known).mean()
-    return name not in ANGLES and not steady
 
 
 def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
@@ -722,7 +705,7 @@ def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
 
 
 def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:
-    """Return the state with the columns of new terms in its evidence, with their products with all others."""
+    """Return the state with the columns of new terms in its Gram blocks."""
     cache = _cached_design(search, data, terms)
     raw, white = _borders(search, data, terms, cache)
     return replace(search.join(terms, raw, white), design_cache=cache)
@@ -756,7 +739,10 @@ def _borders(
         columns = np.concatenate([*(piece[part] for piece in cache.pieces), used], axis=2)
         white = prewhiten(columns, weight, stamps, data.correlation_time_s)
         for gram, values in zip(grams, (columns, white), strict=True):
-            _add_products(gram, values, weight, block, places)
+            scaled = values * np.sqrt(weight)[:, None, None]
+            for number in np.unique(block):
+                flat = scaled[block == number].reshape(-1, values.shape[2])
+                gram[number] += flat.T @ flat[:, places]
     changes = {
         name: source
         for option in search.accepted
@@ -769,15 +755,6 @@ def _borders(
     )
 
 
-def _add_products(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, places: list[int]) -> None:
-    """Add products of all columns with the fresh ones, block by block; the residual is last."""
-    root = np.sqrt(weight)[:, None, None]
-    scaled = values * root
-    for one in np.unique(block):
-        flat = scaled[block == one].reshape(-1, values.shape[2])
-        gram[one] += flat.T @ flat[:, places]
-
-
 def _border(
     grams: GramBlocks,
     gram: Floats,
@@ -785,7 +762,7 @@ def _border(
     terms: Sequence[Term],
     changes: dict[str, tuple[str, Floats]],
 ) -> Border:
-    """Return the fresh columns' products with those of the evidence, changes in time among them."""
+    """Return the fresh columns' products with those of the Gram blocks, changes in time among them."""
     fresh = [name for term in terms for name in term.columns]
     places = {name: place for place, name in enumerate([*names, "residual"])}
     across = np.zeros((len(grams), len(grams.names), len(fresh)))

@@ -1,4 +1,4 @@
-"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition.
+"""What a user asks to add to a model: a name, a channel, or an entry of the model's file, made an addition.
 
 Takes text or a mapping as `inflight add` gets it; makes a `Request` (`find_request`): the addition, and the
 same with every lag of its bank when the lag that fits best is asked for (`best_lag`). `addition_of_entry`
@@ -49,7 +49,7 @@ _LISTED = 12
 
 @dataclass(frozen=True)
 class Request:
-    """What a person asks to be added.
+    """What a user asks to add.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Request:
 
 
 def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Request:
-    """Return what a person asks for.
+    """Return what a user asks to add.
 
     Parameters
     ----------
@@ -88,11 +88,24 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
     if given in DRIFTS:
         return Request(drift_of(maker, given), {}, maker)
     if timed := _TIMED.match(given):
-        at = [_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]]
-        return Request(step_of(maker, timed["kind"], [_snap_to_edge(maker, one) for one in at]), {}, maker)
+        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
+        # A time within a second of an edge of blocks is that edge.
+        edges = np.append(maker.raw.start, maker.raw.end[-1])
+        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
+        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
+        return Request(step_of(maker, timed["kind"], at.tolist()), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
-        return Request(_addition_of_text(maker, _parse_made(given)), {}, maker)
+        # An effect as a search names it; its channel carries the lag.
+        entry, match = {"effect": given}, _MADE.match(given)
+        if match is not None:
+            channel, size = match["channel"], match["size"]
+            entry = {"effect": match["effect"], "channel": channel}
+            if match["form"] == "lag":
+                entry["channel"] = f"{channel}@lag={size}"
+            elif match["form"]:
+                entry[match["form"]] = size
+        return Request(_addition_of_text(maker, entry), {}, maker)
     if lag is not None:
         return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
@@ -126,29 +139,16 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
         if bank:
             return bank[0], _seconds(name, lagged["lag"])
     mechanisms = list(dict.fromkeys(one.mechanism for one in real))
-    alike = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
-    if len(alike) == 1:
-        return next(one for one in real if one.mechanism == alike[0]), None
-    if len(alike) > 1:
-        listed = ", ".join(alike[:_LISTED])
-        raise ModelError(f"{name!r} may be {len(alike)} things", remedy=f"name one of {listed}")
+    similar = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
+    if len(similar) == 1:
+        return next(one for one in real if one.mechanism == similar[0]), None
+    if len(similar) > 1:
+        listed = ", ".join(similar[:_LISTED])
+        raise ModelError(f"{name!r} may be {len(similar)} things", remedy=f"name one of {listed}")
     made = _MADE.match(name)
     if (made["effect"] if made else name) in known_effects(maker.model.own):
         return None, None
     raise _unknown_name(maker, name, mechanisms)
-
-
-def _parse_made(name: str) -> dict[str, Any]:
-    """Return the entry of an effect as a search names it; its channel carries the lag."""
-    match = _MADE.match(name)
-    if match is None:
-        return {"effect": name}
-    entry = {"effect": match["effect"], "channel": match["channel"]}
-    if match["form"] == "lag":
-        entry["channel"] += f"@lag={match['size']}"
-    elif match["form"]:
-        entry[match["form"]] = match["size"]
-    return entry
 
 
 def _unknown_name(maker: AdditionMaker, name: str, mechanisms: Sequence[str]) -> ModelError:
@@ -175,13 +175,6 @@ def _parse_time(name: str, text: str) -> int:
         return int(to_tt2000(parse_utc(text)))
     except ValueError as error:
         raise ModelError(f"{name!r}: {error}", remedy="write such as offset_step@2024-03-01") from None
-
-
-def _snap_to_edge(maker: AdditionMaker, when: int) -> int:
-    """Return a time; the nearest edge of blocks when that is within a second."""
-    edges = np.append(maker.raw.start, maker.raw.end[-1])
-    near = int(edges[np.argmin(np.abs(edges - when))])
-    return near if abs(near - when) < SECOND else when
 
 
 # Entries of a model's file.
@@ -272,7 +265,11 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     if label == "affine":
         for key in ("matrix", "shift"):
             if entry.parameters[key].time == "linear":
-                return drift_of(maker, _drift_kind(key, entry), entry.name)
+                kind = "offset_drift"
+                if key == "matrix":
+                    growth = np.reshape(entry.parameters[key].value[:, 1], (3, 3))
+                    kind = "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
+                return drift_of(maker, kind, entry.name)
     for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
         if (
             key in entry.parameters
@@ -293,14 +290,6 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
     return _outside_library(maker, entry)
-
-
-def _drift_kind(part: str, entry: ModelEffect) -> str:
-    """Return which drift an affine change that grows with time is."""
-    if part == "shift":
-        return "offset_drift"
-    growth = np.reshape(entry.parameters[part].value[:, 1], (3, 3))
-    return "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
 
 
 # Lags.

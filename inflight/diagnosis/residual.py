@@ -222,25 +222,19 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
         if names
         else np.zeros(0)
     )
-    base = [name for term in search.library.base for name in term.columns]
-    own_sigma = np.asarray([s for term in search.library.base for s in term.sigma])
-    return [
-        (np.concatenate([_base_values(search, group, base, own_sigma, names, common), common]), names)
-        for group in search.intervals
-    ]
-
-
-def _base_values(
-    search: Search, group: Sequence[int], base: list[str], sigma: Floats, names: list[str], common: Floats
-) -> Floats:
-    if not base:
-        return np.zeros(0)
-    raw: GramBlocks = search.raw
-    total = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
+    base, base_sigma = search.base()
+    raw = search.raw
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
-    right = total[:, y] + (total[:, others] @ common if names else 0.0)
-    precision = search.precision(raw, base, sigma)
-    return -solve_scaled(total[:, inner] + np.diag(precision), right)
+    prior = np.diag(search.precision(raw, base, base_sigma))
+    out = []
+    for group in search.intervals:
+        values = np.zeros(0)
+        if base:
+            sums = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
+            right = sums[:, y] + (sums[:, others] @ common if names else 0.0)
+            values = -solve_scaled(sums[:, inner] + prior, right)
+        out.append((np.concatenate([values, common]), names))
+    return out
 
 
 def derived_channels(
@@ -256,20 +250,16 @@ def derived_channels(
         factors = []
         for part in parse_channel(name).parts:
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
-            factors.append(_part(series, part, values, shifts or {}))
+            if part.placebo:
+                shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0)
+                values = np.roll(values, round(shift / series.step_s), axis=0)
+            if part.lag_s or part.width:
+                values = part.of(values, np.diff(series.tt2000) / SECOND)
+            factors.append(values)
         made = channel_product(factors)
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
-
-
-def _part(series: Series, part: ChannelFactor, values: Floats, shifts: Mapping[str, float]) -> Floats:
-    if part.placebo:
-        shift = round(shifts.get(f"{part.channel}~{part.placebo}", 0.0) / series.step_s)
-        values = np.roll(values, shift, axis=0)
-    if not (part.lag_s or part.width):
-        return values
-    return part.of(values, np.diff(series.tt2000) / SECOND)
 
 
 @dataclass(frozen=True)
@@ -303,7 +293,10 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
     """Return the rows that what a search took cannot be taken off of; None when there are none."""
     rows, weight = np.zeros(len(series.tt2000), dtype=bool), series["weight"]
     channels: dict[str, float] = {}
-    for part in _channels_taken(search):
+    terms = search.library.by_key
+    taken = [terms[key] for option in search.accepted for key in option.terms]
+    names = {name for term in taken for name in term.entry.effect.channels if name}
+    for part in (part for name in sorted(names) for part in parse_channel(name).parts):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
@@ -316,18 +309,6 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
 
 def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
-
-
-def _channels_taken(search: Search) -> list[ChannelFactor]:
-    terms = search.library.by_key
-    names = {
-        name
-        for option in search.accepted
-        for key in option.terms
-        for name in terms[key].entry.effect.channels
-        if name
-    }
-    return [part for name in sorted(names) for part in parse_channel(name).parts]
 
 
 def unknown_rows(series: Series, part: ChannelFactor) -> np.ndarray | None:
@@ -360,14 +341,14 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
     return out
 
 
-def correctable_evidence(
+def correctable_grams(
     search: Search, gaps: UncorrectableRows, sensor_matrices: dict[str, Floats]
 ) -> GramBlocks:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
     What the lost rows add to the Gram matrices is subtracted with the help of the coarse series. Of long
-    records a row of the series is a mean of several of the evidence: what is within the means counts in
-    proportion.
+    records a row of the series is a mean of several rows of the Gram blocks: what is within the means counts
+    in proportion.
     """
     raw, series = search.raw, gaps.series
     base, sigma = search.base()
@@ -387,7 +368,8 @@ def correctable_evidence(
         if share <= 0:
             continue
         bins = count[block] / (weight.sum() * values.shape[1])
-        every, lost = (_square(values[one]) * bins for one in (own, own & gaps.rows))
+        flat = [values[some].reshape(-1, values.shape[2]) for some in (own, own & gaps.rows)]
+        every, lost = (part.T @ part * bins for part in flat)
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
     names_known = (*base, *model, raw.names[order[-1]])
@@ -395,14 +377,9 @@ def correctable_evidence(
     return small.marginalise(base, search.intervals, search.precision(raw, base, sigma))
 
 
-def _square(values: Floats) -> Floats:
-    flat = values.reshape(-1, values.shape[2])
-    return np.asarray(flat.T @ flat)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisData:
-    """What a verdict needs in addition to the search.
+    """What a diagnosis needs in addition to the search: model, coarse series, sums, noise floor.
 
     Attributes
     ----------
@@ -423,10 +400,10 @@ class DiagnosisData:
     correlation_time_s : float
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
-        What the pass left out.
+        Samples that the pass skipped.
     gaps : UncorrectableRows, optional
         Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
-    switched : Switched, optional
+    switched : JumpAttribution, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
     """
@@ -452,7 +429,7 @@ class DiagnosisData:
 
 
 def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:
-    """Return the context of the rows in which the channels of all that was taken are known.
+    """Return the data of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
     """
@@ -465,17 +442,17 @@ def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:
     return replace(data, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence_of_sizes(search: Search, data: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
+def _grams_of_sizes(search: Search, data: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
     """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
     if data.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    grams = correctable_evidence(search, data.gaps, data.sensor_matrices)
+    grams = correctable_grams(search, data.gaps, data.sensor_matrices)
     return grams, search.present_in(grams), grams.residuals[0]
 
 
 def held_out_rms(search: Search, data: DiagnosisData) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    grams, present, y = _evidence_of_sizes(search, data)
+    grams, present, y = _grams_of_sizes(search, data)
     interleaved = any(option.interleaved for option in search.accepted)
     empty: list[Any] = []
     found = score(grams, present, empty, y, make_folds(len(grams), interleaved))
@@ -489,7 +466,7 @@ def _square_within_bins(data: DiagnosisData) -> float:
 
 def native_rms(data: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
-    grams, present, y = _evidence_of_sizes(search, data)
+    grams, present, y = _grams_of_sizes(search, data)
     total = grams.total
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0

@@ -90,7 +90,7 @@ class Fits:
         for place, values in zip(positions, gamma, strict=True):
             fitted[int(place)] = values
 
-    def apart(self, one: int, other: int) -> Floats | None:
+    def squared_difference(self, one: int, other: int) -> Floats | None:
         """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
 
         When one of the two is the truth, it is what each block is expected to prefer it by.
@@ -143,13 +143,13 @@ class Scores:
     active: npt.NDArray[np.bool_]
     fits: Fits | None
 
-    def t_behind(self, one: int, other: int) -> float:
+    def t_worse_than(self, one: int, other: int) -> float:
         """Return the t by which one candidate leaves more than another, in blocks active for either."""
         if one == other:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
         active = self.active[:, [one]] | self.active[:, [other]]
-        apart = self.fits.apart(one, other) if self.fits is not None else None
+        apart = self.fits.squared_difference(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
         return float(expected_gain_t(difference, apart[:, None], active)[0])
@@ -176,10 +176,10 @@ class Scores:
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
-            out[place] = max(out[place], self._beyond(place, best, rival_t))
+            out[place] = max(out[place], self._t_over_similar(place, best, rival_t))
         return out
 
-    def _beyond(self, place: int, placebo: int, rival_t: float) -> float:
+    def _t_over_similar(self, place: int, placebo: int, rival_t: float) -> float:
         """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
@@ -187,7 +187,7 @@ class Scores:
         gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
         and neither is the truth.
         """
-        apart = self.fits.apart(placebo, place) if self.fits is not None else None
+        apart = self.fits.squared_difference(placebo, place) if self.fits is not None else None
         if apart is None:
             return 0.0
         gained = self.loss[:, placebo] - self.loss[:, place]

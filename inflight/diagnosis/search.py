@@ -90,7 +90,7 @@ class Rules:
     raw_gain: float = 0.5
     raw_t: float = 1.0
 
-    def shown(self, scores: Scores, p: Floats) -> npt.NDArray[np.bool_]:
+    def significant(self, scores: Scores, p: Floats) -> npt.NDArray[np.bool_]:
         """Return which candidates gain enough, significantly enough; placebos are not asked."""
         return (scores.t > self.t) & (scores.gain > self.gain) & (p < self.p)
 
@@ -189,7 +189,7 @@ class ScoreTable:
         }
         return {
             form: agreed[form]
-            & rules.shown(self.scores[form], self.p[form])
+            & rules.significant(self.scores[form], self.p[form])
             & (self.t_over_placebo[form] > rules.t)
             for form in self.scores
         }
@@ -530,7 +530,7 @@ class Search:
         p = {form: family_wise_p(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
-            form: one.t_over_placebo(placebos, self.rules.shown(one, p[form]), self.rules.rival_t)
+            form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)
             for form, one in scores.items()
         }
         return ScoreTable(options, scores, p, over_placebo)
@@ -665,16 +665,16 @@ class Search:
         """Return the state with an option in the model; a change's columns join the evidence."""
         if option.change is not None and option.change.functions:
             self.shared.expand(option.change.functions)
-        return self.holding((*self.accepted, option)).with_safe_intervals()
+        return self.with_accepted((*self.accepted, option)).with_safe_intervals()
 
     def drop(self, option: Option) -> Search:
         """Return the state without an option in the model."""
-        return self.holding([one for one in self.accepted if one is not option]).with_safe_intervals()
+        return self.with_accepted([one for one in self.accepted if one is not option]).with_safe_intervals()
 
     def exchange(self, option: Option, other: Option) -> Search:
         """Return the state with another option in the place of one of the model."""
         accepted = [other if one is option else one for one in self.accepted]
-        return self.holding(accepted).with_safe_intervals()
+        return self.with_accepted(accepted).with_safe_intervals()
 
     def hide(self, option: Option) -> Search:
         """Return the state without a change that the requested intervals take up whole; it is unscorable."""
@@ -685,11 +685,11 @@ class Search:
             self.drop(option), hidden=(*self.hidden, option.change), unscorable=(*self.unscorable, entry)
         )
 
-    def holding(self, options: Sequence[Option]) -> Search:
+    def with_accepted(self, options: Sequence[Option]) -> Search:
         """Return the state as if it had taken some options and no others, with the same intervals."""
         return replace(self, accepted=tuple(options))
 
-    def restored(self, other: Search) -> Search:
+    def with_choices_of(self, other: Search) -> Search:
         """Return the state with what another one had chosen; columns and options that joined since stay."""
         return replace(
             self,
@@ -708,7 +708,7 @@ class Search:
         self.shared.forms.clear()
         return replace(self, intervals=intervals)
 
-    def noted(
+    def with_round(
         self,
         action: str,
         option: Option,
@@ -751,7 +751,7 @@ class Search:
 
     def as_found(self) -> Search:
         """Return the search with nothing taken and the requested intervals; of the raw form alone."""
-        other = self.holding([])
+        other = self.with_accepted([])
         if self.intervals == self.requested_intervals:
             return other
         base, _ = self.base()

@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.design import Term
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, projected
@@ -148,30 +146,20 @@ def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
-    kept, rms = _retained(search, option, own, form)
+    rest = projected(grams.total, search.present(form, option))
+    kept = float(own @ rest[np.ix_(columns, columns)] @ own)
+    # Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
+    # moves by one kelvin.
+    whole = float(own @ centred(search, option) @ own)
+    rows = max(float(grams.count.sum()), 1.0)
     return Estimate(
         columns=option.columns,
         value=own * scale,
         sigma=np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
         covariance=block * np.outer(scale, scale),
-        retained=kept,
-        rms=rms,
+        retained=min(kept / whole, 1.0) if whole > 0 else 0.0,
+        rms=float(np.sqrt(max(kept, 0.0) / rows)),
     )
-
-
-def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple[float, float]:
-    """Return which part of an effect's variance no other column explains, and the rms that is left, nT.
-
-    Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
-    moves by one kelvin.
-    """
-    grams = search.forms[form]
-    columns = grams.index(option.columns)
-    left = projected(grams.total, search.present(form, option))
-    kept = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
-    whole = float(gamma @ centred(search, option) @ gamma)
-    rows = max(float(grams.count.sum()), 1.0)
-    return min(kept / whole, 1.0) if whole > 0 else 0.0, float(np.sqrt(max(kept, 0.0) / rows))
 
 
 def centred(search: Search, option: Option) -> Floats:
@@ -262,7 +250,7 @@ class RivalCheck:
     rivals: tuple[tuple[Option, float], ...]
 
 
-def _explained_beside(last: ScoreTable, rival: Option, form: str) -> float:
+def _explained_after(last: ScoreTable, rival: Option, form: str) -> float:
     """Return the sum of squares a rival explains after all that was taken; 0 when it is taken itself."""
     place = place_in(last, rival)
     scores = last.scores[form]
@@ -309,18 +297,6 @@ def clearest_form(table: ScoreTable, place: int) -> str:
     )
 
 
-def _best_of_each(table: ScoreTable, form: str) -> dict[str, int]:
-    """Return which option of each mechanism leaves least.
-
-    A change at a wrong time misses by much in few blocks: hardly any t separates it from the right one.
-    """
-    left = table.scores[form].loss.sum(axis=0)
-    best: dict[str, int] = {}
-    for place in np.argsort(left, kind="stable").tolist():
-        best.setdefault(table.options[place].mechanism, place)
-    return best
-
-
 def check_rivals(
     search: Search, option: Option, table: ScoreTable, last: ScoreTable | None = None
 ) -> RivalCheck:
@@ -335,7 +311,11 @@ def check_rivals(
         return RivalCheck(option=option, gain=gain, t=t, p=1.0, placebo_t=0.0, form="raw", rivals=())
     form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
-    best = _best_of_each(table, form)
+    # Of a mechanism the option that leaves least. A change at a wrong time misses by much in few blocks:
+    # hardly any t separates it from the right one.
+    best: dict[str, int] = {}
+    for other in np.argsort(scores.loss.sum(axis=0), kind="stable").tolist():
+        best.setdefault(table.options[other].mechanism, other)
     rivals: dict[str, tuple[Option, float]] = {}
     for other, rival in enumerate(table.options):
         if same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
@@ -344,7 +324,7 @@ def check_rivals(
             continue
         if rival.family == "unknown" and set(option.channels) < set(rival.channels):
             continue
-        if last is not None and _explained_beside(last, rival, form) > 0.5 * float(
+        if last is not None and _explained_after(last, rival, form) > 0.5 * float(
             scores.loss0.sum() * scores.gain[other]
         ):
             continue
@@ -353,7 +333,7 @@ def check_rivals(
             or scores.gain[other] < SELECTION.rival_gain * scores.gain[place]
         ):
             continue
-        behind = scores.t_behind(other, place)
+        behind = scores.t_worse_than(other, place)
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
@@ -406,15 +386,18 @@ def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: O
     numbers: Any = {"gain": gain, "t": float(scores.t[place]), "p": float(table.p[form][place]), "form": form}
     before = {one: estimate(search, one).retained for one in search.accepted}
     search, taken = _add_refined(search, data, option)
-    search = search.noted("add", option, name=taken.name, **numbers)
+    search = search.with_round("add", option, name=taken.name, **numbers)
     if search.is_hidden(taken):
-        return search.hide(taken).noted("undo", taken, **numbers)
+        return search.hide(taken).with_round("undo", taken, **numbers)
     search = _drop_superfluous(search)
     if option.mechanism not in {one.mechanism for one in search.accepted}:
         search = search.with_banned(option.mechanism)
-    if gain < SELECTION.large_gain and _makes_weak(search, before):
-        search = search.holding(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
-        return search.noted("undo", option, **numbers)
+    # A wide form can hold what is left of several causes and, for a small gain, take them over.
+    if gain < SELECTION.large_gain and any(
+        before.get(one, 0.0) >= SELECTION.weak > estimate(search, one).retained for one in search.accepted
+    ):
+        search = search.with_accepted(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
+        return search.with_round("undo", option, **numbers)
     return search
 
 
@@ -432,17 +415,6 @@ def refine_all(search: Search, data: DiagnosisData) -> Search:
     return search
 
 
-def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
-    """Return True when an effect that was well known no longer is after what was added.
-
-    A wide form can hold what is left of several causes and, for a small gain, take them over.
-    """
-    return any(
-        before.get(option, 0.0) >= SELECTION.weak and estimate(search, option).retained < SELECTION.weak
-        for option in search.accepted
-    )
-
-
 def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
     """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
 
@@ -458,10 +430,16 @@ def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) 
         loss = scores.loss
         named = places.tolist() if shapes_first else _named_causes(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
+        best = table.options[first]
+        # Forms of one cause; a change in time is none of another parameter's change.
         same = [
             place
             for place in named
-            if _are_forms(table.options[place], table.options[first])
+            if table.options[place].channels == best.channels
+            and (
+                table.options[place].mechanism == best.mechanism
+                or (table.options[place].change is None and best.change is None)
+            )
             and _simplicity(table.options[place]) < _simplicity(table.options[first])
             and _does_as_well(table, place, first, form, search.rules)
         ]
@@ -485,7 +463,7 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
         for place in places
         if table.options[place].change is None
         and same_cause(table.options[place], option)
-        and scores.t_behind(place, chosen) < rival_t
+        and scores.t_worse_than(place, chosen) < rival_t
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
@@ -493,18 +471,12 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
     return min(same, key=lambda place: float(scores.loss[:, place].sum()))
 
 
-def _are_forms(one: Option, other: Option) -> bool:
-    """Return True for forms of one cause; a change in time is none of another parameter's change."""
-    in_time = one.change is not None or other.change is not None
-    return one.channels == other.channels and (one.mechanism == other.mechanism or not in_time)
-
-
 def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
     """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
     scores = table.scores[form]
     left = scores.loss.sum(axis=0)
     little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
-    return little or scores.t_behind(simple, wide) < rules.rival_t
+    return little or scores.t_worse_than(simple, wide) < rules.rival_t
 
 
 def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[int]:
@@ -539,7 +511,7 @@ def _drop_superfluous(search: Search) -> Search:
         option = search.accepted[place]
         # One chance to come back, when others are there: more would go round in circles.
         again = option.mechanism in search.dropped
-        search = search.drop(option).noted("drop", option, gain=gain, t=t, p=1.0)
+        search = search.drop(option).with_round("drop", option, gain=gain, t=t, p=1.0)
         if again:
             search = search.with_banned(option.mechanism)
         else:
@@ -560,7 +532,7 @@ def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, lis
             better = _better_option(search, option, tables[option.name])
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)
-                search = search.noted("exchange", better)
+                search = search.with_round("exchange", better)
                 break
         else:
             break
@@ -588,7 +560,7 @@ def _better_option(search: Search, option: Option, table: ScoreTable) -> Option 
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
         and not same_cause(table.options[other], option)
-        and scores.t_behind(place, int(other)) > search.rules.rival_t
+        and scores.t_worse_than(place, int(other)) > search.rules.rival_t
         and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
     if not others:
@@ -628,8 +600,16 @@ def few_block_test(search: Search, data: DiagnosisData, table: ScoreTable) -> Sc
 
 def _few_block_p(search: Search, data: DiagnosisData, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
-    terms = _terms_of(search, option)
-    if terms is None:
+    known = search.library.by_key
+    if option.change is None or option.terms:
+        terms = [known[key] for key in option.terms if key in known]
+        complete = len(terms) == len(option.terms)
+    else:
+        changing = {column for column, _ in option.change.functions.values()}
+        terms = [term for term in known.values() if changing & set(term.columns)]
+        complete = bool(terms)
+    if not complete:
+        # The series cannot make the option's columns.
         return 1.0
     trials = FormTrials(search, data, option)
     before, after = trials.contribution(option, terms)
@@ -641,21 +621,8 @@ def _few_block_p(search: Search, data: DiagnosisData, option: Option) -> float:
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
-    gained, expected = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
+    gained, expected = (
+        np.bincount(part, weights=values).astype(np.float64)[:, None]
+        for values in (before**2 - after**2, (before - after) ** 2)
+    )
     return float(expected_gain_p(gained, expected, expected > 0)[0])
-
-
-def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
-    """Return the sums of rows (row,) by their part; (part, 1)."""
-    return np.bincount(part, weights=values).astype(np.float64)[:, None]
-
-
-def _terms_of(search: Search, option: Option) -> list[Term] | None:
-    """Return the terms whose columns an option is made of; None when the series cannot make them."""
-    terms = search.library.by_key
-    if option.change is None or option.terms:
-        keys = list(option.terms)
-        return [terms[key] for key in keys] if set(keys) <= set(terms) else None
-    carried = {column for column, _ in option.change.functions.values()}
-    found = [term for term in terms.values() if carried & set(term.columns)]
-    return found or None

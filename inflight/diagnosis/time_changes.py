@@ -161,9 +161,13 @@ def steps(grams: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     blocks = len(grams)
     places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
     edges = [int(place) for place in np.unique(places.round())]
-    for place, edge in enumerate(edges):
+    starts = [*grams.start.tolist(), int(grams.end[-1])]
+    for before, edge, behind in zip([0, *edges], edges, [*edges[1:], blocks], strict=False):
         after = (np.arange(len(grams)) >= edge).astype(np.float64)
-        when, sharp = int(grams.start[edge]), _sharpness(grams, edges, place)
+        when = starts[edge]
+        # A step may be a block away from the edge tried, or half way to the next edge tried.
+        block = max(when - starts[edge - 1], starts[edge + 1] - when)
+        sharp = max(block, max(when - starts[before], starts[behind] - when) // 2)
         for name, (family, columns) in changing.kinds.items():
             label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
             functions = {f"{label}.{column}": (column, after) for column in columns}
@@ -182,16 +186,6 @@ def batch_changes(changes: Sequence[Change]) -> Iterator[list[Change]]:
                 batch = []
         if batch:
             yield batch
-
-
-def _sharpness(grams: GramBlocks, edges: Sequence[int], place: int) -> int:
-    """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
-    starts = [*grams.start.tolist(), int(grams.end[-1])]
-    edge = edges[place]
-    blocks = max(starts[edge] - starts[edge - 1], starts[edge + 1] - starts[edge])
-    tried = [0, *edges, len(grams)]
-    around = (starts[tried[place]], starts[edge], starts[tried[place + 2]])
-    return int(max(blocks, max(np.diff(around)) // 2))
 
 
 def episodes(

@@ -39,7 +39,7 @@ from inflight.diagnosis.result import (
 )
 from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.search import Option, ScoreTable, Search
-from inflight.diagnosis.signature import Fast, fast_part, is_unknown_band, line_signature
+from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
 from inflight.diagnosis.stepwise import (
     SELECTION,
     Estimate,
@@ -119,10 +119,20 @@ def conclude(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
     residual = remaining_residual(search, known)
     blocks = effective_blocks(search, known, residual)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    after = _remaining_verdict(remaining, blocks["independent"], search.rules.blocks)
+    after = remaining.verdict(blocks["independent"], search.rules.blocks)
     verdict = _verdict(effects, checks, after)
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
-    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
+    own = signature
+    if verdict == "UNKNOWN_EFFECT" and effects:
+        # The largest effect was taken for its shape and names no cause.
+        own = Signature(
+            channel="*".join(effects[0].channels) or None,
+            lag_s=effects[0].lag_s,
+            axis=effects[0].axes[0] if len(effects[0].axes) == 1 else None,
+            shape=effects[0].name,
+            amplitude_nT=effects[0].rms_nT,
+            gain=effects[0].gain,
+        )
     facts: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
@@ -179,7 +189,10 @@ def run_rounds(search: Search, data: DiagnosisData, first: ScoreTable) -> tuple[
         search = add_interactions(search, data, [first, last], remaining.is_sure)
         if search.options is not options:
             search, last = select_effects(search, data)
-    if _may_be_substitutes(search):
+    # Named causes that shapes without a name had to complete: either both are there, or the named ones
+    # together substitute something that no effect here describes.
+    shapes = [one for one in search.accepted if _is_shape(one)]
+    if shapes and len(search.accepted) > max(len(shapes), 2):
         search, last = _from_shapes(search, data, last)
     return refine_all(search, data), last
 
@@ -192,7 +205,7 @@ def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple
     fewer = len(other.accepted) < len(search.accepted)
     if fewer and held_out_rms(other, data) <= REMAINING.as_much * before:
         return other, table
-    return other.restored(search), last
+    return other.with_choices_of(search), last
 
 
 def describe_effect(search: Search, data: DiagnosisData, check: RivalCheck) -> FoundEffect:
@@ -242,9 +255,13 @@ def _coefficients(
 ) -> tuple[Coefficient, ...]:
     out = []
     for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True):
-        term, parameter = _term_of(option, [*terms, *search.library.all_terms], column)
+        # A change in time has the unit of what changes.
+        source = option.change.functions.get(column, (column,))[0] if option.change is not None else column
+        every = [*terms, *search.library.all_terms]
+        term = next((term for term in every if source in term.columns), None)
         unit, at = "", "difference"
         if term is not None:
+            parameter = source[len(term.key) + 1 :].split("[")[0]
             kind = term.entry.effect.parameters()[parameter]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
             unit = coefficient_unit(kind, data.mission, channel) if channel else kind.unit
@@ -253,15 +270,6 @@ def _coefficients(
             unit += option.change.unit
         out.append(Coefficient(column.rsplit(".", 1)[-1], float(value), float(sigma), unit, at))
     return tuple(out)
-
-
-def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | None, str]:
-    made_of = option.change.functions if option.change is not None else {}
-    source = made_of[column][0] if column in made_of else column
-    for term in terms:
-        if source in term.columns:
-            return term, source[len(term.key) + 1 :].split("[")[0]
-    return None, ""
 
 
 def lag_profile(search: Search, option: Option) -> LagProfile | None:
@@ -439,6 +447,12 @@ class Remaining:
         certain = self.has_line or self.has_band or self.has_unit
         return certain or (self.structure.is_sure and self.structure.is_large(self.noise))
 
+    def verdict(self, independent: float, fewest: int) -> Verdict:
+        """Return the verdict on what remains, from so many independent blocks of the fewest that it takes."""
+        if not self.is_there:
+            return "NOTHING_LEFT"
+        return "UNKNOWN_EFFECT" if self.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"
+
 
 def describe_remaining(
     search: Search, data: DiagnosisData, last: ScoreTable, residual: Floats, structure: Structure
@@ -463,7 +477,16 @@ def describe_remaining(
     if not found.is_there:
         return found
     hint = _hint_signature(search, last, structure)
-    return replace(found, signature=hint if fast is None else _fast_signature(hint, fast))
+    if fast is not None:
+        # A channel that the slow part hints at stays in the signature of what is fast.
+        hint = replace(
+            hint if hint.channel else Signature(),
+            shape="fast",
+            amplitude_nT=fast.rms_nT,
+            faster_than_s=fast.faster_than_s,
+            periods_s=fast.periods_s,
+        )
+    return replace(found, signature=hint)
 
 
 def unrecorded_unit(data: DiagnosisData) -> Signature | None:
@@ -480,26 +503,26 @@ def unrecorded_unit(data: DiagnosisData) -> Signature | None:
     )
 
 
-def _fast_signature(hint: Signature, fast: Fast) -> Signature:
-    """Return the signature of what is fast; a channel that the slow part hints at stays in it."""
-    return replace(
-        hint if hint.channel else Signature(),
-        shape="fast",
-        amplitude_nT=fast.rms_nT,
-        faster_than_s=fast.faster_than_s,
-        periods_s=fast.periods_s,
-    )
-
-
 def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> Signature:
-    """Return the signature that the best rejected candidate hints at."""
-    hint = _best_rejected(search, last)
-    if hint is None:
+    """Return the signature that the best rejected candidate hints at, if it explains anything held out."""
+    scores = last.scores["raw"]
+    real = [
+        place
+        for place, option in enumerate(last.options)
+        if not option.placebo and scores.t[place] > REMAINING.hint_t
+    ]
+    if not real:
         return Signature(shape="wander", amplitude_nT=structure.rms_nT)
-    option, gain = hint
+    best = max(real, key=lambda place: (last.options[place].change is None, float(scores.gain[place])))
+    option, gain = last.options[best], float(scores.gain[best])
     along = None
     if option.change is None and len(option.columns) == 3:
-        along = axis(option.columns[int(np.argmax(_standardised(search, option)))])
+        # The largest coefficient, in units of what is detectable.
+        grams = search.forms["raw"]
+        columns = grams.index(option.columns)
+        gamma, _ = fit(grams, search.present(), [columns], search.y())
+        detectable = np.maximum(detectable_amplitude(search, option), 1e-300)
+        along = axis(option.columns[int(np.argmax(np.abs(gamma[0] * grams.scale[columns]) / detectable))])
     shape = option.mechanism
     if option.change is not None:
         shape = "step" if option.change.at else "drift"
@@ -513,28 +536,6 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
         amplitude_nT=structure.rms_nT,
         gain=gain,
     )
-
-
-def _standardised(search: Search, option: Option) -> Floats:
-    """Return how far a rejected candidate's coefficients are from nothing, in units of what is detectable."""
-    grams = search.forms["raw"]
-    gamma, _ = fit(grams, search.present(), [grams.index(option.columns)], search.y())
-    physical = gamma[0] * grams.scale[grams.index(option.columns)]
-    return np.abs(physical) / np.maximum(detectable_amplitude(search, option), 1e-300)
-
-
-def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | None:
-    """Return the best option that was not beyond doubt, if it explains anything held out."""
-    scores = last.scores["raw"]
-    real = [
-        place
-        for place, option in enumerate(last.options)
-        if not option.placebo and scores.t[place] > REMAINING.hint_t
-    ]
-    if not real:
-        return None
-    best = max(real, key=lambda place: (last.options[place].change is None, float(scores.gain[place])))
-    return last.options[best], float(scores.gain[best])
 
 
 def _residual_sizes(search: Search, data: DiagnosisData, remaining: Remaining) -> dict[str, Any]:
@@ -555,15 +556,6 @@ def _residual_sizes(search: Search, data: DiagnosisData, remaining: Remaining) -
     }
 
 
-def _may_be_substitutes(search: Search) -> bool:
-    """Return True when named causes were taken and yet shapes that name none had to complete them.
-
-    Either both are there, or the named ones together substitute something that no effect here describes.
-    """
-    shapes = [one for one in search.accepted if _is_shape(one)]
-    return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
-
-
 def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaining: Verdict) -> Verdict:
     """Return the verdict about the residual as found."""
     if not effects:
@@ -577,22 +569,3 @@ def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaini
 def _is_shape(option: Option) -> bool:
     """Return True for what was taken for its shape and names no cause."""
     return option.agnostic or option.family == "unknown"
-
-
-def _shape_signature(effect: FoundEffect) -> Signature:
-    """Return the signature of an effect that was taken for its shape and names no cause."""
-    return Signature(
-        channel="*".join(effect.channels) or None,
-        lag_s=effect.lag_s,
-        axis=effect.axes[0] if len(effect.axes) == 1 else None,
-        shape=effect.name,
-        amplitude_nT=effect.rms_nT,
-        gain=effect.gain,
-    )
-
-
-def _remaining_verdict(remaining: Remaining, independent: float, fewest: int) -> Verdict:
-    """Return the verdict on what remains."""
-    if not remaining.is_there:
-        return "NOTHING_LEFT"
-    return "UNKNOWN_EFFECT" if remaining.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"

@@ -173,8 +173,15 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
     """Return maps of day against orbit phase and Sun phase, local time or what else there is."""
     series = seen.series
     there = [name for name in _COORDINATES if name in series.channels]
-    varied = [name for name in there if _covers(series[name], _COORDINATES[name][1])]
-    length = _row_length(series.tt2000)
+    varied = []
+    for name in there:
+        # A coordinate must run through most of its turn within the record.
+        known = series[name][np.isfinite(series[name])] / _COORDINATES[name][1]
+        if np.unique((known * 8).astype(np.int64) % 8).size >= 6:
+            varied.append(name)
+    # A row is a day or more of a long record, else a part of it.
+    whole = int(series.tt2000[-1] - series.tt2000[0]) + 1
+    length = DAY * -(-whole // (DAY * VIEWS.map_rows)) if whole >= 4 * DAY else max(-(-whole // 24), 1)
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
     # No more columns than a row has samples, or every other one were empty.
@@ -188,20 +195,6 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
         out.append(_map(seen, (name, unit, reach), values, place, span, columns))
     return out
-
-
-def _covers(values: Floats, reach: float) -> bool:
-    """Return True when a coordinate runs through most of its turn within the record."""
-    known = values[np.isfinite(values)]
-    return known.size > 0 and np.unique((known / reach * 8).astype(np.int64) % 8).size >= 6
-
-
-def _row_length(tt2000: Int64) -> int:
-    """Return the length of a row, ns: a day or more of a long record, else a part of it."""
-    span = int(tt2000[-1] - tt2000[0]) + 1
-    if span >= 4 * DAY:
-        return DAY * -(-span // (DAY * VIEWS.map_rows))
-    return max(-(-span // 24), 1)
 
 
 def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Floats]:
@@ -354,7 +347,7 @@ def waterfall(search: Search, data: DiagnosisData) -> list[Step]:
     taken, known = list(search.accepted), with_correctable_rows(search, data)
 
     def size(options: Sequence[Option]) -> float:
-        return held_out_rms(search.holding(options), known)
+        return held_out_rms(search.with_accepted(options), known)
 
     sizes = [size(taken[:count]) for count in range(len(taken) + 1)]
     out = []
@@ -393,10 +386,10 @@ def cross_talk(search: Search) -> CrossTalk:
 
     Of many refined parameters only those that are most correlated with the others are kept.
     """
-    base = [(name, sigma) for term in search.library.base for name, sigma in _known(term.columns, term.sigma)]
-    refined = [
-        (name, sigma) for term in search.library.refined for name, sigma in _known(term.columns, term.sigma)
-    ]
+    base, refined = (
+        [pair for term in terms for pair in zip(term.columns, term.sigma, strict=True)]
+        for terms in (search.library.base, search.library.refined)
+    )
     found = [(name, np.inf) for option in search.accepted for name in option.columns]
     every = [*base, *refined, *found]
     if not every:
@@ -408,26 +401,18 @@ def cross_talk(search: Search) -> CrossTalk:
     covariance = gram_inverse(raw.total[np.ix_(place, place)] + np.diag(precision))
     correlation = correlation_of(covariance)
     groups = ["calibration"] * len(base) + ["model"] * len(refined) + ["found"] * len(found)
-    kept = _most_correlated(correlation, groups)
+    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
+    own = [place for place, group in enumerate(groups) if group == "model"]
+    # Of many refined parameters those that are most correlated with the others are kept.
+    others = np.abs(correlation - np.diag(np.diag(correlation)))
+    strength = others[:, fixed].max(axis=1, initial=0.0)
+    chosen = sorted(own, key=lambda place: -strength[place])[: VIEWS.most_parameters - len(fixed)]
+    kept = sorted([*fixed, *chosen])
     return CrossTalk(
         tuple(names[one].removeprefix("model:") for one in kept),
         tuple(groups[one] for one in kept),
         correlation[np.ix_(kept, kept)],
     )
-
-
-def _known(columns: Sequence[str], sigma: Sequence[float]) -> list[tuple[str, float]]:
-    return list(zip(columns, sigma, strict=True))
-
-
-def _most_correlated(correlation: Floats, groups: Sequence[str]) -> list[int]:
-    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
-    room = VIEWS.most_parameters - len(fixed)
-    own = [place for place, group in enumerate(groups) if group == "model"]
-    apart = np.abs(correlation - np.diag(np.diag(correlation)))
-    strength = apart[:, fixed].max(axis=1, initial=0.0)
-    chosen = sorted(own, key=lambda place: -strength[place])[:room]
-    return sorted([*fixed, *chosen])
 
 
 @dataclass(frozen=True)
@@ -493,7 +478,7 @@ def trials(search: Search, data: DiagnosisData, names: Sequence[str]) -> dict[st
         option = known.get(name)
         if option is None or option.change is not None:
             continue
-        alone = search.holding([option])
+        alone = search.with_accepted([option])
         found = estimate(alone, option)
         values = tuple(
             (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, data, option, column))

@@ -668,11 +668,6 @@ def _field_curves(
     }
 
 
-def strongest_dependences(found: Sequence[Dependence], count: int = DEPENDENCES.count) -> list[Dependence]:
-    """Return the dependences that stand out by five sigma, largest first."""
-    return sorted((one for one in found if one.is_clear), key=lambda one: -one.amplitude)[:count]
-
-
 def select_successively(
     residual: Residual,
     measure: Callable[[Residual], list[Structure]],
