@@ -149,7 +149,7 @@ class FitSetup:
     def _model_grams(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
     ) -> tuple[GramBlocks, list[str], list[float]]:
-        """Return the evidence of calibration and model, names of the model's columns, and their priors."""
+        """Return the Gram blocks of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
             for term in self.refined
@@ -225,7 +225,7 @@ class FitSetup:
 def combine_columns(
     grams: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
 ) -> GramBlocks:
-    """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
+    """Return Gram blocks of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters
     ----------

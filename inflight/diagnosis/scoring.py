@@ -64,7 +64,7 @@ class ModelColumns:
 
 @dataclass
 class Fits:
-    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+    """Fits to all folds but one, kept so that two candidates can be compared block by block.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class Fits:
     candidates: list[Index]
     folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
 
-    def begin(self, fold: Index, own: Floats) -> None:
-        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+    def begin_fold(self, fold: Index, own: Floats) -> None:
+        """Begin a fold with its blocks, and the projection (present, column) that the other blocks give."""
         self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
 
-    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
-        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+    def store(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Store the values (candidate, k) of some candidates in the fold begun last."""
         fitted = self.folds[-1][2]
         for place, values in zip(positions, gamma, strict=True):
             fitted[int(place)] = values
@@ -130,7 +130,7 @@ class Scores:
     active : ndarray of bool, shape (block, candidate)
         Blocks in which the calibration leaves anything of it.
     fits : Fits, optional
-        What was fitted to the other folds, to set two candidates against each other.
+        Fits to the other folds, by which two candidates are compared.
     """
 
     loss0: Floats
@@ -163,16 +163,16 @@ class Scores:
         ----------
         placebos : sequence of int
         pairwise : ndarray of bool, shape (candidate,)
-            Candidates that are set against the placebo one by one, whatever the two have in common.
+            Candidates that are compared with the placebo one by one, whatever the two have in common.
         rival_t : float
-            See `_beyond`.
+            See `_t_over_similar`.
         """
         if not placebos:
             return np.full(self.gain.size, np.inf)
         best = placebos[int(np.argmin(self.loss[:, placebos].sum(axis=0)))]
         if self.gain[best] <= 0:
             return self.t
-        # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
+        # Most have nothing in common with a placebo: their squared difference is the sum of both squares.
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
@@ -218,9 +218,9 @@ class Scores:
         )
 
     def extended(self, found: Scores, seen: bool) -> Scores:
-        """Return these scores with further candidates behind; all zero when this form does not see them.
+        """Return these scores followed by those of further candidates; zero when this form does not see them.
 
-        Their folds may be others: what they gain is set against the same loss as everybody's.
+        Their folds may be others: their gain refers to the same loss as that of all candidates.
         """
 
         def more(values: Floats) -> Floats:
@@ -245,7 +245,7 @@ def append_changes(
     ratios: Mapping[str, tuple[Floats, Floats]],
     timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
 ) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
-    """Return the scores with those of changes behind; only the raw form can see most of them."""
+    """Return the scores followed by those of changes; only the raw form can see most of them."""
     out, out_ratios = {}, {}
     for form, one in scores.items():
         seen = form == "raw"
@@ -269,7 +269,7 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds
 
 
 def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
-    """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
+    """Return in which blocks the calibration leaves anything of each candidate; (block, candidate)."""
     own = grams.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
     lively = own > SCORING.quiet * peak
@@ -323,7 +323,7 @@ def score(
     ----------
     grams : GramBlocks
         One form, the calibration marginalised.
-    present : Present
+    present : ModelColumns
         The model's columns.
     candidates : sequence of ndarray
         Columns of each.
@@ -342,7 +342,7 @@ def score(
         blocks = given[fold]
         train = total - held
         own = present.solve(train)
-        fits.begin(fold, own)
+        fits.begin_fold(fold, own)
         base = _model_loss(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in groups:
@@ -354,7 +354,7 @@ def score(
                 right = right - across @ own[:, y]
             half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
-            fits.keep(positions, gamma)
+            fits.store(positions, gamma)
             inner = grams.products_within(columns, fold)
             change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change

@@ -8,7 +8,7 @@ has the formulas); `Search.add`, `drop`, `exchange`, `hide` and `join` return th
 
 Parameters that are fitted anew in every interval take up a step at an interval's edge, and most of one that
 is near it. A change is therefore judged with intervals whose edges keep away from its time
-(`intervals_around`). What the requested intervals take up whole is hidden, and said so.
+(`intervals_around`). A change that the requested intervals take up whole is hidden and listed as unscorable.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class Option:
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Scores of all options in one round; arrays over options, by form."""
+    """Scores of all options in one round; arrays over options, by form of the Gram blocks."""
 
     options: list[Option]
     scores: dict[str, Scores]
@@ -174,14 +174,14 @@ class ScoreTable:
     t_over_placebo: dict[str, Floats]
 
     def without_fits(self) -> ScoreTable:
-        """Return the table without what was fitted to folds, which holds on to gigabytes of Gram blocks."""
+        """Return the table without what was fitted to folds, which references gigabytes of Gram blocks."""
         return replace(self, scores={form: one.without_fits() for form, one in self.scores.items()})
 
     def passing(self, rules: Rules) -> dict[str, np.ndarray]:
-        """Return, a form, which options may be added."""
+        """Return which options may be added, by form."""
         real = np.array([not option.placebo for option in self.options], dtype=bool)
         raw = self.scores["raw"]
-        # What only a filtered form shows must at least show the right way in the residual itself.
+        # What only a filtered form shows must at least have the same sign in the residual itself.
         agreed = {
             "raw": real,
             "within": real & (raw.t > 0),
@@ -197,7 +197,7 @@ class ScoreTable:
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """One addition or removal, for the ledger: `action` is add, drop, undo or exchange."""
+    """One entry of the ledger: `action` is add, drop, undo or exchange."""
 
     number: int
     action: str
@@ -481,7 +481,7 @@ class Search:
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
     def present_in(self, grams: GramBlocks, without: Option | None = None) -> ModelColumns:
-        """Return the columns of the model in some evidence that has them, with their priors."""
+        """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
@@ -515,10 +515,10 @@ class Search:
         options = list(main)
         whole = float(scores["raw"].loss0.sum())
         timed = []
-        for more, own, own_present, requested in self._changes(without):
+        for more, own, present, requested in self._changes(without):
             y, columns = own.residuals[self.residual], [own.index(option.columns) for option in more]
-            found = score(own, own_present, columns, y, make_folds(len(own), more[0].interleaved))
-            ratio, flipped = sign_flip_ratios(own, own_present, columns, y, signs, units)
+            found = score(own, present, columns, y, make_folds(len(own), more[0].interleaved))
+            ratio, flipped = sign_flip_ratios(own, present, columns, y, signs, units)
             if requested is not None:
                 kept = self._not_hidden(more, requested, found.gamma)
                 found, ratio, flipped = found.rescaled(whole).keep_only(kept), ratio * kept, flipped * kept
@@ -538,9 +538,9 @@ class Search:
     def _changes(
         self, without: Option | None
     ) -> Iterator[tuple[list[Option], GramBlocks, ModelColumns, GramBlocks | None]]:
-        """Yield options bound to a time, some at a time with the evidence of their columns alone.
+        """Yield options bound to a time, some at a time with the Gram blocks of their columns alone.
 
-        Where that is of other intervals than those in use, it comes again with the requested ones.
+        Where their intervals are not those in use, the blocks come again with the requested ones.
         """
         base, _ = self.base()
         own = self._model_columns(without)
@@ -575,7 +575,7 @@ class Search:
                 yield [one], wide, self.present_in(wide, without), self._requested(small, intervals)
 
     def _requested(self, grams: GramBlocks, intervals: Groups) -> GramBlocks | None:
-        """Return the evidence with the requested intervals; None when `intervals` are those in use."""
+        """Return the Gram blocks with the requested intervals; None when `intervals` are those in use."""
         return None if intervals == self.intervals else self._marginalised(grams, self.requested_intervals)
 
     def _excluded(self, found: Sequence[Change], without: Option | None) -> set[str]:
@@ -662,7 +662,7 @@ class Search:
     # The next state.
 
     def add(self, option: Option) -> Search:
-        """Return the state with an option in the model; a change's columns join the evidence."""
+        """Return the state with an option in the model; a change's columns join the Gram blocks."""
         if option.change is not None and option.change.functions:
             self.shared.expand(option.change.functions)
         return self.with_accepted((*self.accepted, option)).with_safe_intervals()
