@@ -320,20 +320,17 @@ def _minimise(grid: Floats, loss: Callable[[float], Floats], around: tuple[float
     """Return where the loss is least: on the whole grid, then twice on finer ones around it; four digits."""
     best = 0.0
     for part in (1.0, 0.25, 0.0):
-        best = _grid_minimum(grid, np.array([loss(float(one)).sum() for one in grid]))
+        sums = np.array([loss(float(one)).sum() for one in grid])
+        at = int(np.argmin(sums))
+        best = float(grid[at])
+        if 0 < at < len(sums) - 1:
+            # The vertex of a parabola in the logarithm.
+            x = np.log(grid[at - 1 : at + 2])
+            vertex = _vertex(x, sums[at - 1 : at + 2])
+            best = float(np.exp(np.clip(vertex, x[0], x[2]))) if np.isfinite(vertex) else best
         if part:
             grid = best * np.geomspace(*around, 7) ** part
     return float(f"{best:.4g}")
-
-
-def _grid_minimum(grid: Floats, sums: Floats) -> float:
-    """Return where the sums are least, by a parabola in the logarithm."""
-    at = int(np.argmin(sums))
-    if at in (0, len(sums) - 1):
-        return float(grid[at])
-    x = np.log(grid[at - 1 : at + 2])
-    found = _vertex(x, sums[at - 1 : at + 2])
-    return float(np.exp(np.clip(found, x[0], x[2]))) if np.isfinite(found) else float(grid[at])
 
 
 def _vertex(x: Floats, y: Floats) -> float:
@@ -706,20 +703,16 @@ def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
 
 def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:
     """Return the state with the columns of new terms in its Gram blocks."""
-    cache = _cached_design(search, data, terms)
-    raw, white = _borders(search, data, terms, cache)
-    return replace(search.join(terms, raw, white), design_cache=cache)
-
-
-def _cached_design(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> CachedDesign:
-    """Return the cached design matrix of all terms; each further column costs its own making only."""
+    # The design matrix of all terms is cached: a further column costs its own making only.
     series, known = data.series, search.design_cache
     new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known.names)]
     channels = {name for term in new for name in term.entry.effect.channels if name}
     rows = series.rows(data.sensor_matrices, derived_channels(series, channels, search.library.placebos))
     made = [design_matrix([term], rows).astype(np.float32) for term in new]
     names = (*known.names, *(name for term in new for name in term.columns))
-    return CachedDesign(names, (*known.pieces, *made))
+    cache = CachedDesign(names, (*known.pieces, *made))
+    raw, white = _borders(search, data, terms, cache)
+    return replace(search.join(terms, raw, white), design_cache=cache)
 
 
 def _borders(

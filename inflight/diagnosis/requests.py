@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -137,7 +137,7 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
     if lagged := _LAG.match(name):
         bank = [one for one in real if one.mechanism == lagged["mechanism"] and maker.bank(one)]
         if bank:
-            return bank[0], _seconds(name, lagged["lag"])
+            return bank[0], _parsed(name, lagged["lag"], parse_duration, "@lag=600s") / SECOND
     mechanisms = list(dict.fromkeys(one.mechanism for one in real))
     similar = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
     if len(similar) == 1:
@@ -163,18 +163,16 @@ def _unknown_name(maker: AdditionMaker, name: str, mechanisms: Sequence[str]) ->
     )
 
 
-def _seconds(name: str, lag: str) -> float:
+def _parsed(name: str, text: str, parse: Callable[[str], Any], example: str) -> Any:
+    """Return a part of a name, parsed; an error names the whole name and an example."""
     try:
-        return parse_duration(lag) / SECOND
+        return parse(text)
     except ValueError as error:
-        raise ModelError(f"{name!r}: {error}", remedy="write such as @lag=600s") from None
+        raise ModelError(f"{name!r}: {error}", remedy=f"write such as {example}") from None
 
 
 def _parse_time(name: str, text: str) -> int:
-    try:
-        return int(to_tt2000(parse_utc(text)))
-    except ValueError as error:
-        raise ModelError(f"{name!r}: {error}", remedy="write such as offset_step@2024-03-01") from None
+    return int(to_tt2000(_parsed(name, text, parse_utc, "offset_step@2024-03-01")))
 
 
 # Entries of a model's file.

@@ -54,6 +54,7 @@ from inflight.diagnosis.stepwise import (
     select_effects,
 )
 from inflight.effects import coefficient_unit
+from inflight.mission import Mission
 from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
@@ -261,15 +262,19 @@ def _coefficients(
         term = next((term for term in every if source in term.columns), None)
         unit, at = "", "difference"
         if term is not None:
-            parameter = source[len(term.key) + 1 :].split("[")[0]
-            kind = term.entry.effect.parameters()[parameter]
-            channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            unit = coefficient_unit(kind, data.mission, channel) if channel else kind.unit
+            unit = column_unit(data.mission, term, source)
             at = "difference" if term.entry.is_additive else term.entry.sensor.name
         if option.change is not None:
             unit += option.change.unit
         out.append(Coefficient(column.rsplit(".", 1)[-1], float(value), float(sigma), unit, at))
     return tuple(out)
+
+
+def column_unit(mission: Mission, term: Term, column: str) -> str:
+    """Return the unit of the coefficient of a term's column."""
+    kind = term.entry.effect.parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
+    channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
+    return coefficient_unit(kind, mission, channel) if channel else kind.unit
 
 
 def lag_profile(search: Search, option: Option) -> LagProfile | None:

@@ -21,7 +21,7 @@ from inflight.diagnosis.result import Coefficient
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
-from inflight.effects import coefficient_unit
+from inflight.diagnosis.verdict import column_unit
 from inflight.lsq import correlation_of, gram_inverse
 from inflight.residual import DEPENDENCES, Curve, FieldResponse, curve_of, field_axes, field_response
 from inflight.time import DAY, SECOND, Int64, to_utc
@@ -480,22 +480,14 @@ def trials(search: Search, data: DiagnosisData, names: Sequence[str]) -> dict[st
             continue
         alone = search.with_accepted([option])
         found = estimate(alone, option)
+        terms = [search.library.by_key[key] for key in option.terms]
+        units = {column: column_unit(data.mission, term, column) for term in terms for column in term.columns}
         values = tuple(
-            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, data, option, column))
+            (column.rsplit(".", 1)[-1], float(value), float(sigma), units.get(column, ""))
             for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True)
         )
         out[name] = Trial(found.retained, form_disagreement(alone, option), values)
     return out
-
-
-def _unit(search: Search, data: DiagnosisData, option: Option, column: str) -> str:
-    for key in option.terms:
-        term = search.library.by_key[key]
-        if column in term.columns:
-            kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
-            channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            return coefficient_unit(kind, data.mission, channel) if channel else kind.unit
-    return ""
 
 
 def responses(seen: BeforeAfter, channels: Sequence[str]) -> list[FieldResponse]:
