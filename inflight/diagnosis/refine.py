@@ -808,14 +808,14 @@ class LagProfile:
     ----------
     lags : ndarray
         Seconds.
-    left : ndarray
+    remaining : ndarray
         Sum of squares left at each, nT^2 (in-sample).
     best, sigma : float
         The lag that leaves least and its jackknife error over folds of blocks, seconds.
     """
 
     lags: Floats
-    left: Floats
+    remaining: Floats
     best: float
     sigma: float
 
@@ -823,7 +823,7 @@ class LagProfile:
         """Return the fields as plain numbers."""
         return {
             "lags_s": self.lags.tolist(),
-            "left_nT2": self.left.tolist(),
+            "left_nT2": self.remaining.tolist(),
             "best_s": self.best,
             "sigma_s": self.sigma,
         }
@@ -854,9 +854,9 @@ def profile_lag(
     mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
 
     def explained(gram: Floats) -> Floats:
-        left = projected(gram, present)
-        own = left[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
-        cross = left[columns, y].reshape(lags.size, size)
+        remaining = projected(gram, present)
+        own = remaining[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
+        cross = remaining[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
         half = inverse_square_root(matrices)
         return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))

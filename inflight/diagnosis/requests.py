@@ -1,7 +1,7 @@
 """What a user asks to add to a model: a name, a channel, or an entry of the model's file, made an addition.
 
 Takes text or a mapping as `inflight add` gets it; makes a `Request` (`find_request`): the addition, and the
-same with every lag of its bank when the lag that fits best is asked for (`best_lag`). `addition_of_entry`
+same with every lag of its bank, from which `best_lag` chooses when no lag is stated. `addition_of_entry`
 does the same for an effect of a later version of the model, so that it can be fitted again.
 """
 
@@ -55,7 +55,7 @@ class Request:
     ----------
     addition : Addition
     bank : dict of float to Addition
-        The same with every lag of its bank, when the lag that fits best is asked for; else empty.
+        The same with every lag of its bank, when no lag is stated; else empty.
     """
 
     addition: Addition
@@ -215,7 +215,7 @@ def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
         for key, timed in entry.parameters.items()
     }
     entry = entry.with_parameters(still)
-    # Gram blocks are known by the names of their columns: they say what the effect is made of.
+    # Gram blocks are known by the names of their columns: these say what the effect is made of.
     made_of = json.dumps(entry.as_yaml(), sort_keys=True, default=str)
     key = f"{entry.name}#{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
     term = term_of(entry, key)

@@ -468,10 +468,10 @@ def native_rms(data: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
     grams, present, y = _grams_of_sizes(search, data)
     total = grams.total
-    left = total[y, y] - (
+    remaining = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
-    return float(np.sqrt(max(left, 0.0) / max(grams.count.sum(), 1.0) + _square_within_bins(data)))
+    return float(np.sqrt(max(remaining, 0.0) / max(grams.count.sum(), 1.0) + _square_within_bins(data)))
 
 
 def effective_blocks(search: Search, data: DiagnosisData, residual: Floats) -> dict[str, Any]:

@@ -91,7 +91,7 @@ class Rules:
     raw_t: float = 1.0
 
     def significant(self, scores: Scores, p: Floats) -> npt.NDArray[np.bool_]:
-        """Return which candidates gain enough, significantly enough; placebos are not asked."""
+        """Return which candidates gain enough, significantly enough; placebos included."""
         return (scores.t > self.t) & (scores.gain > self.gain) & (p < self.p)
 
     def margin(self, worth: tuple[float, float]) -> float:
@@ -312,7 +312,7 @@ class Search:
     library : Library
         What the columns are; terms that joined are among its terms.
     requested_intervals, intervals : sequence of sequence of int
-        Blocks of each calibration interval: as they were asked for, and those in use, whose edges keep away
+        Blocks of each calibration interval: as they were requested, and those in use, whose edges keep away
         from changes that were taken.
     rules : Rules
     variance : float
@@ -816,13 +816,13 @@ def is_visible(
         Of a row, nT^2.
     """
     whole = np.diag(raw.centred(raw.index(columns), base))
-    left = np.diag(form.total)[form.index(columns)]
-    kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
+    remaining = np.diag(form.total)[form.index(columns)]
+    kept = np.where(whole > 0, remaining / np.where(whole > 0, whole, 1.0), 0.0)
     # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
     # usual size says whether the rest can be.
     own = np.diag(raw.total)[raw.index(columns)]
-    clear = left > settings.own_part * own
-    clear |= left * usual[: len(left)] ** 2 > settings.clear * variance
+    clear = remaining > settings.own_part * own
+    clear |= remaining * usual[: len(remaining)] ** 2 > settings.clear * variance
     return bool(np.any((kept >= settings.least_retained) & clear))
 
 
@@ -846,9 +846,9 @@ def is_visible_change(
     variance : float
         Of a row, nT^2.
     """
-    left = projected(grams.total, present)
-    expected = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
-    gained = -2.0 * float(gamma @ left[columns, y]) - expected
+    remaining = projected(grams.total, present)
+    expected = float(gamma @ remaining[np.ix_(columns, columns)] @ gamma)
+    gained = -2.0 * float(gamma @ remaining[columns, y]) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 

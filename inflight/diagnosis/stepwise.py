@@ -133,8 +133,8 @@ def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats,
     count = len(scores)
     meat = bartlett_covariance(scores, SELECTION.bartlett)
     free = max(count - p.size / 3.0, 2.0)
-    left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
-    white = max(float(left), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
+    remaining = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
+    white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
     return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
@@ -274,11 +274,11 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
         return False
     grams = search.forms[form]
     own, wide = grams.index(option.columns), grams.index(rival.columns)
-    left = projected(grams.total, search.present(form, option))
+    rest = projected(grams.total, search.present(form, option))
     gamma, _ = fit(grams, search.present(form, option), [own], search.y(form))
-    shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
-    whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
+    shared = rest[np.ix_(wide, own)] @ gamma[0]
+    half = inverse_square_root(rest[np.ix_(wide, wide)][None])[0]
+    whole = float(gamma[0] @ rest[np.ix_(own, own)] @ gamma[0])
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
 
 
@@ -474,8 +474,8 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
 def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
     """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
     scores = table.scores[form]
-    left = scores.loss.sum(axis=0)
-    little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
+    loss = scores.loss.sum(axis=0)
+    little = float(loss[simple] - loss[wide]) < rules.gain * float(loss[simple])
     return little or scores.t_worse_than(simple, wide) < rules.rival_t
 
 
@@ -575,8 +575,8 @@ def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float)
     same = mine.channels == wide.channels and _simplicity(mine) < _simplicity(wide)
     if wide.family != "unknown" and not (same and mine.channels):
         return True
-    left = table.scores[form].loss.sum(axis=0)
-    return float(left[place] - left[other]) > gain * float(left[place])
+    loss = table.scores[form].loss.sum(axis=0)
+    return float(loss[place] - loss[other]) > gain * float(loss[place])
 
 
 def few_block_test(search: Search, data: DiagnosisData, table: ScoreTable) -> ScoreTable:

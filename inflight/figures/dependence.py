@@ -220,7 +220,7 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
     rows : float
         Rows of the Gram blocks, which turn sums of squares into an rms.
     """
-    size = np.sqrt(np.maximum(found.left, 0.0) / max(rows, 1.0))
+    size = np.sqrt(np.maximum(found.remaining, 0.0) / max(rows, 1.0))
     drawn = found.lags > 0
     title = f"lag {found.best:.3g} ± {found.sigma:.2g} s" if found.best > 0 else "no lag is best"
     plot = plain_figure(

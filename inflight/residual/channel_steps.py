@@ -355,7 +355,7 @@ class _Step:
 
 @dataclass(frozen=True)
 class _Readings:
-    """The channel's readings, s and its unit, and what is asked of a step."""
+    """The readings of a channel (s, its unit), their noise, and limits of a step (s)."""
 
     seconds: Floats
     values: Floats

@@ -297,7 +297,7 @@ def find_lines(
     known : mapping of str to float
         Periods by name, s.
     shortest, longest : float
-        Periods looked at, s.
+        Range of periods, s.
     most : int
         Lines returned at most of each sort, largest first.
 
@@ -574,7 +574,7 @@ def record_lines(
     known : mapping of str to float
         Periods by name, s.
     shortest : float
-        Shortest period looked at, s.
+        Shortest period, s.
     """
     power = record_power(*record, step, settings)
     if power is None:

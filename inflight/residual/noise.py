@@ -112,7 +112,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     cadence : float
         Seconds between samples.
     working : float, optional
-        Seconds of the means that the level is asked for; the cadence itself when absent. White
+        Seconds of the means that the level refers to; the cadence itself when absent. White
         noise falls with the square root of the samples in a mean.
 
     Returns
