@@ -64,9 +64,9 @@ def replace_residual(search: Search, residual: int) -> Search:
         search.white,
         search.library,
         search.requested_intervals,
-        search.days,
+        search.shared.days,
         search.rules,
-        search.within,
+        search.shared.within,
         time_variable=search.time_variable,
         residual=residual,
     )

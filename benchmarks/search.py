@@ -26,7 +26,7 @@ BLOCKS, CANDIDATES, WIDTH, ROWS = 200, 300, 3, 1500
 class Made:
     """GramBlocks with its candidates' columns."""
 
-    evidence: GramBlocks
+    grams: GramBlocks
     present: ModelColumns
     candidates: list[np.ndarray] = field(default_factory=list)
 
@@ -51,14 +51,14 @@ def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
 def ranking(draws: int = 2000) -> list[str]:
     """Return the lines to print: scores, cross-validation and flips of one form, and of all three."""
     made = synthetic()
-    y = len(made.evidence.names) - 1
+    y = len(made.grams.names) - 1
 
     def scored() -> object:
-        return score(made.evidence, made.present, made.candidates, y, make_folds(len(made.evidence)))
+        return score(made.grams, made.present, made.candidates, y, make_folds(len(made.grams)))
 
     def flipped() -> object:
-        signs, units = draw_signs(len(made.evidence), draws, 0)
-        observed, drawn = sign_flip_ratios(made.evidence, made.present, made.candidates, y, signs, units)
+        signs, units = draw_signs(len(made.grams), draws, 0)
+        observed, drawn = sign_flip_ratios(made.grams, made.present, made.candidates, y, signs, units)
         return family_wise_p(observed, drawn)
 
     with threadpool_limits(1):
@@ -66,9 +66,9 @@ def ranking(draws: int = 2000) -> list[str]:
         scored()
         first = time.perf_counter() - begun
         again, flips = timed(scored, 3) / 1e3, timed(flipped, 3) / 1e3
-    size = made.evidence.gram[0].nbytes / 2 / 15
+    size = made.grams.gram[0].nbytes / 2 / 15
     return [
-        f"ranking {CANDIDATES} candidates ({len(made.evidence.names)} columns, {len(made.evidence)} blocks):",
+        f"ranking {CANDIDATES} candidates ({len(made.grams.names)} columns, {len(made.grams)} blocks):",
         f"  one form: cross-validation {again:.2f} s (first time {first:.2f} s), {draws} flips {flips:.2f} s",
         f"  raw, within-day and prewhitened: {3 * (again + flips):.1f} s (aim 1.5 s)",
         f"  stored: {size / 1e3:.0f} kB a day and form",

@@ -1,4 +1,11 @@
-"""The web page: model against measurement, the missing effect, the falling error; of every mission."""
+"""The web page of a workspace: compare, diagnose the missing effect, revise the model, show tables.
+
+In goes an opened workspace; out comes a local web server (`Server`) whose page calls the functions behind
+the verbs ``compare``, ``diagnose``, ``add``, ``drop`` and ``undo``. Open ``session.py`` first:
+`ExplorerSession` is everything the page can do, without widgets. ``page.py`` is the layout; its tabs are
+``views.py`` (compare, tables) and ``diagnosis_view.py``; ``job_pane.py`` shows progress and result of work
+in ``background.py``.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Long work beside the page: one piece at a time, in a thread, its progress read by whoever asks."""
+"""Long work in a background thread: one job at a time, with its progress, result or error."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from inflight.tasks import Progress, error_fields
 
 @dataclass
 class BackgroundJob:
-    """One piece of work: asked for, under way, or done with a result or an error.
+    """A piece of work: waiting, running, or finished with a result or an error.
 
     Attributes
     ----------
     name : str
-        What a person calls it.
+        Name shown to the user.
     stage, done, total
-        How far it is, as the steps of the pipeline tell it; no stage before it begins.
+        Progress, as the steps of the pipeline report it; no stage before it begins.
     result : object
         What the work returned, once it is done.
     error : mapping, optional
@@ -34,7 +34,7 @@ class BackgroundJob:
     total: int = 0
     result: Any = None
     error: Mapping[str, str] | None = None
-    #: Of an unexpected error, for whoever started the page.
+    #: Traceback of the error, for the terminal the page was started from.
     trace: str = ""
     _finished: threading.Event = field(default_factory=threading.Event)
 
@@ -47,15 +47,15 @@ class BackgroundJob:
         """Wait until it is finished; False when the time is over before."""
         return self._finished.wait(seconds)
 
-    def tell(self, stage: str, done: int, total: int) -> None:
-        """Take note of how far the work is."""
+    def report_progress(self, stage: str, done: int, total: int) -> None:
+        """Record the progress of the work."""
         self.stage, self.done, self.total = stage, done, total
 
     def carry_out(self, work: Callable[[Progress], Any]) -> None:
-        """Do the work; whatever it raises is kept, because nobody waits for it here."""
-        self.tell("begin", 0, 0)
+        """Do the work; an exception is kept as `error`, because no caller could catch it."""
+        self.report_progress("begin", 0, 0)
         try:
-            self.result = work(self.tell)
+            self.result = work(self.report_progress)
         except Exception as error:
             self.error, self.trace = error_fields(error), traceback.format_exc()
         finally:
@@ -63,7 +63,7 @@ class BackgroundJob:
 
 
 class Background:
-    """One thread that does one piece of work after the other.
+    """One thread that does jobs one after the other.
 
     A pass over the archive fills memory and cores by itself: two at a time would only slow each other.
     """
@@ -72,19 +72,19 @@ class Background:
         self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="explorer")
 
     def begin(self, name: str, work: Callable[[Progress], Any]) -> BackgroundJob:
-        """Do the work as soon as what was asked for before is done; return at once.
+        """Queue work behind the jobs that were begun before; return at once.
 
         Parameters
         ----------
         name : str
-            What a person calls it.
+            Name shown to the user.
         work : callable
-            Of one function ``(stage, done, total)`` that it tells its progress.
+            Takes one function ``(stage, done, total)``, to which it reports its progress.
         """
         job = BackgroundJob(name)
         self._pool.submit(job.carry_out, work)
         return job
 
     def close(self) -> None:
-        """Drop what has not begun; what is under way ends by itself."""
+        """Cancel jobs that have not begun; the running one ends by itself."""
         self._pool.shutdown(wait=False, cancel_futures=True)

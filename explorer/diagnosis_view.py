@@ -1,4 +1,4 @@
-"""The missing effect: what the last diagnosis found, changes of the model, and how the error falls."""
+"""The tab of the missing effect: last diagnosis, changes of the model, and how the error falls."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NOTE = (
 
 
 class DiagnosisView:
-    """The missing effect; every button does what the verb of its name does.
+    """The missing effect; every button does what the verb of the same name does.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ class DiagnosisView:
     title = "The missing effect"
 
     def __init__(self, session: ExplorerSession, changed: Callable[[], None]) -> None:
-        self._session, self._tell = session, changed
+        self._session, self._notify = session, changed
         self._overview: ComparisonOverview | None = None
         self._days: Days | None = None
-        self._found, self._model = JobPane(session.background), JobPane(session.background)
+        self._diagnosis_pane, self._model_pane = JobPane(session.background), JobPane(session.background)
         self._versions = pn.Column(sizing_mode="stretch_width")
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._figures = pn.widgets.Button(name="All figures of this diagnosis")
@@ -77,55 +77,55 @@ class DiagnosisView:
         self.panel = pn.Column(
             pn.Row(self._diagnose, self._figures),
             pn.Row(self._candidate, self._other, self._add, self._own, self._drop, self._undo),
-            self._model.panel,
-            self._found.panel,
+            self._model_pane.panel,
+            self._diagnosis_pane.panel,
             self._versions,
             sizing_mode="stretch_width",
         )
 
-    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the last diagnosis of a comparison and the versions of its model."""
         self._overview, self._days = overview, days
-        self._show_found(self._session.last_diagnosis(overview.comparison))
+        self._show_diagnosis(self._session.last_diagnosis(overview.comparison))
         self._show_model()
 
-    # What the last diagnosis found.
+    # The last diagnosis.
 
     def _begin_diagnosis(self) -> None:
         if self._overview is None or self._days is None:
-            self._found.put(panes.hint("The archive is empty: 'inflight ingest' fills it."))
+            self._diagnosis_pane.put(panes.hint("The archive is empty: 'inflight ingest' fills it."))
             return
         comparison, days = self._overview.comparison, self._days
-        self._found.begin(
+        self._diagnosis_pane.begin(
             "Diagnosis",
             lambda progress: self._session.diagnose(comparison, days, progress),
             self._diagnosed,
         )
 
     def _diagnosed(self, fields: Fields) -> pn.viewable.Viewable:
-        self._offer_candidates(fields)
+        self._list_candidates(fields)
         return panes.sections(diagnosis_sections(fields))
 
     def _begin_figures(self) -> None:
         if self._overview is None:
             return
         comparison = self._overview.comparison
-        self._found.begin(
+        self._diagnosis_pane.begin(
             "All figures",
             lambda progress: self._session.figures_of_diagnosis(comparison, progress),
             panes.sections,
         )
 
-    def _show_found(self, fields: Fields | None) -> None:
+    def _show_diagnosis(self, fields: Fields | None) -> None:
         self._figures.disabled = fields is None
         if fields is None:
             self._candidate.options = []
-            self._found.put(panes.hint("Nobody has asked yet which effect is missing: diagnose a span."))
+            self._diagnosis_pane.put(panes.hint("There is no diagnosis yet: diagnose a span."))
         else:
-            self._found.put(self._diagnosed(fields))
+            self._diagnosis_pane.put(self._diagnosed(fields))
 
-    def _offer_candidates(self, fields: Fields) -> None:
-        """Offer what was found first, then the ranking."""
+    def _list_candidates(self, fields: Fields) -> None:
+        """List the found effects first, then the ranking."""
         self._figures.disabled = False
         names = [one["name"] for one in fields["effects"]]
         names += [one["name"] for one in fields["candidates"] if not one["placebo"]]
@@ -141,26 +141,26 @@ class DiagnosisView:
         if self._overview is None:
             return
         if verb != "undo" and not effect:
-            self._model.put(panes.hint(f"Choose what to {verb} first."))
+            self._model_pane.put(panes.hint(f"Choose what to {verb} first."))
             return
         comparison = self._overview.comparison
         self._other.value = ""
-        self._model.begin(
+        self._model_pane.begin(
             f"{verb} {effect}".strip(),
             lambda progress: self._session.change(comparison, verb, effect or "", progress),
-            lambda told: self._changed(),
+            lambda change: self._changed(),
         )
 
     def _changed(self) -> pn.viewable.Viewable:
-        self._tell()
+        self._notify()
         assert self._overview is not None
         self._show_versions()
-        return _change(self._session.changes[self._overview.comparison])
+        return _change_pane(self._session.changes[self._overview.comparison])
 
     def _show_model(self) -> None:
         assert self._overview is not None
         changes = self._session.changes[self._overview.comparison]
-        self._model.put(*([_change(changes)] if changes else []))
+        self._model_pane.put(*([_change_pane(changes)] if changes else []))
         self._show_versions()
 
     def _show_versions(self) -> None:
@@ -171,7 +171,7 @@ class DiagnosisView:
 
 
 def diagnosis_sections(fields: Fields) -> list[Section]:
-    """Return what a kept diagnosis shows, as `Diagnosis.as_json` with ``asked``."""
+    """Return the sections of a stored diagnosis: fields of `Diagnosis.as_json`, and ``asked``."""
     strip = verdict_strip(
         fields["verdict"], fields["sentence"], fields["residual"], fields["remaining"]["verdict"]
     )
@@ -179,7 +179,7 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
     table = candidate_table(fields["candidates"], {}, rivals)
     unscorable = unscorable_list(fields["unscorable"])
     return [
-        ("Verdict", [_asked(fields), strip, *found_effects(fields), *separating_blocks(fields)], []),
+        ("Verdict", [_span_and_model(fields), strip, *found_effects(fields), *separating_blocks(fields)], []),
         (
             "Candidates",
             [paragraph(_NOTE, kind="quiet"), table, unscorable],
@@ -189,8 +189,8 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
     ]
 
 
-def _asked(fields: Fields) -> str:
-    """Return of which span and model a diagnosis is."""
+def _span_and_model(fields: Fields) -> str:
+    """Return the span and the model of a diagnosis as text."""
     asked, model = fields.get("asked") or {}, fields["model"]
     ends = []
     if asked.get("start"):
@@ -202,8 +202,8 @@ def _asked(fields: Fields) -> str:
     return paragraph(f"{span}, model {model.get('name')}{version}.", kind="quiet")
 
 
-def _change(changes: Sequence[Fields]) -> pn.viewable.Viewable:
-    """Return the last change with the figure beside it: both are seen at once."""
+def _change_pane(changes: Sequence[Fields]) -> pn.viewable.Viewable:
+    """Return the last change and its figure side by side."""
     paragraphs, figures = change_section(changes)
     return pn.Row(*map(pn.pane.Bokeh, figures), panes.text(*paragraphs), sizing_mode="stretch_width")
 

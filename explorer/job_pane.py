@@ -1,4 +1,4 @@
-"""A place of the page that shows what a job brings: how far it is, its result, or its error."""
+"""A pane that shows a background job: its progress, then its result or its error."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from inflight.explorer.background import Background, BackgroundJob
 from inflight.figures import LazySection
 from inflight.tasks import Progress
 
-#: How often the page looks how far a job is, ms.
-_PERIOD = 300
+#: How often the progress of a job is polled, ms.
+_POLL_MS = 300
 
 
 def lazy_tabs(parts: Sequence[LazySection], background: Background) -> pn.Tabs:
-    """Return sections behind tabs, each made when it is looked at for the first time.
+    """Return sections behind tabs, each made when its tab is opened for the first time.
 
     Parameters
     ----------
     parts : sequence of Later
         Made in a thread of the background.
     """
-    places = [JobPane(background) for _ in parts]
+    job_panes = [JobPane(background) for _ in parts]
     begun: set[int] = set()
     tabs = pn.Tabs(
-        *((heading, place.panel) for (heading, _), place in zip(parts, places, strict=True)),
+        *((heading, pane.panel) for (heading, _), pane in zip(parts, job_panes, strict=True)),
         dynamic=True,
         sizing_mode="stretch_width",
     )
 
-    def look_at(place: int) -> None:
-        if place not in begun:
-            begun.add(place)
-            heading, make = parts[place]
-            places[place].begin(heading, lambda progress: make(), lambda inside: panes.section(*inside))
+    def show(index: int) -> None:
+        if index not in begun:
+            begun.add(index)
+            heading, make = parts[index]
+            job_panes[index].begin(heading, lambda progress: make(), lambda body: panes.section(*body))
 
-    tabs.param.watch(lambda event: look_at(event.new), "active")
+    tabs.param.watch(lambda event: show(event.new), "active")
     if parts:
-        look_at(0)
+        show(0)
     return tabs
 
 
 class JobPane:
-    """Where results of jobs appear, one after the other; the newest job wins.
+    """Shows the result of one job after the other; of several, that of the newest.
 
     Parameters
     ----------
     background : Background
-        What does the work.
+        Does the work.
     """
 
     def __init__(self, background: Background) -> None:
@@ -59,37 +59,37 @@ class JobPane:
         self._status = pn.pane.HTML("", visible=False, margin=(5, 10))
         self._content = pn.Column(sizing_mode="stretch_width")
         self._job: BackgroundJob | None = None
-        self._look: Any = None
+        self._poll_callback: Any = None
         self._show: Callable[[Any], pn.viewable.Viewable] = panes.text
         #: What the page holds.
         self.panel = pn.Column(self._status, self._content, sizing_mode="stretch_width")
 
     @property
     def is_busy(self) -> bool:
-        """Whether a job is under way."""
+        """Whether a job is running or waiting."""
         return self._job is not None
 
     def put(self, *parts: pn.viewable.Viewable) -> None:
-        """Show something at once, in the place of what was there."""
+        """Show some panes now; they replace what was there."""
         self._content.objects = list(parts)
 
     def begin(
         self, name: str, work: Callable[[Progress], Any], show: Callable[[Any], pn.viewable.Viewable]
     ) -> None:
-        """Begin a job; its result is shown when it is there, unless another was begun meanwhile.
+        """Begin a job; its result is shown when it is finished, unless another was begun meanwhile.
 
         Parameters
         ----------
         work : callable
-            Of the progress function; in a thread of its own.
+            Takes the progress function; runs in the background thread.
         show : callable
-            Makes a part of the page from the result; in the page's thread.
+            Makes a pane of the result; runs in the page's thread.
         """
         self._job, self._show = self._background.begin(name, work), show
         self._status.visible = True
         self._status.object = panes.progress(self._job)
-        if self._look is None:
-            self._look = pn.state.add_periodic_callback(self._poll, period=_PERIOD)
+        if self._poll_callback is None:
+            self._poll_callback = pn.state.add_periodic_callback(self._poll, period=_POLL_MS)
 
     def _poll(self) -> None:
         job = self._job
@@ -99,13 +99,13 @@ class JobPane:
             self._status.object = panes.progress(job)
             return
         self._job, self._status.visible = None, False
-        if self._look is not None:
-            self._look.stop()
-            self._look = None
+        if self._poll_callback is not None:
+            self._poll_callback.stop()
+            self._poll_callback = None
         if job.error is None:
             self.put(self._show(job.result))
         else:
-            # What is a defect leaves its traceback where the page was started.
+            # An unexpected error leaves its traceback in the terminal.
             if job.error["message"].startswith("unexpected"):
                 print(job.trace, file=sys.stderr)
             self.put(panes.error(job.error))

@@ -1,4 +1,4 @@
-"""What a workspace has to show: its comparisons, the days of each, and what to do first without any."""
+"""Overview of a comparison: which days, products and tables there are, and what to do when there are none."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from inflight.mission import Mission
 from inflight.tasks import ModelHistory
 from inflight.tasks.pipelines import find_pipeline, product_of
 
-#: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
+#: Days of the span shown by default: reading more takes longer than one cares to wait.
 DEFAULT_DAYS = 30
 
 
 @dataclass(frozen=True)
 class ComparisonOverview:
-    """What one comparison of a workspace has to show.
+    """What there is to show of one comparison of a workspace.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class ComparisonOverview:
     products, archived : int
         Published days of the comparison's product; days of its instruments that the archive has.
     model : str
-        The model in use, as a person calls it.
+        Name and version of the model in use.
     tables : tuple of str
         Names of the comparison's certified tables.
     note : str
-        What is said where products would be, of a comparison that makes tables and no product.
+        Shown in place of products, of a comparison that makes tables and no product.
     """
 
     comparison: str
@@ -46,11 +46,11 @@ class ComparisonOverview:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing at all to look at."""
+        """Whether there are no measurements, products and tables."""
         return not self.archived and not self.products and not self.tables
 
     def span(self) -> tuple[np.datetime64, np.datetime64] | None:
-        """Return first and last day of what is shown unasked: the newest days of a long mission."""
+        """Return first and last day of the default span: the newest days of a long mission."""
         if self.first is None or self.last is None:
             return None
         return max(self.first, self.last - np.timedelta64(DEFAULT_DAYS - 1, "D")), self.last
@@ -62,7 +62,7 @@ def list_comparisons(mission: Mission) -> list[str]:
 
 
 def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> ComparisonOverview:
-    """Return what a comparison has to show; nothing is read but the catalog's records.
+    """Return the overview of a comparison; only the catalog's records are read.
 
     Raises
     ------
@@ -86,35 +86,35 @@ def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> Com
         len(products),
         len(archived),
         ModelHistory(cat, mission, comparison).used.label,
-        tuple(sorted(name for name in names if _is_of(name, comparison, mission))),
+        tuple(sorted(name for name in names if owner_of_table(name, mission) == comparison)),
         pipeline.note if pipeline else "",
     )
 
 
-def _is_of(table: str, comparison: str, mission: Mission) -> bool:
-    """Return True for a table of a comparison, though another one's name may begin with the same word."""
+def owner_of_table(table: str, mission: Mission) -> str:
+    """Return the comparison a table is of: the longest name it begins with, empty if there is none."""
     owners = [name for name in mission.comparisons if table.startswith(f"{name}-")]
-    return max(owners, key=len, default="") == comparison
+    return max(owners, key=len, default="")
 
 
 def next_step(workspace: Workspace, overview: ComparisonOverview) -> str:
-    """Return what is to be done before there is more to see; empty when products are there.
+    """Return what to do before there is more to see; empty when there are products.
 
     Parameters
     ----------
-    overview : Offer
-        Of the comparison that is looked at.
+    overview : ComparisonOverview
+        Of the comparison shown.
     """
-    where = f" --workspace {workspace.root}"
-    named = "" if overview.comparison == "main" else f" --comparison {overview.comparison}"
+    workspace_option = f" --workspace {workspace.root}"
+    comparison_option = "" if overview.comparison == "main" else f" --comparison {overview.comparison}"
     if overview.is_empty:
         return (
             f"This workspace holds no measurements yet. Put the delivered files into {workspace.data} (or "
-            f"name their folder), and type: inflight ingest{where}"
+            f"name their folder), and type: inflight ingest{workspace_option}"
         )
     if overview.products or (overview.tables and overview.note):
         return ""
     return (
         f"The archive has {overview.archived} days, and nothing is calibrated yet. Type: "
-        f"inflight reprocess{named}{where}"
+        f"inflight reprocess{comparison_option}{workspace_option}"
     )

@@ -1,4 +1,4 @@
-"""The page: what is looked at on the left, how it is looked at in tabs."""
+"""The page: the comparison and span chosen in the sidebar, and tabs with the views of them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from inflight.figures import facts_table
 from inflight.tasks import error_fields
 
 _COLOUR = "#1f3a52"
-#: Of the widgets on the left, pixels.
+#: Width of the widgets in the sidebar, pixels.
 _WIDTH = 230
 
 
 class Page:
-    """One browser's page over a session.
+    """The page of one browser.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Page:
         self._comparison = pn.widgets.Select(name="Comparison", options=names, value=names[0], width=_WIDTH)
         self._first = pn.widgets.DatePicker(name="First day", width=_WIDTH)
         self._last = pn.widgets.DatePicker(name="Last day", width=_WIDTH)
-        self._look = pn.widgets.Button(name="Look", button_type="primary")
+        self._apply = pn.widgets.Button(name="Look", button_type="primary")
         self._facts, self._hint = pn.Column(), pn.Column(sizing_mode="stretch_width")
         self._views: tuple[View, ...] = (
             MeasurementView(session),
@@ -47,11 +47,11 @@ class Page:
         self._tabs = pn.Tabs(
             *((view.title, view.panel) for view in self._views), dynamic=True, sizing_mode="stretch_width"
         )
-        self._seen: dict[int, tuple[Any, ...]] = {}
+        self._shown: dict[int, tuple[Any, ...]] = {}
         self._overview: ComparisonOverview | None = None
         self._comparison.param.watch(lambda event: self._choose(), "value")
-        self._tabs.param.watch(lambda event: self._look_at(), "active")
-        self._look.on_click(lambda event: self._choose(keep=True))
+        self._tabs.param.watch(lambda event: self._show_active(), "active")
+        self._apply.on_click(lambda event: self._choose(keep=True))
         self._choose()
 
     def template(self) -> pn.template.BootstrapTemplate:
@@ -60,13 +60,13 @@ class Page:
             title=f"{self._mission.mission}: in-flight calibration",
             site="Inflight",
             header_background=_COLOUR,
-            sidebar=[self._comparison, self._first, self._last, self._look, self._facts],
+            sidebar=[self._comparison, self._first, self._last, self._apply, self._facts],
             sidebar_width=_WIDTH + 60,
             main=[pn.Column(self._hint, self._tabs, sizing_mode="stretch_width")],
         )
 
     def _choose(self, keep: bool = False) -> None:
-        """Take up what the catalog has of the chosen comparison; `keep` the span that was asked for."""
+        """Show the chosen comparison as the catalog has it now; `keep` the chosen span."""
         try:
             self._mission = self._session.mission()
             overview = summarise_comparison(self._session.cat, self._mission, self._comparison.value)
@@ -79,8 +79,8 @@ class Page:
         self._hint.objects = [panes.hint(step)] if step else []
         self._bound_span(overview, keep)
         self._show_facts(overview)
-        self._seen.clear()
-        self._look_at()
+        self._shown.clear()
+        self._show_active()
 
     def _show_facts(self, overview: ComparisonOverview) -> None:
         listed = {
@@ -93,7 +93,7 @@ class Page:
         self._facts.objects = [panes.text(facts_table(listed))]
 
     def _model_changed(self) -> None:
-        """Tell which model is in use now; what is shown stays."""
+        """Show which model is in use now; the views stay as they are."""
         if self._overview is not None:
             self._show_facts(
                 summarise_comparison(self._session.cat, self._mission, self._overview.comparison)
@@ -108,15 +108,15 @@ class Page:
                 if not keep or picker.value is None:
                     picker.value = _date(span[end])
 
-    def _look_at(self) -> None:
-        """Have the view that is in front show what is chosen, unless it does already."""
+    def _show_active(self) -> None:
+        """Let the active view show what is chosen, unless it does already."""
         if self._overview is None:
             return
         days = self._days()
         chosen = (self._overview, days)
-        if self._seen.get(self._tabs.active) != chosen:
-            self._seen[self._tabs.active] = chosen
-            self._views[self._tabs.active].look_at(self._overview, days)
+        if self._shown.get(self._tabs.active) != chosen:
+            self._shown[self._tabs.active] = chosen
+            self._views[self._tabs.active].show(self._overview, days)
 
     def _days(self) -> Days | None:
         first, last = self._first.value, self._last.value

@@ -1,4 +1,4 @@
-"""Sections, errors and progress as parts of the page."""
+"""Panel panes of sections, errors and progress."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from inflight.explorer.background import BackgroundJob
 from inflight.figures import Section, render, text_style
 from inflight.tasks import location_of
 
-#: Panes stand apart from the page's own style, so each brings that of the text.
+#: The page's style does not reach into panes, so each brings the style of the text.
 _STYLES = [f":host {{ font: 15px/1.5 system-ui, sans-serif; color: #222 }} {text_style()}"]
 _COLOURS = {"error": "#a01830", "hint": "#8a5a00"}
 
@@ -23,7 +23,7 @@ def text(*paragraphs: str) -> pn.viewable.Viewable:
 
 
 def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewable.Viewable:
-    """Return the inside of a section: its text, then its figures side by side."""
+    """Return the body of a section: its text, then its figures side by side."""
     parts = [text(*paragraphs)] if paragraphs else []
     if figures:
         panes = [pn.pane.Bokeh(figure, margin=4) for figure in figures]
@@ -32,13 +32,13 @@ def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewab
 
 
 def sections(shown: Sequence[Section]) -> pn.viewable.Viewable:
-    """Return sections behind tabs: the browser draws the figures of the one that is looked at."""
+    """Return sections behind tabs: the browser draws only the figures of the active one."""
     tabs = [(heading, section(paragraphs, figures)) for heading, paragraphs, figures in shown]
     return pn.Tabs(*tabs, dynamic=True, sizing_mode="stretch_width", css_classes=["sections"])
 
 
 def error(fields: Mapping[str, str]) -> pn.viewable.Viewable:
-    """Return an error as the verbs tell it: where, what, and what to do.
+    """Return an error as the verbs print it: where, what, and what to do.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def error(fields: Mapping[str, str]) -> pn.viewable.Viewable:
     return _alert("error", fields["message"], location_of(fields), fields.get("remedy", ""))
 
 
-def hint(said: str) -> pn.viewable.Viewable:
-    """Return plain text that asks for something to be done first."""
-    return _alert("hint", said)
+def hint(message: str) -> pn.viewable.Viewable:
+    """Return plain text that says what to do first."""
+    return _alert("hint", message)
 
 
 def _alert(kind: str, message: str, place: str = "", remedy: str = "") -> pn.viewable.Viewable:
@@ -59,5 +59,5 @@ def _alert(kind: str, message: str, place: str = "", remedy: str = "") -> pn.vie
 
 
 def progress(job: BackgroundJob) -> str:
-    """Return how far a job is as HTML; before it begins, that it waits."""
+    """Return the progress of a job as HTML; before it begins, that it waits."""
     return render("progress.html", job=job)

@@ -1,4 +1,4 @@
-"""The server of the page: on this machine alone, asking nothing of any other."""
+"""The web server of the page, on the local machine only; it requests nothing from other servers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from inflight.errors import SettingsError
 from inflight.explorer.page import Page
 from inflight.explorer.session import ExplorerSession
 
-#: Nobody outside this machine can reach it: the page changes models without asking who it is.
+#: Local only: the page changes models and has no log-in.
 ADDRESS = "127.0.0.1"
 
 
@@ -58,7 +58,7 @@ class Server:
         self.url = f"http://{ADDRESS}:{self._server.port}/"
 
     def run(self, ready: Callable[[str], None]) -> None:
-        """Serve until interrupted; `ready` is told the address first.
+        """Serve until interrupted; `ready` is called with the address first.
 
         Ctrl-C is how it ends, not an error.
         """

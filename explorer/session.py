@@ -1,7 +1,7 @@
-"""What one running page works with: a workspace, its catalog, and what was worked out from it so far.
+"""What the page can do with a workspace: compare, diagnose, revise the model, show tables.
 
-Every step is the function behind the verb of the same name; nothing is computed here in a second way.
-Results are kept for as long as what they were made from stays as it is.
+Takes an opened workspace and days; makes sections (text and figures) and JSON fields. Every method calls the
+function behind the verb of the same name. Results are cached until the data they were made from change.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from inflight.tasks.analysis import (
 )
 from inflight.tasks.pipelines import CompareResult, product_of, table_sections
 
-#: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
-_KEPT = 3
+#: Comparisons cached: the aggregates of 3000 days are some hundred megabytes.
+_CACHED = 3
 
 
 @dataclass(frozen=True)
 class Days:
-    """A span as a person says it: its first and its last day."""
+    """A span of days, both ends included."""
 
     first: np.datetime64
     last: np.datetime64
 
     def bounds(self) -> tuple[str, str]:
-        """Return the half-open span that the steps take: first day, and the day after the last."""
+        """Return the half-open span: first day, and the day after the last."""
         return str(self.first), str(self.last + np.timedelta64(1, "D"))
 
 
 class ExplorerSession:
-    """One workspace being explored; several pages may look at it at a time.
+    """One workspace being explored, by any number of pages at a time.
 
     Parameters
     ----------
@@ -63,17 +63,17 @@ class ExplorerSession:
         self.workspace, self.workers = workspace, workers
         self.cat = Catalog(workspace.root)
         self.background = Background()
-        #: Makes figures, beside what takes long.
-        self.drawing = Background()
-        #: What the page's changes of each comparison's model did, as `Revision.as_json`, in their order.
+        #: Makes figures while `background` does what takes long.
+        self.figure_background = Background()
+        #: Changes of each comparison's model that were made here, as `Revision.as_json`, in their order.
         self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
     def close(self) -> None:
-        """Drop what has not begun."""
+        """Cancel jobs that have not begun."""
         self.background.close()
-        self.drawing.close()
+        self.figure_background.close()
 
     def mission(self) -> Mission:
         """Return the mission as its file is now."""
@@ -82,7 +82,7 @@ class ExplorerSession:
     # Model against measurement.
 
     def compare(self, comparison: str, days: Days, progress: Progress) -> Sequence[LazySection]:
-        """Return what `inflight compare` shows of a span; figures are made when they are looked at.
+        """Return what `inflight compare` shows of a span; figures are made when their tab is opened.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class ExplorerSession:
         key = (comparison, *span, *(day.id for day in published))
         if key not in self._measured:
             self._measured[key] = measure_comparison(self.cat, self.mission(), *span, comparison, progress)
-            for old in list(self._measured)[:-_KEPT]:
+            for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
         return self._measured[key].parts
 
@@ -123,7 +123,7 @@ class ExplorerSession:
         SettingsError, InflightError
             As `inflight.tasks.analysis.revise.diagnose_span`.
         """
-        settings, span = _settings(self._asked(comparison), comparison), days.bounds()
+        settings, span = _settings(self._last_request(comparison), comparison), days.bounds()
         self._bench = None
         with lazy_client(self.workers) as client:
             found = diagnose_span(self.workspace, *span, settings, client=client, progress=progress)
@@ -131,21 +131,21 @@ class ExplorerSession:
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
-        asked = self._asked(comparison)
+        request = self._last_request(comparison)
         with lazy_client(self.workers) as client:
             examined = examine(
                 self.cat,
                 self.mission(),
-                asked.get("start"),
-                asked.get("end"),
-                _settings(asked, comparison),
+                request.get("start"),
+                request.get("end"),
+                _settings(request, comparison),
                 client=client,
                 progress=progress,
             )
         return diagnosis_sections(*examined)
 
-    def _asked(self, comparison: str) -> Mapping[str, Any]:
-        """Return span and settings of the last diagnosis; nothing without one."""
+    def _last_request(self, comparison: str) -> Mapping[str, Any]:
+        """Return span and settings of the last diagnosis; empty without one."""
         return (self.last_diagnosis(comparison) or {}).get("asked") or {}
 
     # The model, revised.
@@ -153,11 +153,11 @@ class ExplorerSession:
     def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
         known = ModelHistory(self.cat, self.mission(), comparison)
-        effects = [str(one.get("name", one["effect"])) for one in parse_tree(known.used.text)["effects"]]
-        return known.items(), effects
+        entries = parse_tree(known.used.text)["effects"]
+        return known.items(), [str(entry.get("name", entry["effect"])) for entry in entries]
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
-        """Do what `inflight add`, `drop` or `undo` does, on evidence that stays in memory.
+        """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.
 
         Parameters
         ----------
@@ -181,30 +181,30 @@ class ExplorerSession:
             try:
                 revision = bench.undo() if verb == "undo" else getattr(bench, verb)(effect)
             except Exception:
-                # Half a change may be in it.
+                # The workbench may hold half a change.
                 self._bench = None
                 raise
-        told: dict[str, Any] = revision.as_json()
-        self.changes[comparison].append(told)
-        self._bench = (self._ground(comparison), bench)
-        return told
+        change: dict[str, Any] = revision.as_json()
+        self.changes[comparison].append(change)
+        self._bench = (self._workbench_key(comparison), bench)
+        return change
 
     def _workbench(self, comparison: str, client: Any, progress: Progress) -> Workbench:
-        """Return the workbench of before, when nobody changed anything beside it."""
-        ground = self._ground(comparison)
-        if self._bench is None or self._bench[0] != ground:
+        """Return the cached workbench, or a new one when mission, model or last diagnosis changed since."""
+        key = self._workbench_key(comparison)
+        if self._bench is None or self._bench[0] != key:
             self._bench = None
             return open_workbench(self.workspace, comparison, client=client, progress=progress)
         bench = self._bench[1]
         bench.client, bench.progress = client, progress
         return bench
 
-    def _ground(self, comparison: str) -> tuple[Any, ...]:
-        """Return what a workbench stands on: mission, model in use, and what the last diagnosis asked for."""
+    def _workbench_key(self, comparison: str) -> tuple[Any, ...]:
+        """Return what a workbench was made from: mission, model in use, request of the last diagnosis."""
         mission = self.mission()
         used = find_model(self.cat, mission, comparison)
-        return comparison, mission.text, used.version, used.text, str(self._asked(comparison))
+        return comparison, mission.text, used.version, used.text, str(self._last_request(comparison))
 
 
-def _settings(asked: Mapping[str, Any], comparison: str) -> DiagnoseSettings:
-    return DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
+def _settings(request: Mapping[str, Any], comparison: str) -> DiagnoseSettings:
+    return DiagnoseSettings.model_validate(request.get("settings") or {"comparison": comparison})

@@ -1,4 +1,4 @@
-"""What the page shows of a comparison: model against measurement, and the published tables."""
+"""Tabs of the page about a comparison: model against measurement, and the published tables."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from inflight.figures import Section
 class View(Protocol):
     """One tab of the page."""
 
-    #: Its heading.
+    #: Heading of the tab.
     title: str
-    #: What the page holds.
+    #: Panel object in the page.
     panel: pn.viewable.Viewable
 
-    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show a comparison and a span."""
         ...
 
@@ -34,44 +34,45 @@ class MeasurementView:
 
     def __init__(self, session: ExplorerSession) -> None:
         self._session = session
-        self._place = JobPane(session.background)
-        self.panel = self._place.panel
+        self._pane = JobPane(session.background)
+        self.panel = self._pane.panel
 
-    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
-        """Measure the residual of a span and show it; say why when there is none."""
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
+        """Measure the residual of a span and show it; without products, show why there is none."""
         if overview.note:
-            self._place.put(panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables."))
+            self._pane.put(panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables."))
         elif days is None or not overview.products:
-            self._place.put(panes.hint("There are no products to hold against the measurements yet."))
+            self._pane.put(panes.hint("There are no products to hold against the measurements yet."))
         else:
-            self._place.begin(
+            self._pane.begin(
                 "Model against measurement",
                 lambda progress: self._session.compare(overview.comparison, days, progress),
-                lambda parts: lazy_tabs(parts, self._session.drawing),
+                lambda parts: lazy_tabs(parts, self._session.figure_background),
             )
 
 
 class TablesView:
-    """The published tables: parameters over days with errors, and everything found beside them."""
+    """The published tables: parameters over days with errors, and what was published with them."""
 
     title = "Tables"
 
     def __init__(self, session: ExplorerSession) -> None:
         self._session = session
-        self._place = JobPane(session.background)
-        self.panel = self._place.panel
+        self._pane = JobPane(session.background)
+        self.panel = self._pane.panel
 
-    def look_at(self, overview: ComparisonOverview, days: Days | None) -> None:
-        """Show the newest tables of a comparison; they hold for spans of their own."""
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
+        """Show the newest tables of a comparison; they have their own spans, so `days` is not used."""
         del days
-        self._place.begin(
-            "Tables", lambda progress: self._session.tables(overview.comparison, progress), self._show
+        self._pane.begin(
+            "Tables", lambda progress: self._session.tables(overview.comparison, progress), _tables_pane
         )
 
-    def _show(self, found: Sequence[Section]) -> pn.viewable.Viewable:
-        if not found:
-            return panes.hint(
-                "There is no table of parameters: 'inflight reprocess' makes those of a calibration; "
-                "states of two sensors stand with model against measurement."
-            )
+
+def _tables_pane(found: Sequence[Section]) -> pn.viewable.Viewable:
+    if found:
         return panes.sections(found)
+    return panes.hint(
+        "There is no table of parameters: 'inflight reprocess' makes those of a calibration; "
+        "states of two sensors stand with model against measurement."
+    )

@@ -12,9 +12,9 @@ The walk, step by step, with the file of each:
 2. **Candidates** (``candidates.py``, ``time_changes.py``). Every effect with every channel, lag and width;
    shifted channels as placebos; steps, episodes and drifts, which are columns times a function of the
    block.
-3. **State** (``search.py``). `Search` is one frozen record: Gram blocks in three forms (raw, within-day,
-   prewhitened) with the calibration marginalised, the options, what was taken, the ledger. Every step below
-   is a function from a state to the next one; nothing else changes it.
+3. **State** (``search.py``). `Search` is one frozen record: the options, what was taken, the ledger. Every
+   step below is a function from a state to the next one. The Gram blocks, in three forms (raw, within-day,
+   prewhitened) with the calibration marginalised, are shared by all states: `SharedGrams`.
 4. **Ranking** (``scoring.py``). Held-out gain and its t, score statistics, sign-flip test over all
    candidates and forms together, best placebo: one `ScoreTable` a round.
 5. **Stepwise selection** (``stepwise.py``). The best option that passes `Rules` is added, effects it made
@@ -27,9 +27,9 @@ The walk, step by step, with the file of each:
 8. **Verdict** (``verdict.py``, ``residual.py``, ``signature.py``, ``result.py``). Values with errors, sizes
    of the residual before and after, what remains (a line, a band, structure), and the sentence.
 
-Beside the walk: ``additions.py`` and ``requests.py`` put an effect into the model and fit everything
-jointly, for ``inflight add``, ``drop`` and ``undo``; ``views.py`` makes the numbers behind the figures of a
-finished search.
+Not in the walk: ``additions.py`` and ``requests.py`` put an effect into the model and fit everything
+jointly, for ``inflight add``, ``drop`` and ``undo``; ``views.py`` makes the numbers that the figures of a
+finished search show.
 """
 
 import lazy_loader

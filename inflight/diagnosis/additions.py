@@ -22,7 +22,7 @@ from inflight.arrays import Floats
 from inflight.design import SENSOR_EQUATIONS, Candidate, Library, Term, sensor_matrices
 from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
-from inflight.diagnosis.search import Option
+from inflight.diagnosis.search import Option, prior_precision
 from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
@@ -115,25 +115,25 @@ class FitSetup:
         interleaved : bool
             Hold out every k-th block instead of runs: for effects that lie in few blocks.
         """
-        whole, names, sigma = self._model_of(columns, fixed or {})
-        evidence, present = self._marginalised(whole, names, sigma)
-        value, covariance = self._solved(evidence, present)
-        base_value, base_sigma = self._base(whole, names, value, covariance)
-        y = evidence.residuals[0]
-        scale = evidence.scale[present.columns]
+        whole, names, sigma = self._model_grams(columns, fixed or {})
+        grams, present = self._marginalised(whole, names, sigma)
+        value, covariance = self._solve_model(grams, present)
+        base_value, base_sigma = self._calibration_shift(whole, names, value, covariance)
+        y = grams.residuals[0]
+        scale = grams.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
         # A column of which the calibration leaves nothing is known as well as beforehand.
-        found = np.where(np.diagonal(evidence.total)[present.columns] > 0, found, np.asarray(sigma))
-        left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
-        left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
-        rows = max(float(evidence.count.sum()), 1.0)
-        held = score(evidence, present, [], y, make_folds(len(evidence), interleaved)).loss0.sum()
+        found = np.where(np.diagonal(grams.total)[present.columns] > 0, found, np.asarray(sigma))
+        remaining = grams.total[y, y] + 2.0 * grams.total[y, present.columns] @ value
+        remaining += value @ grams.total[np.ix_(present.columns, present.columns)] @ value
+        rows = max(float(grams.count.sum()), 1.0)
+        held = score(grams, present, [], y, make_folds(len(grams), interleaved)).loss0.sum()
         return JointFit(
             value=dict(zip(names, (value * scale).tolist(), strict=True)),
             sigma=dict(zip(names, found.tolist(), strict=True)),
             base_value=base_value,
             base_sigma=base_sigma,
-            in_sample=max(float(left), 0.0) / rows,
+            in_sample=max(float(remaining), 0.0) / rows,
             held_out=max(float(held), 0.0) / rows,
         )
 
@@ -144,12 +144,12 @@ class FitSetup:
 
         Those of `columns` come last.
         """
-        return self._marginalised(*self._model_of(columns, fixed))
+        return self._marginalised(*self._model_grams(columns, fixed))
 
-    def _model_of(
+    def _model_grams(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
     ) -> tuple[GramBlocks, list[str], list[float]]:
-        """Return the evidence of calibration and model, names of the model's columns, and their priors."""
+        """Return the Gram blocks of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
             for term in self.refined
@@ -168,9 +168,11 @@ class FitSetup:
         self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
     ) -> tuple[GramBlocks, ModelColumns]:
         gone = self._base_names
-        evidence = whole.marginalise(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
-        return evidence, ModelColumns(
-            evidence.index(names), self._precision(evidence, names, np.array(sigma))
+        grams = whole.marginalise(
+            gone, self.intervals, prior_precision(whole, gone, self._base_sigma, self.variance)
+        )
+        return grams, ModelColumns(
+            grams.index(names), prior_precision(grams, names, np.array(sigma), self.variance)
         )
 
     @property
@@ -181,23 +183,18 @@ class FitSetup:
     def _base_sigma(self) -> Floats:
         return np.array([sigma for term in self.base for sigma in term.sigma])
 
-    def _precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
-        scale = evidence.scale[evidence.index(names)]
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
-
-    def _solved(self, evidence: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
+    def _solve_model(self, grams: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = joint_fit(evidence, present, evidence.residuals[0])
+        value, covariance = joint_fit(grams, present, grams.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
-        inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
+        inner = grams.total[np.ix_(p, p)] + np.diag(present.precision)
         inverse = solve_scaled(inner, np.eye(p.size))
         return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
-    def _base(
+    def _calibration_shift(
         self, whole: GramBlocks, names: Sequence[str], value: Floats, covariance: Floats
     ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the calibration's mean shift over its intervals and its error, physical units."""
@@ -205,7 +202,7 @@ class FitSetup:
         if not gone:
             return {}, {}
         at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
-        prior = np.diag(self._precision(whole, gone, self._base_sigma))
+        prior = np.diag(prior_precision(whole, gone, self._base_sigma, self.variance))
         shift, mean_cross = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
@@ -226,9 +223,9 @@ class FitSetup:
 
 
 def combine_columns(
-    evidence: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+    grams: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
 ) -> GramBlocks:
-    """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
+    """Return Gram blocks of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters
     ----------
@@ -240,7 +237,7 @@ def combine_columns(
         Changes that join the residual, physical units.
     """
     needed = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
-    small = evidence.select(list(dict.fromkeys(needed)))
+    small = grams.select(list(dict.fromkeys(needed)))
     names = [*plain, *(one.name for one in columns), "residual"]
     weights = np.zeros((len(small), len(names), len(small.names)))
     scale = np.ones(len(names))
@@ -297,28 +294,25 @@ class Addition:
             Change of each column, physical units, and its standard deviation.
         """
         for entry in self.entries:
-            filled = self._filled(entry, value, sigma)
+            parameters = dict(entry.parameters)
+            for key, timed in entry.parameters.items():
+                changed, error = {}, {}
+                for name, start in zip(timed.columns, timed.value.ravel(), strict=True):
+                    gains = (self.gains or {}).get(name, ((name, 1.0),))
+                    if all(column in value for column, _ in gains):
+                        change = sum(weight * value[column] for column, weight in gains)
+                        changed[name] = float(start) + change
+                        errors = [weight * sigma[column] for column, weight in gains]
+                        error[name] = float(np.hypot.reduce(errors))
+                if changed:
+                    zero = replace(timed, sigma=np.zeros_like(timed.sigma))
+                    # A drift is held: what changes with time is no constant that a later fit could move.
+                    free = timed.time in ("constant", "block")
+                    parameters[key] = replace(zero.with_columns(changed, error), free=free)
+            filled = entry.with_parameters(parameters)
             known = entry.name in [one.name for one in model.effects]
             model = model.replace(filled) if known else model.add(filled)
         return model
-
-    def _filled(
-        self, entry: ModelEffect, value: Mapping[str, float], sigma: Mapping[str, float]
-    ) -> ModelEffect:
-        parameters = dict(entry.parameters)
-        for key, timed in entry.parameters.items():
-            moved, error = {}, {}
-            for name, start in zip(timed.columns, timed.value.ravel(), strict=True):
-                gains = (self.gains or {}).get(name, ((name, 1.0),))
-                if all(column in value for column, _ in gains):
-                    moved[name] = float(start) + sum(weight * value[column] for column, weight in gains)
-                    error[name] = float(np.hypot.reduce([weight * sigma[column] for column, weight in gains]))
-            if moved:
-                zero = replace(timed, sigma=np.zeros_like(timed.sigma))
-                # A drift is held: what changes with time is no constant that a later fit could move.
-                still = timed.time in ("constant", "block")
-                parameters[key] = replace(zero.with_columns(moved, error), free=still)
-        return entry.with_parameters(parameters)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -344,8 +338,9 @@ class AdditionMaker:
 
     def of_candidate(self, candidate: Candidate, name: str = "", lag_s: float | None = None) -> Addition:
         """Return the addition of a candidate, with another lag than the bank's if one is given."""
-        if self.own_term(candidate) is not None:
-            return self._of_parameter(candidate)
+        sensor_term = self.own_term(candidate)
+        if sensor_term is not None:
+            return self.of_term(sensor_term, candidate.name)
         bank = self.bank(candidate)
         lag = candidate.lag_s if lag_s is None else lag_s
         weights = {candidate.name: 1.0}
@@ -385,12 +380,6 @@ class AdditionMaker:
         """Return the term of a candidate that frees a parameter of the model's own sensor; else None."""
         term = self.library.terms[candidate.terms[0]]
         return term if isinstance(term.entry.effect, SENSOR_EQUATIONS) else None
-
-    def _of_parameter(self, candidate: Candidate) -> Addition:
-        term = self.library.terms[candidate.terms[0]]
-        names = value_names(term.entry, term.parameters)
-        columns = [Column(name, ((own, 1.0),)) for name, own in zip(names, term.columns, strict=True)]
-        return Addition(name=candidate.name, columns=tuple(columns), entries=(term.entry,), needs=(term,))
 
     def of_term(self, term: Term, name: str = "") -> Addition:
         """Return the addition of an effect of no library; the Gram blocks may not have its columns yet."""
@@ -509,8 +498,17 @@ def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
     origin = float(middle.mean())
     days = (middle - origin) / DAY
     term = maker.term_of(columns[0])
-    entry = _drift_entry(maker, what, name or maker.free_name(kind), term, int(origin))
-    _, part, _, unit = _DRIFT_FORMS[what]
+    effect, part, neutral, unit = _DRIFT_FORMS[what]
+    timed = {
+        "time": "linear",
+        "t0": f"{to_utc(int(origin))}Z",
+        "per": "1 d",
+        "value": [[value, 0.0] for value in neutral],
+        "free": False,
+    }
+    fields = {"effect": effect, "name": name or maker.free_name(kind), "sensor": term.entry.sensor.name}
+    sensors = sensors_of(maker.mission, maker.model.comparison)
+    entry = make_effect(fields | {part: timed}, sensors, mission=maker.mission)
     if len(columns) == 1:
         titles, matrix, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
     else:
@@ -521,19 +519,6 @@ def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
     made = tuple(Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True))
     gains = {value: _weights(titles, row) for value, row in zip(values, matrix, strict=True)}
     return Addition(name=kind, columns=made, entries=(entry,), needs=(term,), gains=gains, unit=unit)
-
-
-def _drift_entry(maker: AdditionMaker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
-    effect, part, neutral, _ = _DRIFT_FORMS[what]
-    timed = {
-        "time": "linear",
-        "t0": f"{to_utc(origin)}Z",
-        "per": "1 d",
-        "value": [[one, 0.0] for one in neutral],
-        "free": False,
-    }
-    entry = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
-    return make_effect(entry, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
 
 
 def _before_sensor_matrix(maker: AdditionMaker, what: str, term: Term) -> Floats:

@@ -71,6 +71,9 @@ TIMED = frozenset(
     | {f"{kind}_{form}" for kind in ("offset", "scale", "angle", "clock") for form in ("step", "episode")}
 )
 
+#: Options that give one cause another form.
+FORM = frozenset({"lag", "width", "degree", "order"})
+
 #: Effects of so many columns that a single channel would outweigh all others; a user adds them by name.
 WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
 
@@ -92,7 +95,7 @@ def make_library(
     ----------
     model : Model
         The present model; what it holds free is refined, not tried.
-    channels : mapping of str to Told
+    channels : mapping of str to ChannelSummary
         Every channel of one number a time.
     geometry : sequence of str
         Coordinates the samples hold, such as ``orbit_phase`` and ``sunlit``.
@@ -107,7 +110,15 @@ def make_library(
     unlagged : frozenset of str
         Channels without lag, width and slow response: see `Library`.
     """
-    library = Library(list(base), _refined(model, base), placebos=dict(shifts), unlagged=unlagged)
+    # The model's own parameters that a stated sigma lets data refine.
+    fitted = {term.entry.name for term in base}
+    refined = [
+        term
+        for entry in model.effects
+        if entry.name not in fitted
+        and (term := term_of(entry, f"model:{entry.name}", free_only=True)).parameters
+    ]
+    library = Library(list(base), refined, placebos=dict(shifts), unlagged=unlagged)
     there = set(channels) | set(geometry)
     for label, kind in sorted(known_effects(model.own).items()):
         if label in TIMED or label in WIDE or label == "vector_sensor":
@@ -127,19 +138,6 @@ def make_library(
     return library
 
 
-def _refined(model: Model, base: Sequence[Term]) -> list[Term]:
-    """Terms of the model's own parameters that a stated sigma lets data refine."""
-    own = {term.entry.name for term in base}
-    found = []
-    for entry in model.effects:
-        if entry.name in own:
-            continue
-        term = term_of(entry, f"model:{entry.name}", free_only=True)
-        if term.parameters:
-            found.append(term)
-    return found
-
-
 def _add_effect(
     library: Library,
     mission: Mission,
@@ -153,12 +151,13 @@ def _add_effect(
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
     for sensor in _sensors(kind, mission, model):
-        entry = _make({"effect": label, "sensor": sensor.name, **options}, mission, model)
+        entry = _effect_or_none({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
             continue
         used = [name for name in entry.effect.channels if name]
         missing = [name for name in used if name not in there]
-        mechanism = _mechanism(label, options)
+        given = [str(value) for key, value in options.items() if key not in FORM]
+        mechanism = f"{label}({', '.join(given)})" if given else label
         family = family_of(entry.effect, mission)
         if missing:
             library.unscorable.append(
@@ -200,7 +199,7 @@ def _add_forms(
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
         for lag in BANK.lags if lone not in library.unlagged else (0.0,):
-            made = _make(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+            made = _effect_or_none(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
                 library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
@@ -224,7 +223,7 @@ def _add_plays(
     common: dict[str, Any],
 ) -> None:
     """Add a channel with its play of several widths; its own columns are those of its plain field."""
-    plain = _make(
+    plain = _effect_or_none(
         {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
     )
     if plain is None:
@@ -232,7 +231,7 @@ def _add_plays(
     direct = term_of(plain, f"channel_field({given['channel']})")
     for part in BANK.widths:
         width = float(f"{part * spread:.3g}")
-        made = _make(given | {"width": width}, mission, model)
+        made = _effect_or_none(given | {"width": width}, mission, model)
         if made is not None:
             key = f"{common['mechanism']}@width={width:g}"
             own = Term(key, made, ("play",), (np.inf,) * 3)
@@ -247,7 +246,7 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
         channel, number = name.split("~")
         for lag in BANK.placebo_lags if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
-            entry = _make(
+            entry = _effect_or_none(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
             )
             if entry is None:
@@ -275,7 +274,7 @@ def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]
     return []
 
 
-def _make(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+def _effect_or_none(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
     try:
         return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:
@@ -289,12 +288,3 @@ def _in_model(model: Model, entry: ModelEffect) -> bool:
         if same and own.effect.given == entry.effect.given and own.sensor.role == entry.sensor.role:
             return any(timed.free for timed in own.parameters.values())
     return False
-
-
-#: Options that give one cause another form.
-FORM = frozenset({"lag", "width", "degree", "order"})
-
-
-def _mechanism(label: str, options: Mapping[str, Any]) -> str:
-    given = [str(value) for key, value in options.items() if key not in FORM]
-    return f"{label}({', '.join(given)})" if given else label

@@ -1,11 +1,11 @@
 """The best form of what was taken, before the next effect is sought: lag, width, time; and interactions.
 
-Takes a state of the search, the context with the coarse series, and an option of the model; makes the next
-state, in which the option has its best form (`refine`). An effect in a form that is nearly right leaves a
-remnant that wrong companions would explain (MISSING_EFFECT, failure F3).
+Takes a state of the search, its `DiagnosisData` with the coarse series, and an option of the model; makes the
+next state, in which the option has its best form (`refine`). An effect in a form that is nearly right leaves
+a remnant that wrong companions would explain (MISSING_EFFECT, failure F3).
 
 Forms are tried on the coarse series: what each leaves when everything else of the model is fitted with it
-(`FormTrials`). The columns of the best one join the evidence with their products with every other column
+(`FormTrials`). The columns of the best one join the Gram blocks with their products with every other column
 (`join_terms`). The best lag or width is the vertex of a parabola; its error is a jackknife over folds of
 blocks.
 
@@ -14,10 +14,10 @@ it is moved over; the sum of these from row to row is what each time would leave
 that makes the posterior of the time, whose median and standard deviation are returned.
 
 Interactions (`add_interactions`): all products of two channels would be too many columns. When the rounds
-leave something unexplained, those of the strongest channels join the evidence as candidates like any other.
+leave something unexplained, those of the strongest channels are added as candidates like any other.
 
-A lag between two of the bank is a combination of their responses (`lag_weights`); `profile_lag` says how well
-each lag explains the residual.
+A lag between two of the bank is a combination of their responses (`lag_weights`); `profile_lag` returns how
+well each lag explains the residual.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from inflight.diagnosis.residual import (
     remaining_residual,
 )
 from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, projected
-from inflight.diagnosis.search import CachedDesign, Option, ScoreTable, Search
+from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, Search
 from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
@@ -174,60 +174,54 @@ ANGLES = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
 Refined = tuple[Search, Option]
 
 
-def refine(search: Search, context: DiagnosisData, option: Option) -> Refined:
+def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the state with the best form of an option, and that form.
 
-    Both are as they were when the bank has the best form already. New columns join the evidence, from the
-    coarse series; the model still holds the option itself (see `Search.exchange`).
+    Both are as they were when the bank has the best form already. New columns come from the coarse
+    series; the model still holds the option itself (see `Search.exchange`).
     """
-    if not can_add_columns(search, context):
+    if not can_add_columns(search, data):
         return search, option
     if option.change is not None:
-        return refine_change_time(search, context, option)
+        return refine_change_time(search, data, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
         return search, option
-    return _of_channel(search, context, option)
-
-
-def _of_channel(search: Search, context: DiagnosisData, option: Option) -> Refined:
     if option.mechanism.startswith("hysteresis("):
-        return _with_width(search, context, option)
+        return _with_width(search, data, option)
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
-        return _with_lag(search, context, option)
-    if len(option.terms) == 1:
-        return _with_response(search, context, option)
-    return search, option
+        return _with_lag(search, data, option)
+    return _with_response(search, data, option) if len(option.terms) == 1 else (search, option)
 
 
 # Lags and widths.
 
 
-def _with_lag(search: Search, context: DiagnosisData, option: Option) -> Refined:
+def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the option with the lag that explains most; without one when that is not clearly more."""
     source = search.library.terms[option.terms[0]]
-    trials = FormTrials(search, context, option)
+    trials = FormTrials(search, data, option)
 
     def term(lag: float, key: str = "trial") -> Term:
         given = {"lag": f"{lag:g} s"} if lag else {}
-        return similar_term(context, source, key, given, source.parameters)
+        return similar_term(data, source, key, given, source.parameters)
 
     def loss(lag: float) -> Floats:
         return trials.loss([term(lag)])
 
-    best, sigma = _best_lag(search, context, loss)
+    best, sigma = _best_lag(search, data, loss)
     if float(hac_t((loss(0.0) - loss(best))[:, None])[0]) < search.rules.t:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
         return search, plain[0] if plain else option
     if abs(best - option.lag_s) <= LAG.near * best:
         return search, option
-    return _with_term(search, context, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
+    return _with_term(search, data, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
 
 
 def _best_lag(
-    search: Search, context: DiagnosisData, loss: Callable[[float], Floats]
+    search: Search, data: DiagnosisData, loss: Callable[[float], Floats]
 ) -> tuple[float, float | None]:
     """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
-    lags = np.geomspace(LAG.shortest * context.series.step_s, LAG.longest, LAG.tried)
+    lags = np.geomspace(LAG.shortest * data.series.step_s, LAG.longest, LAG.tried)
     best = _minimise(lags, loss, LAG.bracket)
     near = best * np.array([LAG.spread, 1.0, 1.0 / LAG.spread])
     each = np.stack([loss(float(one)) for one in near])
@@ -239,15 +233,15 @@ def _best_lag(
     return best, best * float(jackknife(np.array(others)))
 
 
-def _with_response(search: Search, context: DiagnosisData, option: Option) -> Refined:
+def _with_response(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return an effect whose channel, or a factor of it, acts slowly, when that explains clearly more."""
     made = option
     parts = _channel_of(search.library.terms[option.terms[0]]).parts
-    if any(part.channel not in context.series.channels or part.width for part in parts):
+    if any(part.channel not in data.series.channels or part.width for part in parts):
         return search, option
     for place, part in enumerate(parts):
         if part.channel not in GEOMETRY or part.channel in SLOW_GEOMETRY:
-            search, made = _with_slow_factor(search, context, option, made, place)
+            search, made = _with_slow_factor(search, data, option, made, place)
     return search, made
 
 
@@ -258,23 +252,23 @@ def _channel_of(term: Term) -> DerivedChannel:
 
 
 def _with_slow_factor(
-    search: Search, context: DiagnosisData, option: Option, now: Option, place: int
+    search: Search, data: DiagnosisData, option: Option, now: Option, place: int
 ) -> Refined:
     """Return the option with the best lag of one factor of its channel; `now` if none is better."""
     source = search.library.terms[now.terms[0]]
     parts = list(_channel_of(source).parts)
     old = parts[place].lag_s
-    trials = FormTrials(search, context, option)
+    trials = FormTrials(search, data, option)
 
     def term(lag: float, key: str) -> Term:
         parts[place] = replace(parts[place], lag_s=lag, text="")
         channel = DerivedChannel(tuple(parts)).name
-        return similar_term(context, source, key, {"channel": channel}, source.parameters)
+        return similar_term(data, source, key, {"channel": channel}, source.parameters)
 
     def loss(lag: float) -> Floats:
         return trials.loss([term(lag, f"{option.mechanism}@trial")])
 
-    best, sigma = _best_lag(search, context, loss)
+    best, sigma = _best_lag(search, data, loss)
     if old and abs(best - old) <= LAG.near * old:
         return search, now
     before, after = trials.loss([source]), loss(best)
@@ -291,19 +285,19 @@ def _with_slow_factor(
         if len(parts) == 1
         else f"{type(made.entry.effect).label()}({name})"
     )
-    return _with_term(search, context, option, replace(made, key=key), best, sigma)
+    return _with_term(search, data, option, replace(made, key=key), best, sigma)
 
 
-def _with_width(search: Search, context: DiagnosisData, option: Option) -> Refined:
+def _with_width(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the play of the best width, with the channel itself where it is needed."""
-    trials = FormTrials(search, context, option)
+    trials = FormTrials(search, data, option)
     source = search.library.terms[option.terms[-1]]
     direct = [search.library.terms[option.terms[0]]] if len(option.terms) > 1 else []
-    low, high = np.nanquantile(context.series[option.channels[0]], WIDTH.quantiles)
+    low, high = np.nanquantile(data.series[option.channels[0]], WIDTH.quantiles)
     widths = np.geomspace(WIDTH.narrowest, WIDTH.widest, WIDTH.tried) * float(high - low)
 
     def term(width: float, key: str) -> Term:
-        return similar_term(context, source, key, {"width": width}, ("play",))
+        return similar_term(data, source, key, {"width": width}, ("play",))
 
     def loss(width: float, others: list[Term]) -> Floats:
         return trials.loss([*others, term(width, f"{option.mechanism}@trial")])
@@ -315,7 +309,7 @@ def _with_width(search: Search, context: DiagnosisData, option: Option) -> Refin
     )
     width = width if needed else alone
     key = f"{option.mechanism}@width={width:g}"
-    search, made = _with_term(search, context, option, term(width, key), 0.0)
+    search, made = _with_term(search, data, option, term(width, key), 0.0)
     if not needed:
         return search, made
     whole = replace(made, terms=(direct[0].key, key), columns=(*direct[0].columns, *made.columns))
@@ -326,20 +320,17 @@ def _minimise(grid: Floats, loss: Callable[[float], Floats], around: tuple[float
     """Return where the loss is least: on the whole grid, then twice on finer ones around it; four digits."""
     best = 0.0
     for part in (1.0, 0.25, 0.0):
-        best = _grid_minimum(grid, np.array([loss(float(one)).sum() for one in grid]))
+        sums = np.array([loss(float(one)).sum() for one in grid])
+        at = int(np.argmin(sums))
+        best = float(grid[at])
+        if 0 < at < len(sums) - 1:
+            # The vertex of a parabola in the logarithm.
+            x = np.log(grid[at - 1 : at + 2])
+            vertex = _vertex(x, sums[at - 1 : at + 2])
+            best = float(np.exp(np.clip(vertex, x[0], x[2]))) if np.isfinite(vertex) else best
         if part:
             grid = best * np.geomspace(*around, 7) ** part
     return float(f"{best:.4g}")
-
-
-def _grid_minimum(grid: Floats, sums: Floats) -> float:
-    """Return where the sums are least, by a parabola in the logarithm."""
-    at = int(np.argmin(sums))
-    if at in (0, len(sums) - 1):
-        return float(grid[at])
-    x = np.log(grid[at - 1 : at + 2])
-    found = _vertex(x, sums[at - 1 : at + 2])
-    return float(np.exp(np.clip(found, x[0], x[2]))) if np.isfinite(found) else float(grid[at])
 
 
 def _vertex(x: Floats, y: Floats) -> float:
@@ -349,19 +340,19 @@ def _vertex(x: Floats, y: Floats) -> float:
 
 
 def _with_term(
-    search: Search, context: DiagnosisData, option: Option, term: Term, lag: float, sigma: float | None = None
+    search: Search, data: DiagnosisData, option: Option, term: Term, lag: float, sigma: float | None = None
 ) -> Refined:
-    """Return the option with another term, its columns in the evidence and it among the options."""
+    """Return the option with another term, its columns in the Gram blocks and it among the options."""
     made = replace(
         option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag, lag_sigma_s=sigma
     )
     if term.key not in search.library.terms:
-        search = join_terms(search, context, [term])
+        search = join_terms(search, data, [term])
     return search.with_options([made]), made
 
 
 def similar_term(
-    context: DiagnosisData, source: Term, key: str, options: dict[str, Any], parameters: Sequence[str]
+    data: DiagnosisData, source: Term, key: str, options: dict[str, Any], parameters: Sequence[str]
 ) -> Term:
     """Return a term like another one with other options; everything of it is free."""
     given = {name: value for name, value in source.entry.effect.given.items() if name not in ("lag", "width")}
@@ -371,8 +362,8 @@ def similar_term(
         **given,
         **options,
     }
-    sensors = sensors_of(context.mission, context.model.comparison)
-    made = make_effect(entry, sensors, context.model.own, context.mission)
+    sensors = sensors_of(data.mission, data.model.comparison)
+    made = make_effect(entry, sensors, data.model.own, data.mission)
     size = sum(made.effect.parameters()[name].size for name in parameters)
     return Term(key, made, tuple(parameters), (np.inf,) * size)
 
@@ -383,8 +374,8 @@ class FormTrials:
     Rows of the coarse series, weighted, with the calibration marginalised interval by interval.
     """
 
-    def __init__(self, search: Search, context: DiagnosisData, option: Option) -> None:
-        self.context, self.series, self.blocks = context, context.series, len(search.raw)
+    def __init__(self, search: Search, data: DiagnosisData, option: Option) -> None:
+        self.data, self.series, self.blocks = data, data.series, len(search.raw)
         self.terms = search.library.by_key
         others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
@@ -401,7 +392,15 @@ class FormTrials:
 
     def loss(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of squares that the terms together leave in each block; (block,) nT^2."""
-        columns = np.concatenate([self.model, *(self._columns(term) for term in terms)], axis=1)
+        parts = [self.model]
+        for term in terms:
+            columns = self._known.get(term.key)
+            if columns is None:
+                columns = self._marginalised(self._flat([term], self._rows([term])))
+            if term.key in self.terms:
+                self._known[term.key] = columns
+            parts.append(columns)
+        columns = np.concatenate(parts, axis=1)
         value = solve_scaled(columns.T @ columns, columns.T @ self.y)
         rest = self.y - columns @ value
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
@@ -433,17 +432,9 @@ class FormTrials:
             before = self.y
         return before, before - own @ solve_scaled(own.T @ own, own.T @ before)
 
-    def _columns(self, term: Term) -> Floats:
-        if term.key in self._known:
-            return self._known[term.key]
-        columns = self._marginalised(self._flat([term], self._rows([term])))
-        if term.key in self.terms:
-            self._known[term.key] = columns
-        return columns
-
     def _rows(self, terms: Sequence[Term]) -> DesignRows:
         channels = {name for term in terms for name in term.entry.effect.channels if name}
-        return self.series.rows(self.context.sensor_matrices, derived_channels(self.series, channels))
+        return self.series.rows(self.data.sensor_matrices, derived_channels(self.series, channels))
 
     def _flat(self, terms: Sequence[Term], rows: DesignRows) -> Floats:
         columns = design_matrix(terms, rows)
@@ -459,7 +450,7 @@ class FormTrials:
 # The time of a change.
 
 
-def refine_change_time(search: Search, context: DiagnosisData, option: Option) -> Refined:
+def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the state with a step or an episode at the time that leaves least, and that option.
 
     Its `change.sharpness` is the time's standard deviation, the larger one of an episode's two. All that may
@@ -469,9 +460,9 @@ def refine_change_time(search: Search, context: DiagnosisData, option: Option) -
     change, columns = option.change, _changing_columns(search, option)
     if change is None or not change.at or not columns:
         return search, option
-    at, sigma = _change_times(search, context, option, columns)
+    at, sigma = _change_times(search, data, option, columns)
     moved = max(abs(new - old) for new, old in zip(at, change.at, strict=True))
-    if option.terms and moved <= max(CHANGE_TIME.near * sigma, context.series.step_s * SECOND):
+    if option.terms and moved <= max(CHANGE_TIME.near * sigma, data.series.step_s * SECOND):
         return search, option
     made = _every_kind(search, at, round(sigma))
     terms = []
@@ -481,7 +472,7 @@ def refine_change_time(search: Search, context: DiagnosisData, option: Option) -
             terms.append(dated_term(_source(search, changing), changing, one.name, at))
     known = {one.name for one in search.options}
     if terms:
-        search = join_terms(search, context, terms)
+        search = join_terms(search, data, terms)
     search = search.with_options([one for one in made if one.name not in known])
     return search, next(one for one in made if one.mechanism == option.mechanism)
 
@@ -532,16 +523,25 @@ def dated_columns(source: Term, changing: tuple[str, ...], name: str) -> list[st
 
 
 def _change_times(
-    search: Search, context: DiagnosisData, option: Option, changing: tuple[str, ...]
+    search: Search, data: DiagnosisData, option: Option, changing: tuple[str, ...]
 ) -> tuple[tuple[int, ...], float]:
     """Return when a change begins, and ends if it does, TT2000, and the standard deviation, ns."""
     assert option.change is not None
-    series, at = context.series, option.change.at
-    without, residual, columns = _residual_without(search, context, option, changing)
+    series, at = data.series, option.change.at
+    rows, names, model = model_columns(search, series, data.sensor_matrices, search.accepted)
+    residual = remaining_residual(search, data)
+    taken = [name for one in search.accepted for name in one.columns]
+    values, known = joint_values(search, taken)[0]
+    value = dict(zip(known, values[len(values) - len(known) :], strict=True))
+    own = model[:, :, [names.index(name) for name in option.columns]]
+    # The residual without the option, and its columns as if it held always.
+    without = residual - own @ np.array([value[name] for name in option.columns])
+    source = _source(search, changing)
+    columns = design_matrix([source], rows)[:, :, [source.columns.index(name) for name in changing]]
     used = series["weight"] > 0
     # Variance of what a row adds to a sum over many, correlation with its neighbours counted.
-    rows = 2.0 * correlation_s(series, residual) / series.step_s
-    noise = float(np.mean(residual[used] ** 2)) * max(rows, 1.0)
+    correlated_rows = 2.0 * correlation_s(series, residual) / series.step_s
+    noise = float(np.mean(residual[used] ** 2)) * max(correlated_rows, 1.0)
     windows = [_window(search, option, place) for place in range(len(at))]
     unit = "datetime64[s]" if series.step_s >= CHANGE_TIME.coarse_s else "datetime64[ms]"
     sigma = 0.0
@@ -565,25 +565,6 @@ def _change_times(
         if not sigma or list(at) != sorted(at)
         else (at, sigma)
     )
-
-
-def _residual_without(
-    search: Search, context: DiagnosisData, option: Option, changing: tuple[str, ...]
-) -> tuple[Floats, Floats, Floats]:
-    """Return the residual without and with an option, and its columns as if it held always.
-
-    Each is (sample, row) or (sample, row, column).
-    """
-    rows, names, columns = model_columns(search, context.series, context.sensor_matrices, search.accepted)
-    residual = remaining_residual(search, context)
-    taken = [name for one in search.accepted for name in one.columns]
-    values, known = joint_values(search, taken)[0]
-    value = dict(zip(known, values[len(values) - len(known) :], strict=True))
-    own = columns[:, :, [names.index(name) for name in option.columns]]
-    without = residual - own @ np.array([value[name] for name in option.columns])
-    source = _source(search, changing)
-    every = design_matrix([source], rows)
-    return without, residual, every[:, :, [source.columns.index(name) for name in changing]]
 
 
 def _window(search: Search, option: Option, place: int) -> tuple[int, int]:
@@ -631,7 +612,7 @@ def _change_time(stamps: Int64, gained: Floats, window: tuple[int, int], noise: 
 
 
 def add_interactions(
-    search: Search, context: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
+    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
 ) -> Search:
     """Return the state with products of channels among its options; the state itself when there are none.
 
@@ -641,17 +622,17 @@ def add_interactions(
         Something is left: all pairs of the strongest channels are tried. Else only pairs with a channel that
         was taken, because its field may depend on another channel.
     """
-    if not can_add_columns(search, context):
+    if not can_add_columns(search, data):
         return search
     known = {option.mechanism for option in search.options}
     terms = [
         term
-        for one, other in _channel_pairs(search, context, tables, unexplained)
-        if (term := _product(context, one, other)) is not None and term.key not in known
+        for one, other in _channel_pairs(search, data, tables, unexplained)
+        if (term := _product(data, one, other)) is not None and term.key not in known
     ]
     if not terms:
         return search
-    return join_terms(search, context, terms).with_options(
+    return join_terms(search, data, terms).with_options(
         [
             Option(
                 name=term.key,
@@ -666,37 +647,36 @@ def add_interactions(
     )
 
 
-def can_add_columns(search: Search, context: DiagnosisData) -> bool:
+def can_add_columns(search: Search, data: DiagnosisData) -> bool:
     """Return True when columns can still be made: of long records the days' own equations are gone."""
-    return search.within is None and len(context.series.tt2000) <= INTERACTIONS.most_rows
+    return search.shared.within is None and len(data.series.tt2000) <= INTERACTIONS.most_rows
 
 
 def _channel_pairs(
-    search: Search, context: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
+    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
 ) -> list[tuple[str, str]]:
     """Return the pairs to try: a channel that was taken with every other one; of the strongest ones all."""
-    series = context.series
-    scalars = [name for name in series.channels if series[name].ndim == 1 and _varies(series[name], name)]
+    series = data.series
+    scalars = []
+    for name in series.channels:
+        values = series[name]
+        known = values[np.isfinite(values)] if values.ndim == 1 and name not in ANGLES else np.zeros(0)
+        # A product with a constant is the other channel alone.
+        if known.size and np.std(known) > INTERACTIONS.steady * np.abs(known).mean():
+            scalars.append(name)
     taken = [name for option in search.accepted for name in option.channels if name in scalars]
     pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
     if unexplained:
-        pairs += combinations(strongest_channels(search, context, tables), 2)
+        pairs += combinations(strongest_channels(search, data, tables), 2)
     first: dict[frozenset[str], tuple[str, str]] = {}
     for pair in pairs:
         first.setdefault(frozenset(pair), pair)
     return list(first.values())[: INTERACTIONS.pairs]
 
 
-def _varies(values: Floats, name: str) -> bool:
-    """Return True when a product with the channel is another thing than the other channel alone."""
-    known = values[np.isfinite(values)]
-    steady = known.size == 0 or not np.std(known) > INTERACTIONS.steady * np.abs(known).mean()
-    return name not in ANGLES and not steady
-
-
-def strongest_channels(search: Search, context: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
+def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
     """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
-    there = set(context.series.channels)
+    there = set(data.series.channels)
     gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
     for table in tables:
         scores = table.scores["raw"]
@@ -704,50 +684,42 @@ def strongest_channels(search: Search, context: DiagnosisData, tables: Sequence[
             if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
                 continue
             name = option.channels[0]
-            if context.series[name].ndim == 1 and scores.t[place] > INTERACTIONS.own_t:
+            if data.series[name].ndim == 1 and scores.t[place] > INTERACTIONS.own_t:
                 gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
-    scalars = [name for name in gains if context.series[name].ndim == 1]
+    scalars = [name for name in gains if data.series[name].ndim == 1]
     return sorted(sorted(scalars), key=lambda name: -gains[name])[: INTERACTIONS.channels]
 
 
-def _product(context: DiagnosisData, one: str, other: str) -> Term | None:
-    sensors = sensors_of(context.mission, context.model.comparison)
-    first = next(iter(context.series.features.sensors))
+def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
+    sensors = sensors_of(data.mission, data.model.comparison)
+    first = next(iter(data.series.features.sensors))
     entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
     try:
-        made = make_effect(entry, sensors, context.model.own, context.mission)
+        made = make_effect(entry, sensors, data.model.own, data.mission)
     except InflightError:
         return None
     return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
 
 
-#: Products of new columns with every column there is, and with each other; (block, ...) each.
-Border = tuple[Floats, Floats]
-
-
-def join_terms(search: Search, context: DiagnosisData, terms: Sequence[Term]) -> Search:
-    """Return the state with the columns of new terms in its evidence, with their products with all others."""
-    cache = _cached_design(search, context, terms)
-    raw, white = _borders(search, context, terms, cache)
+def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:
+    """Return the state with the columns of new terms in its Gram blocks."""
+    # The design matrix of all terms is cached: a further column costs its own making only.
+    series, known = data.series, search.design_cache
+    new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known.names)]
+    channels = {name for term in new for name in term.entry.effect.channels if name}
+    rows = series.rows(data.sensor_matrices, derived_channels(series, channels, search.library.placebos))
+    made = [design_matrix([term], rows).astype(np.float32) for term in new]
+    names = (*known.names, *(name for term in new for name in term.columns))
+    cache = CachedDesign(names, (*known.pieces, *made))
+    raw, white = _borders(search, data, terms, cache)
     return replace(search.join(terms, raw, white), design_cache=cache)
 
 
-def _cached_design(search: Search, context: DiagnosisData, terms: Sequence[Term]) -> CachedDesign:
-    """Return the cached design matrix of all terms; each further column costs its own making only."""
-    series, known = context.series, search.design_cache
-    new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known.names)]
-    channels = {name for term in new for name in term.entry.effect.channels if name}
-    rows = series.rows(context.sensor_matrices, derived_channels(series, channels, search.library.placebos))
-    made = [design_matrix([term], rows).astype(np.float32) for term in new]
-    names = (*known.names, *(name for term in new for name in term.columns))
-    return CachedDesign(names, (*known.pieces, *made))
-
-
 def _borders(
-    search: Search, context: DiagnosisData, terms: Sequence[Term], cache: CachedDesign
+    search: Search, data: DiagnosisData, terms: Sequence[Term], cache: CachedDesign
 ) -> tuple[Border, Border]:
     """Return the terms' products with all columns, raw and prewhitened."""
-    series, names = context.series, list(cache.names)
+    series, names = data.series, list(cache.names)
     fresh = [name for term in terms for name in term.columns]
     places = [names.index(name) for name in fresh]
     residual = series["residual"].reshape(len(series.tt2000), -1, 1)
@@ -758,9 +730,12 @@ def _borders(
         weight, stamps, block = series["weight"][part], series.tt2000[part], series.block[part]
         used = np.where((weight > 0)[:, None, None], np.nan_to_num(residual[part]), 0.0)
         columns = np.concatenate([*(piece[part] for piece in cache.pieces), used], axis=2)
-        white = prewhiten(columns, weight, stamps, context.correlation_time_s)
+        white = prewhiten(columns, weight, stamps, data.correlation_time_s)
         for gram, values in zip(grams, (columns, white), strict=True):
-            _add_products(gram, values, weight, block, places)
+            scaled = values * np.sqrt(weight)[:, None, None]
+            for number in np.unique(block):
+                flat = scaled[block == number].reshape(-1, values.shape[2])
+                gram[number] += flat.T @ flat[:, places]
     changes = {
         name: source
         for option in search.accepted
@@ -773,27 +748,18 @@ def _borders(
     )
 
 
-def _add_products(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, places: list[int]) -> None:
-    """Add products of all columns with the fresh ones, block by block; the residual is last."""
-    root = np.sqrt(weight)[:, None, None]
-    scaled = values * root
-    for one in np.unique(block):
-        flat = scaled[block == one].reshape(-1, values.shape[2])
-        gram[one] += flat.T @ flat[:, places]
-
-
 def _border(
-    evidence: GramBlocks,
+    grams: GramBlocks,
     gram: Floats,
     names: Sequence[str],
     terms: Sequence[Term],
     changes: dict[str, tuple[str, Floats]],
 ) -> Border:
-    """Return the fresh columns' products with those of the evidence, changes in time among them."""
+    """Return the fresh columns' products with those of the Gram blocks, changes in time among them."""
     fresh = [name for term in terms for name in term.columns]
     places = {name: place for place, name in enumerate([*names, "residual"])}
-    across = np.zeros((len(evidence), len(evidence.names), len(fresh)))
-    for place, name in enumerate(evidence.names):
+    across = np.zeros((len(grams), len(grams.names), len(fresh)))
+    for place, name in enumerate(grams.names):
         source, factor = changes.get(name, (name, None))
         if source in places:
             piece = gram[:, places[source]]
@@ -842,14 +808,14 @@ class LagProfile:
     ----------
     lags : ndarray
         Seconds.
-    left : ndarray
+    remaining : ndarray
         Sum of squares left at each, nT^2 (in-sample).
     best, sigma : float
         The lag that leaves least and its jackknife error over folds of blocks, seconds.
     """
 
     lags: Floats
-    left: Floats
+    remaining: Floats
     best: float
     sigma: float
 
@@ -857,14 +823,14 @@ class LagProfile:
         """Return the fields as plain numbers."""
         return {
             "lags_s": self.lags.tolist(),
-            "left_nT2": self.left.tolist(),
+            "left_nT2": self.remaining.tolist(),
             "best_s": self.best,
             "sigma_s": self.sigma,
         }
 
 
 def profile_lag(
-    evidence: GramBlocks,
+    grams: GramBlocks,
     present: ModelColumns,
     bank: Mapping[float, Index],
     y: int,
@@ -888,16 +854,16 @@ def profile_lag(
     mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
 
     def explained(gram: Floats) -> Floats:
-        left = projected(gram, present)
-        own = left[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
-        cross = left[columns, y].reshape(lags.size, size)
+        remaining = projected(gram, present)
+        own = remaining[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
+        cross = remaining[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
         half = inverse_square_root(matrices)
         return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
-    total = evidence.total
+    total = grams.total
     whole = explained(total)
-    others = [_peak(grid, explained(total - held)) for held in evidence.sums(folds)]
+    others = [_peak(grid, explained(total - held)) for held in grams.sums(folds)]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
     base = float(projected(total, present)[y, y])

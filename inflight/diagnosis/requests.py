@@ -1,7 +1,7 @@
-"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition.
+"""What a user asks to add to a model: a name, a channel, or an entry of the model's file, made an addition.
 
 Takes text or a mapping as `inflight add` gets it; makes a `Request` (`find_request`): the addition, and the
-same with every lag of its bank when the lag that fits best is asked for (`best_lag`). `addition_of_entry`
+same with every lag of its bank, from which `best_lag` chooses when no lag is stated. `addition_of_entry`
 does the same for an effect of a later version of the model, so that it can be fitted again.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,13 +49,13 @@ _LISTED = 12
 
 @dataclass(frozen=True)
 class Request:
-    """What a person asks to be added.
+    """What a user asks to add.
 
     Attributes
     ----------
     addition : Addition
     bank : dict of float to Addition
-        The same with every lag of its bank, when the lag that fits best is asked for; else empty.
+        The same with every lag of its bank, when no lag is stated; else empty.
     """
 
     addition: Addition
@@ -69,7 +69,7 @@ class Request:
 
 
 def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Request:
-    """Return what a person asks for.
+    """Return what a user asks to add.
 
     Parameters
     ----------
@@ -88,11 +88,24 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
     if given in DRIFTS:
         return Request(drift_of(maker, given), {}, maker)
     if timed := _TIMED.match(given):
-        at = [_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]]
-        return Request(step_of(maker, timed["kind"], [_snap_to_edge(maker, one) for one in at]), {}, maker)
+        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
+        # A time within a second of an edge of blocks is that edge.
+        edges = np.append(maker.raw.start, maker.raw.end[-1])
+        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
+        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
+        return Request(step_of(maker, timed["kind"], at.tolist()), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
-        return Request(_addition_of_text(maker, _parse_made(given)), {}, maker)
+        # An effect as a search names it; its channel carries the lag.
+        entry, match = {"effect": given}, _MADE.match(given)
+        if match is not None:
+            channel, size = match["channel"], match["size"]
+            entry = {"effect": match["effect"], "channel": channel}
+            if match["form"] == "lag":
+                entry["channel"] = f"{channel}@lag={size}"
+            elif match["form"]:
+                entry[match["form"]] = size
+        return Request(_addition_of_text(maker, entry), {}, maker)
     if lag is not None:
         return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
@@ -124,31 +137,18 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
     if lagged := _LAG.match(name):
         bank = [one for one in real if one.mechanism == lagged["mechanism"] and maker.bank(one)]
         if bank:
-            return bank[0], _seconds(name, lagged["lag"])
+            return bank[0], _parsed(name, lagged["lag"], parse_duration, "@lag=600s") / SECOND
     mechanisms = list(dict.fromkeys(one.mechanism for one in real))
-    alike = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
-    if len(alike) == 1:
-        return next(one for one in real if one.mechanism == alike[0]), None
-    if len(alike) > 1:
-        listed = ", ".join(alike[:_LISTED])
-        raise ModelError(f"{name!r} may be {len(alike)} things", remedy=f"name one of {listed}")
+    similar = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
+    if len(similar) == 1:
+        return next(one for one in real if one.mechanism == similar[0]), None
+    if len(similar) > 1:
+        listed = ", ".join(similar[:_LISTED])
+        raise ModelError(f"{name!r} may be {len(similar)} things", remedy=f"name one of {listed}")
     made = _MADE.match(name)
     if (made["effect"] if made else name) in known_effects(maker.model.own):
         return None, None
     raise _unknown_name(maker, name, mechanisms)
-
-
-def _parse_made(name: str) -> dict[str, Any]:
-    """Return the entry of an effect as a search names it; its channel carries the lag."""
-    match = _MADE.match(name)
-    if match is None:
-        return {"effect": name}
-    entry = {"effect": match["effect"], "channel": match["channel"]}
-    if match["form"] == "lag":
-        entry["channel"] += f"@lag={match['size']}"
-    elif match["form"]:
-        entry[match["form"]] = match["size"]
-    return entry
 
 
 def _unknown_name(maker: AdditionMaker, name: str, mechanisms: Sequence[str]) -> ModelError:
@@ -163,25 +163,16 @@ def _unknown_name(maker: AdditionMaker, name: str, mechanisms: Sequence[str]) ->
     )
 
 
-def _seconds(name: str, lag: str) -> float:
+def _parsed(name: str, text: str, parse: Callable[[str], Any], example: str) -> Any:
+    """Return a part of a name, parsed; an error names the whole name and an example."""
     try:
-        return parse_duration(lag) / SECOND
+        return parse(text)
     except ValueError as error:
-        raise ModelError(f"{name!r}: {error}", remedy="write such as @lag=600s") from None
+        raise ModelError(f"{name!r}: {error}", remedy=f"write such as {example}") from None
 
 
 def _parse_time(name: str, text: str) -> int:
-    try:
-        return int(to_tt2000(parse_utc(text)))
-    except ValueError as error:
-        raise ModelError(f"{name!r}: {error}", remedy="write such as offset_step@2024-03-01") from None
-
-
-def _snap_to_edge(maker: AdditionMaker, when: int) -> int:
-    """Return a time; the nearest edge of blocks when that is within a second."""
-    edges = np.append(maker.raw.start, maker.raw.end[-1])
-    near = int(edges[np.argmin(np.abs(edges - when))])
-    return near if abs(near - when) < SECOND else when
+    return int(to_tt2000(_parsed(name, text, parse_utc, "offset_step@2024-03-01")))
 
 
 # Entries of a model's file.
@@ -224,7 +215,7 @@ def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
         for key, timed in entry.parameters.items()
     }
     entry = entry.with_parameters(still)
-    # Gram blocks are known by the names of their columns: they say what the effect is made of.
+    # Gram blocks are known by the names of their columns: these say what the effect is made of.
     made_of = json.dumps(entry.as_yaml(), sort_keys=True, default=str)
     key = f"{entry.name}#{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
     term = term_of(entry, key)
@@ -272,7 +263,11 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     if label == "affine":
         for key in ("matrix", "shift"):
             if entry.parameters[key].time == "linear":
-                return drift_of(maker, _drift_kind(key, entry), entry.name)
+                kind = "offset_drift"
+                if key == "matrix":
+                    growth = np.reshape(entry.parameters[key].value[:, 1], (3, 3))
+                    kind = "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
+                return drift_of(maker, kind, entry.name)
     for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
         if (
             key in entry.parameters
@@ -295,14 +290,6 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     return _outside_library(maker, entry)
 
 
-def _drift_kind(part: str, entry: ModelEffect) -> str:
-    """Return which drift an affine change that grows with time is."""
-    if part == "shift":
-        return "offset_drift"
-    growth = np.reshape(entry.parameters[part].value[:, 1], (3, 3))
-    return "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
-
-
 # Lags.
 
 
@@ -315,16 +302,16 @@ def best_lag(
         for lag, addition in bank.items()
         for column in addition.columns
     ]
-    evidence, present = setup.marginalised([*columns, *tried], fixed)
+    grams, present = setup.marginalised([*columns, *tried], fixed)
     count = len(present.columns) - len(tried)
     present = replace(present, columns=present.columns[:count], precision=present.precision[:count])
     places = {
-        lag: evidence.index([f"{lag:g}|{column.name}" for column in addition.columns])
+        lag: grams.index([f"{lag:g}|{column.name}" for column in addition.columns])
         for lag, addition in bank.items()
     }
-    y = evidence.residuals[0]
+    y = grams.residuals[0]
     if len(places) > 2:
-        found = profile_lag(evidence, present, places, y, make_folds(len(evidence)))
+        found = profile_lag(grams, present, places, y, make_folds(len(grams)))
         return found.best if found.best > found.sigma else 0.0
-    _, explained = fit(evidence, present, list(places.values()), y)
+    _, explained = fit(grams, present, list(places.values()), y)
     return list(places)[int(np.argmax(explained))]

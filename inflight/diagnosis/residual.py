@@ -1,9 +1,9 @@
 """The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-Takes a state of the search and the `DiagnosisData` of its verdict (the coarse series, the model, the noise
-floor); makes the residual after calibration, model and everything that was taken (`remaining_residual`), its
-sizes in sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its
-correlation time (`correlation_s`) and how many independent blocks there are (`effective_blocks`).
+Takes a state of the search and its `DiagnosisData` (the coarse series, the model, the noise floor);
+makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
+sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
+(`correlation_s`) and how many independent blocks there are (`effective_blocks`).
 
 In the Gram blocks a missing channel has its usual value, so that its gaps do not cost all other candidates
 their rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error
@@ -158,7 +158,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     return found if found.high_nT < floor.low_nT else floor
 
 
-def remaining_residual(search: Search, context: DiagnosisData, accepted: bool = True) -> Floats:
+def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = True) -> Floats:
     """Return the residual of the series after calibration, model and what was taken; (sample, row).
 
     Parameters
@@ -166,8 +166,8 @@ def remaining_residual(search: Search, context: DiagnosisData, accepted: bool = 
     accepted : bool
         False leaves what was taken in the residual.
     """
-    options, series = search.accepted if accepted else (), context.series
-    rows, names, columns = model_columns(search, series, context.sensor_matrices, options)
+    options, series = search.accepted if accepted else (), data.series
+    rows, names, columns = model_columns(search, series, data.sensor_matrices, options)
     present = [name for option in options for name in option.columns]
     values = joint_values(search, present)
     out = rows.residual.copy()
@@ -210,37 +210,31 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
     With each come the names of the refined and taken columns.
     """
-    evidence = search.forms["raw"]
+    grams = search.forms["raw"]
     refined = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]
     names = [*refined, *present]
-    precision = search.precision(evidence, names, np.asarray([*sigma, *[np.inf] * len(present)]))
-    total = evidence.total
-    place, y = evidence.index(names), search.y("raw")
+    precision = search.precision(grams, names, np.asarray([*sigma, *[np.inf] * len(present)]))
+    total = grams.total
+    place, y = grams.index(names), search.y("raw")
     common = (
         -solve_scaled(total[np.ix_(place, place)] + np.diag(precision), total[place, y])
         if names
         else np.zeros(0)
     )
-    base = [name for term in search.library.base for name in term.columns]
-    own_sigma = np.asarray([s for term in search.library.base for s in term.sigma])
-    return [
-        (np.concatenate([_base_values(search, group, base, own_sigma, names, common), common]), names)
-        for group in search.intervals
-    ]
-
-
-def _base_values(
-    search: Search, group: Sequence[int], base: list[str], sigma: Floats, names: list[str], common: Floats
-) -> Floats:
-    if not base:
-        return np.zeros(0)
-    raw: GramBlocks = search.raw
-    total = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
+    base, base_sigma = search.base()
+    raw = search.raw
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
-    right = total[:, y] + (total[:, others] @ common if names else 0.0)
-    precision = search.precision(raw, base, sigma)
-    return -solve_scaled(total[:, inner] + np.diag(precision), right)
+    prior = np.diag(search.precision(raw, base, base_sigma))
+    out = []
+    for group in search.intervals:
+        values = np.zeros(0)
+        if base:
+            sums = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
+            right = sums[:, y] + (sums[:, others] @ common if names else 0.0)
+            values = -solve_scaled(sums[:, inner] + prior, right)
+        out.append((np.concatenate([values, common]), names))
+    return out
 
 
 def derived_channels(
@@ -256,20 +250,16 @@ def derived_channels(
         factors = []
         for part in parse_channel(name).parts:
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
-            factors.append(_part(series, part, values, shifts or {}))
+            if part.placebo:
+                shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0)
+                values = np.roll(values, round(shift / series.step_s), axis=0)
+            if part.lag_s or part.width:
+                values = part.of(values, np.diff(series.tt2000) / SECOND)
+            factors.append(values)
         made = channel_product(factors)
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
-
-
-def _part(series: Series, part: ChannelFactor, values: Floats, shifts: Mapping[str, float]) -> Floats:
-    if part.placebo:
-        shift = round(shifts.get(f"{part.channel}~{part.placebo}", 0.0) / series.step_s)
-        values = np.roll(values, shift, axis=0)
-    if not (part.lag_s or part.width):
-        return values
-    return part.of(values, np.diff(series.tt2000) / SECOND)
 
 
 @dataclass(frozen=True)
@@ -303,7 +293,10 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
     """Return the rows that what a search took cannot be taken off of; None when there are none."""
     rows, weight = np.zeros(len(series.tt2000), dtype=bool), series["weight"]
     channels: dict[str, float] = {}
-    for part in _channels_taken(search):
+    terms = search.library.by_key
+    taken = [terms[key] for option in search.accepted for key in option.terms]
+    names = {name for term in taken for name in term.entry.effect.channels if name}
+    for part in (part for name in sorted(names) for part in parse_channel(name).parts):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
@@ -316,18 +309,6 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
 
 def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
-
-
-def _channels_taken(search: Search) -> list[ChannelFactor]:
-    terms = search.library.by_key
-    names = {
-        name
-        for option in search.accepted
-        for key in option.terms
-        for name in terms[key].entry.effect.channels
-        if name
-    }
-    return [part for name in sorted(names) for part in parse_channel(name).parts]
 
 
 def unknown_rows(series: Series, part: ChannelFactor) -> np.ndarray | None:
@@ -360,14 +341,14 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
     return out
 
 
-def correctable_evidence(
+def correctable_grams(
     search: Search, gaps: UncorrectableRows, sensor_matrices: dict[str, Floats]
 ) -> GramBlocks:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
     What the lost rows add to the Gram matrices is subtracted with the help of the coarse series. Of long
-    records a row of the series is a mean of several of the evidence: what is within the means counts in
-    proportion.
+    records a row of the series is a mean of several rows of the Gram blocks: what is within the means counts
+    in proportion.
     """
     raw, series = search.raw, gaps.series
     base, sigma = search.base()
@@ -387,7 +368,8 @@ def correctable_evidence(
         if share <= 0:
             continue
         bins = count[block] / (weight.sum() * values.shape[1])
-        every, lost = (_square(values[one]) * bins for one in (own, own & gaps.rows))
+        flat = [values[some].reshape(-1, values.shape[2]) for some in (own, own & gaps.rows)]
+        every, lost = (part.T @ part * bins for part in flat)
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
     names_known = (*base, *model, raw.names[order[-1]])
@@ -395,14 +377,9 @@ def correctable_evidence(
     return small.marginalise(base, search.intervals, search.precision(raw, base, sigma))
 
 
-def _square(values: Floats) -> Floats:
-    flat = values.reshape(-1, values.shape[2])
-    return np.asarray(flat.T @ flat)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DiagnosisData:
-    """What a verdict needs in addition to the search.
+    """What a diagnosis needs in addition to the search: model, coarse series, sums, noise floor.
 
     Attributes
     ----------
@@ -423,10 +400,10 @@ class DiagnosisData:
     correlation_time_s : float
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
-        What the pass left out.
+        Samples that the pass skipped.
     gaps : UncorrectableRows, optional
         Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
-    switched : Switched, optional
+    switched : JumpAttribution, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
     """
@@ -451,64 +428,64 @@ class DiagnosisData:
         return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
-def with_correctable_rows(search: Search, context: DiagnosisData) -> DiagnosisData:
-    """Return the context of the rows in which the channels of all that was taken are known.
+def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:
+    """Return the data of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
     """
-    if context.mission.comparisons[context.model.comparison].kind == "platform":
-        return context
-    whole = context.series if context.gaps is None else context.gaps.series
+    if data.mission.comparisons[data.model.comparison].kind == "platform":
+        return data
+    whole = data.series if data.gaps is None else data.gaps.series
     gaps = uncorrectable_rows(search, whole)
     if gaps is None:
-        return replace(context, series=whole, gaps=None)
-    return replace(context, series=whole.without(gaps.rows), gaps=gaps)
+        return replace(data, series=whole, gaps=None)
+    return replace(data, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence_of_sizes(search: Search, context: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
+def _grams_of_sizes(search: Search, data: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:
     """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
-    if context.gaps is None:
+    if data.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    evidence = correctable_evidence(search, context.gaps, context.sensor_matrices)
-    return evidence, search.present_in(evidence), evidence.residuals[0]
+    grams = correctable_grams(search, data.gaps, data.sensor_matrices)
+    return grams, search.present_in(grams), grams.residuals[0]
 
 
-def held_out_rms(search: Search, context: DiagnosisData) -> float:
+def held_out_rms(search: Search, data: DiagnosisData) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    evidence, present, y = _evidence_of_sizes(search, context)
+    grams, present, y = _grams_of_sizes(search, data)
     interleaved = any(option.interleaved for option in search.accepted)
     empty: list[Any] = []
-    found = score(evidence, present, empty, y, make_folds(len(evidence), interleaved))
-    mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
-    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(context)))
+    found = score(grams, present, empty, y, make_folds(len(grams), interleaved))
+    mean = float(found.loss0.sum() / max(grams.count.sum(), 1.0))
+    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(data)))
 
 
-def _square_within_bins(context: DiagnosisData) -> float:
-    return context.sums.get("inside", 0.0) / max(context.sums.get("count", 1.0), 1.0)
+def _square_within_bins(data: DiagnosisData) -> float:
+    return data.sums.get("inside", 0.0) / max(data.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(context: DiagnosisData, search: Search) -> float:
+def native_rms(data: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
-    evidence, present, y = _evidence_of_sizes(search, context)
-    total = evidence.total
-    left = total[y, y] - (
+    grams, present, y = _grams_of_sizes(search, data)
+    total = grams.total
+    remaining = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
-    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
+    return float(np.sqrt(max(remaining, 0.0) / max(grams.count.sum(), 1.0) + _square_within_bins(data)))
 
 
-def effective_blocks(search: Search, context: DiagnosisData, residual: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, data: DiagnosisData, residual: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
     the residual's square hardly count: of four days, a storm of some hours may hold all the information.
     """
-    raw, evidence, y = search.raw, search.forms["raw"], search.y()
+    raw, grams, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    correlation = correlation_s(context.series, residual)
+    correlation = correlation_s(data.series, residual)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    square = np.clip(evidence.squares[:, y], 0.0, None)
+    square = np.clip(grams.squares[:, y], 0.0, None)
     informative = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
     by_length = min(float(used), span / max(2.0 * correlation, 1e-9))
     return {
@@ -522,7 +499,7 @@ def effective_blocks(search: Search, context: DiagnosisData, residual: Floats) -
     }
 
 
-def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]]:
+def dominant_blocks(grams: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
@@ -531,8 +508,8 @@ def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]
         return []
     return [
         {
-            "start": utc_text(int(evidence.start[place])),
-            "end": utc_text(int(evidence.end[place])),
+            "start": utc_text(int(grams.start[place])),
+            "end": utc_text(int(grams.end[place])),
             "part": float(square[place] / whole),
         }
         for place in sorted(order[:most].tolist())

@@ -1,4 +1,4 @@
-"""The result of a diagnosis: what was found, how sure it is, what remains, and the sentence that says it.
+"""The result of a diagnosis: what was found, how sure it is, what remains, and the sentence about it.
 
 Takes numbers and names from `inflight.diagnosis.verdict`; makes records that print themselves as JSON
 (`Diagnosis.as_json`) and one or two sentences (`sentence`).
@@ -131,7 +131,7 @@ class Diagnosis:
         Number and length of the blocks, how many of them are independent, and the few that hold nearly all
         of the residual's square.
     outliers : dict
-        Samples the evidence leaves out: how many, and when the first bursts of them were.
+        Samples that the Gram blocks skip: how many, and when the first bursts of them were.
     """
 
     verdict: Verdict
@@ -226,26 +226,33 @@ def sentence(facts: Mapping[str, Any]) -> str:
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
         f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
-    bursts = _burst_words(facts.get("outliers", {}))
-    parts = [_effect_words(effect) for effect in facts["effects"]]
+    bursts = _burst_text(facts.get("outliers", {}))
+    parts = [_effect_text(effect) for effect in facts["effects"]]
     if parts:
         text = "; ".join(parts)
         text = f"{text[0].upper()}{text[1:]} ({sizes})."
         if facts["remaining"] == "UNKNOWN_EFFECT":
-            text += f" Something is left: {_signature_words(facts['signature'])}."
-            if _may_stand_in(facts):
+            text += f" Something is left: {_signature_text(facts['signature'])}."
+            smallest = min(effect.rms_nT for effect in facts["effects"])
+            switches = facts["signature"] is not None and facts["signature"].switchings
+            # As much structure remains as a large part of the smallest effect taken.
+            if not switches and residual.get("structure_nT", 0.0) > SENTENCE.large_part * smallest:
                 text += " The effects taken may stand in for the one cause that is missing."
-        return text + _gap_words(residual.get("uncorrected", ())) + bursts
+        return text + _gap_text(residual.get("uncorrected", ())) + bursts
+    # Whole mechanisms that these data cannot show, whether they are there or not.
+    names = [str(one["name"]) for one in facts.get("unscorable", ())]
+    hidden = ", ".join(name.replace("_", " ") for name in names if name in MECHANISMS)
+    not_shown = f" These data could not have shown: {hidden}." if hidden else ""
     return {
-        "NOTHING_LEFT": lambda: f"{_noise_words(residual)} ({sizes}).{_not_visible(facts)}",
+        "NOTHING_LEFT": lambda: f"{_noise_text(residual)} ({sizes}).{not_shown}",
         "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_signature_words(facts['signature'])} ({sizes})."
+            f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
         ),
     }[facts["remaining"]]() + bursts
 
 
-def _noise_words(residual: Mapping[str, float]) -> str:
+def _noise_text(residual: Mapping[str, float]) -> str:
     floor = residual["noise_floor_nT"]
     more = residual["held_out_after_nT"] ** 2 - floor**2
     if more > (SENTENCE.large_part * floor) ** 2:
@@ -264,12 +271,12 @@ def why_not_identifiable(facts: Mapping[str, Any]) -> str:
     if blocks["independent"] < fewest:
         holding = blocks.get("holding", [])
         few = f"{len(holding)} of {blocks['count']}" if holding else "a few"
-        when = f": {_span_words(holding)}" if holding else ""
+        when = f": {_span_text(holding)}" if holding else ""
         return f"{few} blocks hold nearly all of the residual's square{when}"
     return "its structure is not beyond doubt"
 
 
-def _span_words(blocks: Sequence[Mapping[str, Any]]) -> str:
+def _span_text(blocks: Sequence[Mapping[str, Any]]) -> str:
     """Return when blocks are, adjacent ones as one span, the first few of them."""
     spans: list[list[str]] = []
     for one in blocks:
@@ -277,16 +284,16 @@ def _span_words(blocks: Sequence[Mapping[str, Any]]) -> str:
             spans[-1][1] = one["end"]
         else:
             spans.append([one["start"], one["end"]])
-    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE.spans]]
-    return "; ".join(said) + ("; ..." if len(spans) > SENTENCE.spans else "")
+    texts = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE.spans]]
+    return "; ".join(texts) + ("; ..." if len(spans) > SENTENCE.spans else "")
 
 
 def _minute(utc: str) -> str:
     return utc[:16].replace("T", " ")
 
 
-def _burst_words(outliers: Mapping[str, Any]) -> str:
-    """Return what is to be said of bursts; nothing when there were none."""
+def _burst_text(outliers: Mapping[str, Any]) -> str:
+    """Return a sentence about bursts; empty when there were none."""
     count = outliers.get("burst_count", 0)
     if not count:
         return ""
@@ -299,7 +306,7 @@ def _burst_words(outliers: Mapping[str, Any]) -> str:
     return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
 
 
-def _gap_words(channels: Sequence[Mapping[str, Any]]) -> str:
+def _gap_text(channels: Sequence[Mapping[str, Any]]) -> str:
     """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
     parts = [
         f"{_percent(one['part'])} for want of {one['channel']}"
@@ -315,23 +322,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g}%"
 
 
-def _may_stand_in(facts: Mapping[str, Any]) -> bool:
-    """Return True when as much structure remains as a large part of the smallest effect taken."""
-    signature = facts["signature"]
-    if signature is not None and signature.switchings:
-        return False
-    smallest = min(effect.rms_nT for effect in facts["effects"])
-    return bool(facts["residual"].get("structure_nT", 0.0) > SENTENCE.large_part * smallest)
-
-
-def _not_visible(facts: Mapping[str, Any]) -> str:
-    """Return which whole mechanisms these data cannot show, whether they are there or not."""
-    names = [str(one["name"]) for one in facts.get("unscorable", ()) if str(one["name"]).isidentifier()]
-    names = [name.replace("_", " ") for name in names if name in MECHANISMS]
-    return f" These data could not have shown: {', '.join(names)}." if names else ""
-
-
-def _effect_words(effect: FoundEffect) -> str:
+def _effect_text(effect: FoundEffect) -> str:
     family = effect.family.replace("_", " ")
     what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
@@ -347,20 +338,20 @@ def _effect_words(effect: FoundEffect) -> str:
     return text
 
 
-def _signature_words(signature: Signature | None) -> str:
+def _signature_text(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
     if signature.switchings:
-        return _unit_words(signature)
+        return _unit_text(signature)
     if signature.period_s:
-        text = f"it repeats every {signature.period_s:.5g} s {_axes_words(signature)}"
-        return text + _shape_words(signature)
+        text = f"it repeats every {signature.period_s:.5g} s {_axes_text(signature)}"
+        return text + _shape_text(signature)
     if signature.faster_than_s:
-        return _fast_words(signature)
-    return _hint_words(signature)
+        return _fast_text(signature)
+    return _hint_text(signature)
 
 
-def _unit_words(signature: Signature) -> str:
+def _unit_text(signature: Signature) -> str:
     often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
     steps = [
         f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
@@ -371,7 +362,7 @@ def _unit_words(signature: Signature) -> str:
     )
 
 
-def _axes_words(signature: Signature) -> str:
+def _axes_text(signature: Signature) -> str:
     """Return the axes a period stands out on, the clearest first, with half of peak to peak on each."""
     main = signature.axis
     if main is None:
@@ -383,11 +374,11 @@ def _axes_words(signature: Signature) -> str:
     ]
     sizes = {name: signature.amplitudes[name][0] for name in others}
     sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
-    said = [f"{name} ({size:.3g} nT)" for name, size in sizes.items()]
-    return f"on ax{'i' if len(said) == 1 else 'e'}s {' and '.join(said)}, half of peak to peak"
+    listed = [f"{name} ({size:.3g} nT)" for name, size in sizes.items()]
+    return f"on ax{'i' if len(listed) == 1 else 'e'}s {' and '.join(listed)}, half of peak to peak"
 
 
-def _shape_words(signature: Signature) -> str:
+def _shape_text(signature: Signature) -> str:
     if signature.shape not in ("sine", "square", "pulse"):
         return ""
     text = f", like a {signature.shape} wave"
@@ -401,18 +392,18 @@ def _shape_words(signature: Signature) -> str:
     return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
 
 
-def _fast_words(signature: Signature) -> str:
-    """Return what is said of something too fast for the search, and what the slow part looks like."""
+def _fast_text(signature: Signature) -> str:
+    """Return a description of something too fast for the search, and of its slow part."""
     if signature.periods_s is not None:
         short, long = signature.periods_s
         text = f"something with periods of {short:.3g} to {long:.3g} s, not steady enough for a line"
     else:
         text = f"something faster than {format_period(signature.faster_than_s or 0.0)}"
     text += f", about {signature.amplitude_nT:.3g} nT rms"
-    return f"{text}; of its slow part, {_hint_words(signature)}" if signature.channel else text
+    return f"{text}; of its slow part, {_hint_text(signature)}" if signature.channel else text
 
 
-def _hint_words(signature: Signature) -> str:
+def _hint_text(signature: Signature) -> str:
     if signature.channel:
         text = f"it looks most like something that follows {signature.channel}"
         return (

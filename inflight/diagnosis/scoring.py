@@ -64,33 +64,33 @@ class ModelColumns:
 
 @dataclass
 class Fits:
-    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+    """Fits to all folds but one, kept so that two candidates can be compared block by block.
 
     Parameters
     ----------
-    evidence : GramBlocks
+    grams : GramBlocks
     present : ndarray of int
         Columns of the model.
     candidates : list of ndarray of int
         Columns of each candidate.
     """
 
-    evidence: GramBlocks
+    grams: GramBlocks
     present: Index
     candidates: list[Index]
     folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
 
-    def begin(self, fold: Index, own: Floats) -> None:
-        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+    def begin_fold(self, fold: Index, own: Floats) -> None:
+        """Begin a fold with its blocks, and the projection (present, column) that the other blocks give."""
         self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
 
-    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
-        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+    def store(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Store the values (candidate, k) of some candidates in the fold begun last."""
         fitted = self.folds[-1][2]
         for place, values in zip(positions, gamma, strict=True):
             fitted[int(place)] = values
 
-    def apart(self, one: int, other: int) -> Floats | None:
+    def squared_difference(self, one: int, other: int) -> Floats | None:
         """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
 
         When one of the two is the truth, it is what each block is expected to prefer it by.
@@ -99,12 +99,12 @@ class Fits:
             return None
         first, second = self.candidates[one], self.candidates[other]
         columns = np.concatenate([self.present, first, second])
-        out = np.zeros(len(self.evidence))
+        out = np.zeros(len(self.grams))
         for fold, own, fitted in self.folds:
             own_one = own[:, first] @ fitted[one]
             own_other = own[:, second] @ fitted[other]
             values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
-            blocks = self.evidence.rows(columns, columns, fold)
+            blocks = self.grams.rows(columns, columns, fold)
             out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
         return np.maximum(out, 0.0)
 
@@ -130,7 +130,7 @@ class Scores:
     active : ndarray of bool, shape (block, candidate)
         Blocks in which the calibration leaves anything of it.
     fits : Fits, optional
-        What was fitted to the other folds, to set two candidates against each other.
+        Fits to the other folds, by which two candidates are compared.
     """
 
     loss0: Floats
@@ -143,13 +143,13 @@ class Scores:
     active: npt.NDArray[np.bool_]
     fits: Fits | None
 
-    def t_behind(self, one: int, other: int) -> float:
+    def t_worse_than(self, one: int, other: int) -> float:
         """Return the t by which one candidate leaves more than another, in blocks active for either."""
         if one == other:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
         active = self.active[:, [one]] | self.active[:, [other]]
-        apart = self.fits.apart(one, other) if self.fits is not None else None
+        apart = self.fits.squared_difference(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
         return float(expected_gain_t(difference, apart[:, None], active)[0])
@@ -163,23 +163,23 @@ class Scores:
         ----------
         placebos : sequence of int
         pairwise : ndarray of bool, shape (candidate,)
-            Candidates that are set against the placebo one by one, whatever the two have in common.
+            Candidates that are compared with the placebo one by one, whatever the two have in common.
         rival_t : float
-            See `_beyond`.
+            See `_t_over_similar`.
         """
         if not placebos:
             return np.full(self.gain.size, np.inf)
         best = placebos[int(np.argmin(self.loss[:, placebos].sum(axis=0)))]
         if self.gain[best] <= 0:
             return self.t
-        # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
+        # Most have nothing in common with a placebo: their squared difference is the sum of both squares.
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
-            out[place] = max(out[place], self._beyond(place, best, rival_t))
+            out[place] = max(out[place], self._t_over_similar(place, best, rival_t))
         return out
 
-    def _beyond(self, place: int, placebo: int, rival_t: float) -> float:
+    def _t_over_similar(self, place: int, placebo: int, rival_t: float) -> float:
         """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
@@ -187,7 +187,7 @@ class Scores:
         gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
         and neither is the truth.
         """
-        apart = self.fits.apart(placebo, place) if self.fits is not None else None
+        apart = self.fits.squared_difference(placebo, place) if self.fits is not None else None
         if apart is None:
             return 0.0
         gained = self.loss[:, placebo] - self.loss[:, place]
@@ -218,9 +218,9 @@ class Scores:
         )
 
     def extended(self, found: Scores, seen: bool) -> Scores:
-        """Return these scores with further candidates behind; all zero when this form does not see them.
+        """Return these scores followed by those of further candidates; zero when this form does not see them.
 
-        Their folds may be others: what they gain is set against the same loss as everybody's.
+        Their folds may be others: their gain refers to the same loss as that of all candidates.
         """
 
         def more(values: Floats) -> Floats:
@@ -245,7 +245,7 @@ def append_changes(
     ratios: Mapping[str, tuple[Floats, Floats]],
     timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
 ) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
-    """Return the scores with those of changes behind; only the raw form can see most of them."""
+    """Return the scores followed by those of changes; only the raw form can see most of them."""
     out, out_ratios = {}, {}
     for form, one in scores.items():
         seen = form == "raw"
@@ -268,9 +268,9 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def active_blocks(evidence: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
-    """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
-    own = evidence.squares
+def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+    """Return in which blocks the calibration leaves anything of each candidate; (block, candidate)."""
+    own = grams.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
     lively = own > SCORING.quiet * peak
     return (
@@ -298,10 +298,10 @@ def projected(gram: Floats, present: ModelColumns) -> Floats:
 
 
 def fit(
-    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
+    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = projected(evidence.total, present)
+    gram = projected(grams.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in group_by_size(candidates):
@@ -315,15 +315,15 @@ def fit(
 
 
 def score(
-    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    evidence : GramBlocks
+    grams : GramBlocks
         One form, the calibration marginalised.
-    present : Present
+    present : ModelColumns
         The model's columns.
     candidates : sequence of ndarray
         Columns of each.
@@ -332,17 +332,17 @@ def score(
     folds : sequence of ndarray
         Blocks held out together.
     """
-    total = evidence.total
-    loss0 = np.zeros(len(evidence))
-    loss, expected = np.zeros((2, len(evidence), len(candidates)))
-    fits = Fits(evidence, p := present.columns, list(candidates))
-    given = evidence.rows(np.append(p, y))
+    total = grams.total
+    loss0 = np.zeros(len(grams))
+    loss, expected = np.zeros((2, len(grams), len(candidates)))
+    fits = Fits(grams, p := present.columns, list(candidates))
+    given = grams.rows(np.append(p, y))
     groups = group_by_size(candidates)
-    for fold, held in zip(folds, evidence.sums(folds), strict=True):
+    for fold, held in zip(folds, grams.sums(folds), strict=True):
         blocks = given[fold]
         train = total - held
         own = present.solve(train)
-        fits.begin(fold, own)
+        fits.begin_fold(fold, own)
         base = _model_loss(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in groups:
@@ -354,15 +354,15 @@ def score(
                 right = right - across @ own[:, y]
             half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
-            fits.keep(positions, gamma)
-            inner = evidence.products_within(columns, fold)
+            fits.store(positions, gamma)
+            inner = grams.products_within(columns, fold)
             change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
             expected[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
-    gamma_all, explained = fit(evidence, present, candidates, y)
-    active = active_blocks(evidence, candidates)
+    gamma_all, explained = fit(grams, present, candidates, y)
+    active = active_blocks(grams, candidates)
     t = expected_gain_t(loss0[:, None] - loss, expected, active)
     return Scores(
         loss0=loss0,
@@ -411,15 +411,15 @@ def _loss_change(
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: GramBlocks, present: ModelColumns, y: int) -> Floats:
+def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
     """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
-    total = evidence.total
+    total = grams.total
     own = present.solve(total)
     p = present.columns
-    given = evidence.rows(np.append(p, y))
+    given = grams.rows(np.append(p, y))
     if not p.size:
         return np.asarray(given[:, -1])
     right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
@@ -435,7 +435,7 @@ def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def sign_flip_ratios(
-    evidence: GramBlocks,
+    grams: GramBlocks,
     present: ModelColumns,
     candidates: Sequence[Index],
     y: int,
@@ -443,9 +443,9 @@ def sign_flip_ratios(
     units: Sequence[Index],
 ) -> tuple[Floats, Floats]:
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
-    scores = block_scores(evidence, present, y)
+    scores = block_scores(grams, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = projected(evidence.total, present)
+    gram = projected(grams.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):

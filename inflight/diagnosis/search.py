@@ -8,7 +8,7 @@ has the formulas); `Search.add`, `drop`, `exchange`, `hide` and `join` return th
 
 Parameters that are fitted anew in every interval take up a step at an interval's edge, and most of one that
 is near it. A change is therefore judged with intervals whose edges keep away from its time
-(`intervals_around`). What the requested intervals take up whole is hidden, and said so.
+(`intervals_around`). A change that the requested intervals take up whole is hidden and listed as unscorable.
 """
 
 from __future__ import annotations
@@ -45,6 +45,9 @@ from inflight.diagnosis.time_changes import (
 from inflight.lsq import GramBlocks
 
 Groups = Sequence[Sequence[int]]
+
+#: Products of new columns with every column there is, and with each other; (block, ...) each.
+Border = tuple[Floats, Floats]
 
 #: Forms of the Gram blocks, in the order of preference.
 FORMS = ("raw", "within", "white")
@@ -87,8 +90,8 @@ class Rules:
     raw_gain: float = 0.5
     raw_t: float = 1.0
 
-    def shown(self, scores: Scores, p: Floats) -> npt.NDArray[np.bool_]:
-        """Return which candidates gain enough, significantly enough; placebos are not asked."""
+    def significant(self, scores: Scores, p: Floats) -> npt.NDArray[np.bool_]:
+        """Return which candidates gain enough, significantly enough; placebos included."""
         return (scores.t > self.t) & (scores.gain > self.gain) & (p < self.p)
 
     def margin(self, worth: tuple[float, float]) -> float:
@@ -163,7 +166,7 @@ class Option:
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """Scores of all options in one round; arrays over options, by form."""
+    """Scores of all options in one round; arrays over options, by form of the Gram blocks."""
 
     options: list[Option]
     scores: dict[str, Scores]
@@ -171,14 +174,14 @@ class ScoreTable:
     t_over_placebo: dict[str, Floats]
 
     def without_fits(self) -> ScoreTable:
-        """Return the table without what was fitted to folds, which holds on to gigabytes of Gram blocks."""
+        """Return the table without what was fitted to folds, which references gigabytes of Gram blocks."""
         return replace(self, scores={form: one.without_fits() for form, one in self.scores.items()})
 
     def passing(self, rules: Rules) -> dict[str, np.ndarray]:
-        """Return, a form, which options may be added."""
+        """Return which options may be added, by form."""
         real = np.array([not option.placebo for option in self.options], dtype=bool)
         raw = self.scores["raw"]
-        # What only a filtered form shows must at least show the right way in the residual itself.
+        # What only a filtered form shows must at least have the same sign in the residual itself.
         agreed = {
             "raw": real,
             "within": real & (raw.t > 0),
@@ -186,7 +189,7 @@ class ScoreTable:
         }
         return {
             form: agreed[form]
-            & rules.shown(self.scores[form], self.p[form])
+            & rules.significant(self.scores[form], self.p[form])
             & (self.t_over_placebo[form] > rules.t)
             for form in self.scores
         }
@@ -194,7 +197,7 @@ class ScoreTable:
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """One addition or removal, for the ledger: `action` is add, drop, undo or exchange."""
+    """One entry of the ledger: `action` is add, drop, undo or exchange."""
 
     number: int
     action: str
@@ -218,32 +221,106 @@ class CachedDesign:
     pieces: tuple[npt.NDArray[np.float32], ...] = ()
 
 
+@dataclass(kw_only=True, eq=False)
+class SharedGrams:
+    """Gram blocks of a search. There are gigabytes of them, so all states share this one copy.
+
+    Columns are added in place; no product of columns that are there ever changes, so an earlier state still
+    reads what it read before. Forms are made for one set of calibration intervals, when they are asked for.
+
+    Attributes
+    ----------
+    raw, white : GramBlocks
+        Columns as the library has them, the calibration's own among them.
+    days : sequence of sequence of int
+        Blocks of each day.
+    base : sequence of str
+        The calibration's own columns.
+    precision : ndarray, shape (column,)
+        Prior precision of these, scaled.
+    within : GramBlocks, optional
+        The within-day form of blocks longer than a day, marginalised when they were made.
+    intervals : sequence of sequence of int
+        Calibration intervals the forms were made for.
+    forms : dict of str to GramBlocks
+        The calibration marginalised: ``raw``, ``within``, ``white``; empty when they must be made anew.
+    """
+
+    raw: GramBlocks
+    white: GramBlocks
+    days: Groups
+    base: Sequence[str]
+    precision: Floats
+    within: GramBlocks | None = None
+    intervals: Groups = ()
+    forms: dict[str, GramBlocks] = field(default_factory=dict)
+
+    def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
+        """Return the three forms with some calibration intervals."""
+        if not self.forms or self.intervals != intervals:
+            self.forms.clear()
+            self.intervals = intervals
+            for form, (source, groups) in self._sources().items():
+                given = self.within if form == "within" else None
+                self.forms[form] = given or source.marginalise(self.base, groups, self.precision, np.float32)
+        return self.forms
+
+    def _sources(self) -> dict[str, tuple[GramBlocks, Groups]]:
+        """Return what each form is made from, and the blocks of each of its intervals."""
+        return {
+            "raw": (self.raw, self.intervals),
+            "within": (self.raw, self.days),
+            "white": (self.white, self.intervals),
+        }
+
+    def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> None:
+        """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
+        if set(functions) & set(self.raw.names):
+            # Columns of a change that was dropped lack the products with what joined since.
+            kept = [name for name in self.raw.names if name not in functions][: -len(self.raw.residuals)]
+            self.raw, self.white = self.raw.select(kept), self.white.select(kept)
+        self.raw, self.white = self.raw.expand(functions), self.white.expand(functions)
+        self.forms.clear()
+
+    def join(self, names: Sequence[str], scale: Floats, raw: Border, white: Border) -> None:
+        """Add columns to the Gram blocks and to the forms there are, one after the other.
+
+        Parameters
+        ----------
+        names : sequence of str
+        scale : ndarray, shape (column,)
+            Physical size of one unit of each new column.
+        raw, white : (across, inner)
+            Products of the new columns with those there are, and with each other (`GramBlocks.bordered`).
+        """
+        for form, (source, groups) in self._sources().items():
+            border = white if form == "white" else raw
+            rest = source.marginalised_border(self.base, groups, self.precision, *border)
+            self.forms[form] = self.forms[form].bordered(names, scale, *rest)
+        self.raw = self.raw.bordered(names, scale, *raw)
+        self.white = self.white.bordered(names, scale, *white)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Search:
     """State of a search. Nothing changes it: every step returns another one. `Search.begin` makes the first.
 
     Attributes
     ----------
-    raw, white : GramBlocks
-        Columns as the library has them, the calibration's own among them.
+    shared : SharedGrams
+        Gram blocks of all states of the search; `raw`, `white` and `forms` read them.
     library : Library
         What the columns are; terms that joined are among its terms.
-    days : sequence of sequence of int
-        Blocks of each day.
     requested_intervals, intervals : sequence of sequence of int
-        Blocks of each calibration interval: as they were asked for, and those in use, whose edges keep away
+        Blocks of each calibration interval: as they were requested, and those in use, whose edges keep away
         from changes that were taken.
     rules : Rules
     variance : float
         Of a row that the calibration alone leaves, nT^2.
-    forms : dict of str to GramBlocks
-        The calibration marginalised: ``raw``, ``within``, ``white``.
     options : tuple of Option
         What may be added, changes in time aside.
     unscorable : tuple of dict
         What these data cannot show, and why.
-    within : GramBlocks, optional
-        The within-day form of blocks longer than a day, marginalised when they were made.
     residual : int
         Which residual of the Gram blocks is searched.
     time_variable : TimeVariableColumns
@@ -261,18 +338,14 @@ class Search:
         Columns on the coarse series, once terms joined.
     """
 
-    raw: GramBlocks
-    white: GramBlocks
+    shared: SharedGrams
     library: Library
-    days: Groups
     requested_intervals: Groups
     intervals: Groups
     rules: Rules
     variance: float
-    forms: Mapping[str, GramBlocks]
     options: tuple[Option, ...]
     unscorable: tuple[Mapping[str, object], ...] = ()
-    within: GramBlocks | None = None
     residual: int = 0
     time_variable: TimeVariableColumns = field(default_factory=TimeVariableColumns)
     accepted: tuple[Option, ...] = ()
@@ -297,21 +370,27 @@ class Search:
         time_variable: TimeVariableColumns | None = None,
         residual: int = 0,
     ) -> Search:
-        """Return the first state: nothing taken, what the calibration takes over left out.
+        """Return the first state: nothing taken, without options that the calibration takes over.
 
-        Parameters are those of the attributes; `intervals` are the requested ones.
+        Parameters are those of `Search` and `SharedGrams`; `intervals` are the requested ones.
         """
         groups = [list(map(int, group)) for group in intervals]
+        variance = row_variance(white, library.base, residual)
+        base, sigma = base_columns(library)
         search = cls(
-            raw=raw,
-            white=white,
+            shared=SharedGrams(
+                raw=raw,
+                white=white,
+                days=days,
+                base=base,
+                precision=prior_precision(raw, base, sigma, variance),
+                within=within,
+            ),
             library=library,
-            days=days,
             requested_intervals=groups,
             intervals=groups,
             rules=rules or Rules(),
-            variance=row_variance(white, library.base, residual),
-            forms={},
+            variance=variance,
             options=tuple(
                 Option(
                     name=one.name,
@@ -326,10 +405,9 @@ class Search:
                 )
                 for one in library.candidates
             ),
-            within=within,
             residual=residual,
             time_variable=time_variable or TimeVariableColumns(),
-        ).marginalised()
+        )
         return search._without_invisible()
 
     def _without_invisible(self) -> Search:
@@ -364,38 +442,30 @@ class Search:
             ),
         )
 
-    # The calibration and the model's own parameters.
+    # The Gram blocks, the calibration's columns and the model's.
+
+    @property
+    def raw(self) -> GramBlocks:
+        """Columns as the library has them, the calibration's own among them."""
+        return self.shared.raw
+
+    @property
+    def white(self) -> GramBlocks:
+        """The same, prewhitened."""
+        return self.shared.white
+
+    @property
+    def forms(self) -> Mapping[str, GramBlocks]:
+        """The calibration marginalised: ``raw``, ``within``, ``white``."""
+        return self.shared.forms_for(self.intervals)
 
     def base(self) -> tuple[list[str], Floats]:
         """Return the calibration's own columns and what is known of them beforehand, standard deviations."""
-        names = [name for term in self.library.base for name in term.columns]
-        sigma = [s for term in self.library.base for s in term.sigma]
-        return names, np.asarray(sigma)
+        return base_columns(self.library)
 
-    def precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
+    def precision(self, grams: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         """Return variance over squared prior sigma in scaled units; 0 without a prior."""
-        scale = evidence.scale[evidence.index(names)]
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
-
-    def marginalised(self) -> Search:
-        """Return the state with its three forms made anew."""
-        names, sigma = self.base()
-        precision = self.precision(self.raw, names, sigma)
-        forms = {
-            form: (self.within if form == "within" else None)
-            or source.marginalise(names, groups, precision, np.float32)
-            for form, (source, groups) in self.sources().items()
-        }
-        return replace(self, forms=forms)
-
-    def sources(self) -> dict[str, tuple[GramBlocks, Groups]]:
-        """Return what each form is made from, and the blocks of each of its intervals."""
-        return {
-            "raw": (self.raw, self.intervals),
-            "within": (self.raw, self.days),
-            "white": (self.white, self.intervals),
-        }
+        return prior_precision(grams, names, sigma, self.variance)
 
     def y(self, form: str = "raw") -> int:
         """Index of the residual that is searched."""
@@ -410,16 +480,16 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, evidence: GramBlocks, without: Option | None = None) -> ModelColumns:
-        """Return the columns of the model in some evidence that has them, with their priors."""
+    def present_in(self, grams: GramBlocks, without: Option | None = None) -> ModelColumns:
+        """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
-        return ModelColumns(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
+        return ModelColumns(grams.index(names), self.precision(grams, names, np.asarray(sigma)))
 
-    def _marginalised(self, evidence: GramBlocks, intervals: Groups) -> GramBlocks:
+    def _marginalised(self, grams: GramBlocks, intervals: Groups) -> GramBlocks:
         names, sigma = self.base()
-        return evidence.marginalise(names, intervals, self.precision(evidence, names, sigma))
+        return grams.marginalise(names, intervals, self.precision(grams, names, sigma))
 
     # Scores.
 
@@ -437,18 +507,18 @@ class Search:
         signs, units = draw_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
         ratios: dict[str, tuple[Floats, Floats]] = {}
-        for form, evidence in self.forms.items():
+        for form, grams in self.forms.items():
             present, y = self.present(form, without), self.y(form)
-            columns = [evidence.index(option.columns) for option in main]
-            scores[form] = score(evidence, present, columns, y, make_folds(len(evidence)))
-            ratios[form] = sign_flip_ratios(evidence, present, columns, y, signs, units)
+            columns = [grams.index(option.columns) for option in main]
+            scores[form] = score(grams, present, columns, y, make_folds(len(grams)))
+            ratios[form] = sign_flip_ratios(grams, present, columns, y, signs, units)
         options = list(main)
         whole = float(scores["raw"].loss0.sum())
         timed = []
-        for more, own, own_present, requested in self._changes(without):
+        for more, own, present, requested in self._changes(without):
             y, columns = own.residuals[self.residual], [own.index(option.columns) for option in more]
-            found = score(own, own_present, columns, y, make_folds(len(own), more[0].interleaved))
-            ratio, flipped = sign_flip_ratios(own, own_present, columns, y, signs, units)
+            found = score(own, present, columns, y, make_folds(len(own), more[0].interleaved))
+            ratio, flipped = sign_flip_ratios(own, present, columns, y, signs, units)
             if requested is not None:
                 kept = self._not_hidden(more, requested, found.gamma)
                 found, ratio, flipped = found.rescaled(whole).keep_only(kept), ratio * kept, flipped * kept
@@ -460,7 +530,7 @@ class Search:
         p = {form: family_wise_p(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
-            form: one.t_over_placebo(placebos, self.rules.shown(one, p[form]), self.rules.rival_t)
+            form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)
             for form, one in scores.items()
         }
         return ScoreTable(options, scores, p, over_placebo)
@@ -468,9 +538,9 @@ class Search:
     def _changes(
         self, without: Option | None
     ) -> Iterator[tuple[list[Option], GramBlocks, ModelColumns, GramBlocks | None]]:
-        """Yield options bound to a time, some at a time with the evidence of their columns alone.
+        """Yield options bound to a time, some at a time with the Gram blocks of their columns alone.
 
-        Where that is of other intervals than those in use, it comes again with the requested ones.
+        Where their intervals are not those in use, the blocks come again with the requested ones.
         """
         base, _ = self.base()
         own = self._model_columns(without)
@@ -504,9 +574,9 @@ class Search:
                 wide = self._marginalised(small, intervals)
                 yield [one], wide, self.present_in(wide, without), self._requested(small, intervals)
 
-    def _requested(self, evidence: GramBlocks, intervals: Groups) -> GramBlocks | None:
-        """Return the evidence with the requested intervals; None when `intervals` are those in use."""
-        return None if intervals == self.intervals else self._marginalised(evidence, self.requested_intervals)
+    def _requested(self, grams: GramBlocks, intervals: Groups) -> GramBlocks | None:
+        """Return the Gram blocks with the requested intervals; None when `intervals` are those in use."""
+        return None if intervals == self.intervals else self._marginalised(grams, self.requested_intervals)
 
     def _excluded(self, found: Sequence[Change], without: Option | None) -> set[str]:
         """Return the names of changes that are not scored: taken, like one taken, banned, hidden."""
@@ -548,26 +618,26 @@ class Search:
         return intervals_around(self.raw, self.requested_intervals, [*at, *more])
 
     def _not_hidden(
-        self, options: Sequence[Option], evidence: GramBlocks, values: Sequence[Floats]
+        self, options: Sequence[Option], grams: GramBlocks, values: Sequence[Floats]
     ) -> npt.NDArray[np.bool_]:
         """Return which changes show with the requested intervals, too, or may do so at their time."""
-        present, y = self.present_in(evidence), evidence.residuals[self.residual]
+        present, y = self.present_in(grams), grams.residuals[self.residual]
         out = []
         for option, gamma in zip(options, values, strict=True):
             assert option.change is not None
             at, sharp = option.change.at[0], option.change.sharpness
-            columns = evidence.index(option.columns)
-            visible = is_visible_change(evidence, present, columns, gamma, y, self.variance)
+            columns = grams.index(option.columns)
+            visible = is_visible_change(grams, present, columns, gamma, y, self.variance)
             out.append(visible or is_at_edge(self.raw, self.requested_intervals, at, sharp))
         return np.array(out)
 
     def held_out_worth(self, option: Option) -> tuple[float, float]:
         """Return held-out gain and t of an effect of the model against the model without it, best form."""
         found: list[tuple[float, float]] = []
-        for form, evidence in self.forms.items():
+        for form, grams in self.forms.items():
             if option.change is not None and form == "within":
                 continue
-            small = evidence.select([*self._model_columns(option), *option.columns])
+            small = grams.select([*self._model_columns(option), *option.columns])
             folds = make_folds(len(small), option.interleaved)
             y = small.residuals[self.residual]
             one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)
@@ -584,36 +654,27 @@ class Search:
         form, present = self.forms["raw"], self.present("raw", option)
         (gamma,), _ = fit(form, present, [form.index(option.columns)], self.y())
         base, _ = self.base()
-        evidence = self._marginalised(self.raw.select([*base, *self._model_columns()]), requested)
-        y, columns = evidence.residuals[self.residual], evidence.index(option.columns)
-        present = self.present_in(evidence, option)
-        return not is_visible_change(evidence, present, columns, gamma, y, self.variance)
+        grams = self._marginalised(self.raw.select([*base, *self._model_columns()]), requested)
+        y, columns = grams.residuals[self.residual], grams.index(option.columns)
+        present = self.present_in(grams, option)
+        return not is_visible_change(grams, present, columns, gamma, y, self.variance)
 
     # The next state.
 
     def add(self, option: Option) -> Search:
-        """Return the state with an option in the model; a change's columns join the evidence."""
-        search = self
+        """Return the state with an option in the model; a change's columns join the Gram blocks."""
         if option.change is not None and option.change.functions:
-            functions = option.change.functions
-            if set(option.columns) & set(self.raw.names):
-                # Columns of a change that was dropped know nothing of what joined since.
-                kept = [name for name in self.raw.names if name not in option.columns]
-                kept = kept[: -len(self.raw.residuals)]
-                search = replace(search, raw=self.raw.select(kept), white=self.white.select(kept))
-            search = replace(
-                search, raw=search.raw.expand(functions), white=search.white.expand(functions)
-            ).marginalised()
-        return search.holding((*search.accepted, option)).with_safe_intervals()
+            self.shared.expand(option.change.functions)
+        return self.with_accepted((*self.accepted, option)).with_safe_intervals()
 
     def drop(self, option: Option) -> Search:
         """Return the state without an option in the model."""
-        return self.holding([one for one in self.accepted if one is not option]).with_safe_intervals()
+        return self.with_accepted([one for one in self.accepted if one is not option]).with_safe_intervals()
 
     def exchange(self, option: Option, other: Option) -> Search:
         """Return the state with another option in the place of one of the model."""
         accepted = [other if one is option else one for one in self.accepted]
-        return self.holding(accepted).with_safe_intervals()
+        return self.with_accepted(accepted).with_safe_intervals()
 
     def hide(self, option: Option) -> Search:
         """Return the state without a change that the requested intervals take up whole; it is unscorable."""
@@ -624,11 +685,11 @@ class Search:
             self.drop(option), hidden=(*self.hidden, option.change), unscorable=(*self.unscorable, entry)
         )
 
-    def holding(self, options: Sequence[Option]) -> Search:
+    def with_accepted(self, options: Sequence[Option]) -> Search:
         """Return the state as if it had taken some options and no others, with the same intervals."""
         return replace(self, accepted=tuple(options))
 
-    def restored(self, other: Search) -> Search:
+    def with_choices_of(self, other: Search) -> Search:
         """Return the state with what another one had chosen; columns and options that joined since stay."""
         return replace(
             self,
@@ -642,9 +703,12 @@ class Search:
     def with_safe_intervals(self) -> Search:
         """Return the state with intervals whose edges keep away from the changes it has taken."""
         intervals = self._intervals_around_changes()
-        return self if intervals == self.intervals else replace(self, intervals=intervals).marginalised()
+        if intervals == self.intervals:
+            return self
+        self.shared.forms.clear()
+        return replace(self, intervals=intervals)
 
-    def noted(
+    def with_round(
         self,
         action: str,
         option: Option,
@@ -676,40 +740,38 @@ class Search:
         """Return the state with more options to choose from."""
         return replace(self, options=(*self.options, *options))
 
-    def join(self, terms: Sequence[Term], raw: tuple[Floats, Floats], white: tuple[Floats, Floats]) -> Search:
-        """Return the state with the columns of new terms in its evidence and all its forms.
-
-        Parameters
-        ----------
-        raw, white : (across, inner)
-            Products of the new columns with those there are, and with each other (`GramArrays.bordered`).
-        """
+    def join(self, terms: Sequence[Term], raw: Border, white: Border) -> Search:
+        """Return the state with the columns of new terms in its Gram blocks; see `SharedGrams.join`."""
         names = [name for term in terms for name in term.columns]
         scale = np.array([one for term in terms for one in term.scale])
-        base, sigma = self.base()
-        precision = self.precision(self.raw, base, sigma)
-        forms = {}
-        for form, (source, groups) in self.sources().items():
-            left = source.marginalised_border(base, groups, precision, *(white if form == "white" else raw))
-            forms[form] = self.forms[form].bordered(names, scale, *left)
+        self.shared.forms_for(self.intervals)
+        self.shared.join(names, scale, raw, white)
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
-        return replace(
-            self,
-            forms=forms,
-            raw=self.raw.bordered(names, scale, *raw),
-            white=self.white.bordered(names, scale, *white),
-            library=library,
-        )
+        return replace(self, library=library)
 
     def as_found(self) -> Search:
         """Return the search with nothing taken and the requested intervals; of the raw form alone."""
-        other = self.holding([])
+        other = self.with_accepted([])
         if self.intervals == self.requested_intervals:
             return other
         base, _ = self.base()
         small = self.raw.select([*base, *other._model_columns()])
         raw = self._marginalised(small, self.requested_intervals)
-        return replace(other, intervals=self.requested_intervals, forms={"raw": raw})
+        shared = replace(self.shared, intervals=self.requested_intervals, forms={"raw": raw})
+        return replace(other, intervals=self.requested_intervals, shared=shared)
+
+
+def base_columns(library: Library) -> tuple[list[str], Floats]:
+    """Return the calibration's own columns and what is known of them beforehand, standard deviations."""
+    names = [name for term in library.base for name in term.columns]
+    return names, np.asarray([sigma for term in library.base for sigma in term.sigma])
+
+
+def prior_precision(grams: GramBlocks, names: Sequence[str], sigma: Floats, variance: float) -> Floats:
+    """Return `variance` (of a row, nT^2) over squared prior sigma in scaled units; 0 without a prior."""
+    scale = grams.scale[grams.index(names)]
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(np.isfinite(sigma), variance * (scale / sigma) ** 2, 0.0))
 
 
 def row_variance(white: GramBlocks, base: Sequence[Term], residual: int = 0) -> float:
@@ -754,18 +816,18 @@ def is_visible(
         Of a row, nT^2.
     """
     whole = np.diag(raw.centred(raw.index(columns), base))
-    left = np.diag(form.total)[form.index(columns)]
-    kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
+    remaining = np.diag(form.total)[form.index(columns)]
+    kept = np.where(whole > 0, remaining / np.where(whole > 0, whole, 1.0), 0.0)
     # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
     # usual size says whether the rest can be.
     own = np.diag(raw.total)[raw.index(columns)]
-    clear = left > settings.own_part * own
-    clear |= left * usual[: len(left)] ** 2 > settings.clear * variance
+    clear = remaining > settings.own_part * own
+    clear |= remaining * usual[: len(remaining)] ** 2 > settings.clear * variance
     return bool(np.any((kept >= settings.least_retained) & clear))
 
 
 def is_visible_change(
-    evidence: GramBlocks,
+    grams: GramBlocks,
     present: ModelColumns,
     columns: Index,
     gamma: Floats,
@@ -777,21 +839,21 @@ def is_visible_change(
 
     Parameters
     ----------
-    evidence : GramBlocks
+    grams : GramBlocks
         With the requested intervals.
     gamma : ndarray, shape (column,)
         The change's values (scaled), from intervals that do not hide it.
     variance : float
         Of a row, nT^2.
     """
-    left = projected(evidence.total, present)
-    expected = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
-    gained = -2.0 * float(gamma @ left[columns, y]) - expected
+    remaining = projected(grams.total, present)
+    expected = float(gamma @ remaining[np.ix_(columns, columns)] @ gamma)
+    gained = -2.0 * float(gamma @ remaining[columns, y]) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 
 def intervals_around(
-    evidence: GramBlocks, intervals: Groups, at: Sequence[int], settings: VisibilitySettings = VISIBILITY
+    grams: GramBlocks, intervals: Groups, at: Sequence[int], settings: VisibilitySettings = VISIBILITY
 ) -> list[list[int]]:
     """Return calibration intervals no edge of which is near some times.
 
@@ -805,12 +867,12 @@ def intervals_around(
     at : sequence of int
         TT2000.
     """
-    firsts = [*(group[0] for group in intervals), len(evidence)]
-    length = float(np.median([evidence.end[group[-1]] - evidence.start[group[0]] for group in intervals]))
+    firsts = [*(group[0] for group in intervals), len(grams)]
+    length = float(np.median([grams.end[group[-1]] - grams.start[group[0]] for group in intervals]))
 
     def is_free(edge: int) -> bool:
         reach = settings.edge_distance * length
-        return all(abs(int(evidence.start[edge]) - when) >= reach for when in at)
+        return all(abs(int(grams.start[edge]) - when) >= reach for when in at)
 
     edges: set[int] = set()
     for before, edge, after in zip(firsts, firsts[1:-1], firsts[2:], strict=False):
@@ -818,11 +880,11 @@ def intervals_around(
             edges.add(edge)
         else:
             edges |= {before + (edge - before) // 2, edge + -(-(after - edge) // 2)}
-    inner = {one for one in edges if 0 < one < len(evidence)}
+    inner = {one for one in edges if 0 < one < len(grams)}
     kept = sorted(one for one in inner if is_free(one))
-    return [part.tolist() for part in np.split(np.arange(len(evidence)), kept)]
+    return [part.tolist() for part in np.split(np.arange(len(grams)), kept)]
 
 
-def is_at_edge(evidence: GramBlocks, intervals: Groups, when: int, sharpness: int) -> bool:
+def is_at_edge(grams: GramBlocks, intervals: Groups, when: int, sharpness: int) -> bool:
     """Return True when a time known no better may lie on an edge between intervals."""
-    return any(abs(int(evidence.start[group[0]]) - when) <= sharpness for group in intervals[1:])
+    return any(abs(int(grams.start[group[0]]) - when) <= sharpness for group in intervals[1:])

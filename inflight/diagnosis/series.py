@@ -157,7 +157,7 @@ class Series:
         Parameters
         ----------
         filled : mapping of str to float, optional
-            Recorded channels, and what stands in the evidence where they are missing.
+            Recorded channels, and what replaces them in the Gram blocks where they are missing.
         """
         known = np.isfinite(packed[:, :, 0])
         block = np.broadcast_to(np.arange(len(packed))[:, None], known.shape)[known]

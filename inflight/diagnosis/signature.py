@@ -79,14 +79,14 @@ class SignatureSettings:
 SIGNATURES = SignatureSettings()
 
 
-def periods_of(context: DiagnosisData) -> dict[str, float]:
+def periods_of(data: DiagnosisData) -> dict[str, float]:
     """Return the periods that need no explanation, by name, s: of orbit, day, mission, and the field's own.
 
     The orbit's is measured from its phase; without it the stated one; without that the one with which the
     field turns in the sensor.
     """
-    series = context.series
-    stated = {name: period / SECOND for name, period in context.mission.periods.items()}
+    series = data.series
+    stated = {name: period / SECOND for name, period in data.mission.periods.items()}
     stated = {name: period for name, period in stated.items() if period > 2.0 * series.step_s}
     own, phase = _own_period(series), None
     if "orbit_phase" in series.channels:
@@ -139,7 +139,7 @@ def _measured(series: Series, residual: Floats) -> tuple[Floats, Floats]:
     return np.where(good, residual, np.nan), direction
 
 
-def line_signature(context: DiagnosisData, residual: Floats) -> Signature | None:
+def line_signature(data: DiagnosisData, residual: Floats) -> Signature | None:
     """Return the signature of the strongest line, or None when none stands out and matters.
 
     Parameters
@@ -147,8 +147,8 @@ def line_signature(context: DiagnosisData, residual: Floats) -> Signature | None
     residual : ndarray, shape (sample, row)
         What the search leaves of the series, nT.
     """
-    series = context.series
-    power, lines = residual_lines(series, residual, periods_of(context))
+    series = data.series
+    power, lines = residual_lines(series, residual, periods_of(data))
     line = strongest_new(lines, power.step) if power is not None else None
     if power is None or line is None:
         return None
@@ -240,11 +240,11 @@ def _band(series: Series, residual: Floats, missing: float) -> tuple[float, floa
     return 1.0 / float(high), 1.0 / float(low)
 
 
-def is_unknown_band(context: DiagnosisData, fast: Fast) -> bool:
+def is_unknown_band(data: DiagnosisData, fast: Fast) -> bool:
     """Return True when a band of periods was found and no known period lies in it."""
     if fast.periods_s is None:
         return False
     short, long = fast.periods_s
-    known = [period for name, period in periods_of(context).items() if "/" not in name]
+    known = [period for name, period in periods_of(data).items() if "/" not in name]
     around = SIGNATURES.around
     return not any(short / around <= period <= long * around for period in known)

@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.design import Term
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, projected
@@ -119,59 +117,49 @@ class Estimate:
     rms: float
 
 
-def joint_fit(evidence: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
+def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
     follows them. No sigma is smaller than that from rows of white noise of the residual's size.
     """
-    total = evidence.total
+    total = grams.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
-    blocks = evidence.rows(p, np.append(p, y))
+    blocks = grams.rows(p, np.append(p, y))
     scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
     meat = bartlett_covariance(scores, SELECTION.bartlett)
     free = max(count - p.size / 3.0, 2.0)
-    left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
-    white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
+    remaining = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
+    white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
     return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
-    evidence, present, y = search.forms[form], search.present(form), search.y(form)
-    value, covariance = joint_fit(evidence, present, y)
-    columns = evidence.index(option.columns)
+    grams, present, y = search.forms[form], search.present(form), search.y(form)
+    value, covariance = joint_fit(grams, present, y)
+    columns = grams.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
-    scale = evidence.scale[columns]
+    scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
-    kept, rms = _retained(search, option, own, form)
+    rest = projected(grams.total, search.present(form, option))
+    kept = float(own @ rest[np.ix_(columns, columns)] @ own)
+    # Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
+    # moves by one kelvin.
+    whole = float(own @ centred(search, option) @ own)
+    rows = max(float(grams.count.sum()), 1.0)
     return Estimate(
         columns=option.columns,
         value=own * scale,
         sigma=np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
         covariance=block * np.outer(scale, scale),
-        retained=kept,
-        rms=rms,
+        retained=min(kept / whole, 1.0) if whole > 0 else 0.0,
+        rms=float(np.sqrt(max(kept, 0.0) / rows)),
     )
-
-
-def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple[float, float]:
-    """Return which part of an effect's variance no other column explains, and the rms that is left, nT.
-
-    Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
-    moves by one kelvin.
-    """
-    evidence = search.forms[form]
-    columns = evidence.index(option.columns)
-    left = projected(evidence.total, search.present(form, option))
-    kept = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
-    whole = float(gamma @ centred(search, option) @ gamma)
-    rows = max(float(evidence.count.sum()), 1.0)
-    return min(kept / whole, 1.0) if whole > 0 else 0.0, float(np.sqrt(max(kept, 0.0) / rows))
 
 
 def centred(search: Search, option: Option) -> Floats:
@@ -187,15 +175,15 @@ def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> F
 
     From the scatter of the blocks' scores around the present model, the option not being in it.
     """
-    evidence, y = search.forms[form], search.y(form)
+    grams, y = search.forms[form], search.y(form)
     present = search.present(form, option)
-    columns = evidence.index(option.columns)
+    columns = grams.index(option.columns)
     both = ModelColumns(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
-    _, covariance = joint_fit(evidence, both, y)
+    _, covariance = joint_fit(grams, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))
-    return np.asarray(3.0 * sigma * evidence.scale[columns])
+    return np.asarray(3.0 * sigma * grams.scale[columns])
 
 
 def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
@@ -262,7 +250,7 @@ class RivalCheck:
     rivals: tuple[tuple[Option, float], ...]
 
 
-def _explained_beside(last: ScoreTable, rival: Option, form: str) -> float:
+def _explained_after(last: ScoreTable, rival: Option, form: str) -> float:
     """Return the sum of squares a rival explains after all that was taken; 0 when it is taken itself."""
     place = place_in(last, rival)
     scores = last.scores[form]
@@ -284,13 +272,13 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     """
     if len(rival.columns) <= len(option.columns) or rival.change is not None or option.change is not None:
         return False
-    evidence = search.forms[form]
-    own, wide = evidence.index(option.columns), evidence.index(rival.columns)
-    left = projected(evidence.total, search.present(form, option))
-    gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
-    shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
-    whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
+    grams = search.forms[form]
+    own, wide = grams.index(option.columns), grams.index(rival.columns)
+    rest = projected(grams.total, search.present(form, option))
+    gamma, _ = fit(grams, search.present(form, option), [own], search.y(form))
+    shared = rest[np.ix_(wide, own)] @ gamma[0]
+    half = inverse_square_root(rest[np.ix_(wide, wide)][None])[0]
+    whole = float(gamma[0] @ rest[np.ix_(own, own)] @ gamma[0])
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
 
 
@@ -309,18 +297,6 @@ def clearest_form(table: ScoreTable, place: int) -> str:
     )
 
 
-def _best_of_each(table: ScoreTable, form: str) -> dict[str, int]:
-    """Return which option of each mechanism leaves least.
-
-    A change at a wrong time misses by much in few blocks: hardly any t separates it from the right one.
-    """
-    left = table.scores[form].loss.sum(axis=0)
-    best: dict[str, int] = {}
-    for place in np.argsort(left, kind="stable").tolist():
-        best.setdefault(table.options[place].mechanism, place)
-    return best
-
-
 def check_rivals(
     search: Search, option: Option, table: ScoreTable, last: ScoreTable | None = None
 ) -> RivalCheck:
@@ -335,7 +311,11 @@ def check_rivals(
         return RivalCheck(option=option, gain=gain, t=t, p=1.0, placebo_t=0.0, form="raw", rivals=())
     form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
-    best = _best_of_each(table, form)
+    # Of a mechanism the option that leaves least. A change at a wrong time misses by much in few blocks:
+    # hardly any t separates it from the right one.
+    best: dict[str, int] = {}
+    for other in np.argsort(scores.loss.sum(axis=0), kind="stable").tolist():
+        best.setdefault(table.options[other].mechanism, other)
     rivals: dict[str, tuple[Option, float]] = {}
     for other, rival in enumerate(table.options):
         if same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
@@ -344,7 +324,7 @@ def check_rivals(
             continue
         if rival.family == "unknown" and set(option.channels) < set(rival.channels):
             continue
-        if last is not None and _explained_beside(last, rival, form) > 0.5 * float(
+        if last is not None and _explained_after(last, rival, form) > 0.5 * float(
             scores.loss0.sum() * scores.gain[other]
         ):
             continue
@@ -353,7 +333,7 @@ def check_rivals(
             or scores.gain[other] < SELECTION.rival_gain * scores.gain[place]
         ):
             continue
-        behind = scores.t_behind(other, place)
+        behind = scores.t_worse_than(other, place)
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
@@ -371,7 +351,7 @@ def check_rivals(
 
 
 def select_effects(
-    search: Search, context: DiagnosisData, shapes_first: bool = False
+    search: Search, data: DiagnosisData, shapes_first: bool = False
 ) -> tuple[Search, ScoreTable]:
     """Add and drop until nothing more is justified; return that state and the last table of scores.
 
@@ -387,61 +367,52 @@ def select_effects(
         table = search.table()
         found = best_passing(table, search, shapes_first)
         if found is None:
-            table = few_block_test(search, context, table)
+            table = few_block_test(search, data, table)
             found = best_passing(table, search, shapes_first)
         if found is None:
             return replace(search, ran_out=False), table.without_fits()
-        # What was fitted to folds holds on to the evidence, which grows when the option is refined.
-        search = _one_round(search, context, table.without_fits(), *found)
+        # What was fitted to folds holds on to the Gram blocks, which grow when the option is refined.
+        table = table.without_fits()
+        search = _one_round(search, data, table, *found)
     search = replace(search, ran_out=True)
     return search, search.table().without_fits()
 
 
-def _one_round(
-    search: Search, context: DiagnosisData, table: ScoreTable, option: Option, form: str
-) -> Search:
+def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: Option, form: str) -> Search:
     """Return the state after an option was taken, refined, and kept or taken back."""
     place = table.options.index(option)
     scores = table.scores[form]
     gain = float(scores.gain[place])
     numbers: Any = {"gain": gain, "t": float(scores.t[place]), "p": float(table.p[form][place]), "form": form}
     before = {one: estimate(search, one).retained for one in search.accepted}
-    search, taken = _add_refined(search, context, option)
-    search = search.noted("add", option, name=taken.name, **numbers)
+    search, taken = _add_refined(search, data, option)
+    search = search.with_round("add", option, name=taken.name, **numbers)
     if search.is_hidden(taken):
-        return search.hide(taken).noted("undo", taken, **numbers)
+        return search.hide(taken).with_round("undo", taken, **numbers)
     search = _drop_superfluous(search)
     if option.mechanism not in {one.mechanism for one in search.accepted}:
         search = search.with_banned(option.mechanism)
-    if gain < SELECTION.large_gain and _makes_weak(search, before):
-        search = search.holding(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
-        return search.noted("undo", option, **numbers)
+    # A wide form can hold what is left of several causes and, for a small gain, take them over.
+    if gain < SELECTION.large_gain and any(
+        before.get(one, 0.0) >= SELECTION.weak > estimate(search, one).retained for one in search.accepted
+    ):
+        search = search.with_accepted(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
+        return search.with_round("undo", option, **numbers)
     return search
 
 
-def _add_refined(search: Search, context: DiagnosisData, option: Option) -> tuple[Search, Option]:
+def _add_refined(search: Search, data: DiagnosisData, option: Option) -> tuple[Search, Option]:
     """Return the state with an option in the model, in its best form, and that form."""
-    search, better = refine(search.add(option), context, option)
+    search, better = refine(search.add(option), data, option)
     return search.exchange(option, better), better
 
 
-def refine_all(search: Search, context: DiagnosisData) -> Search:
+def refine_all(search: Search, data: DiagnosisData) -> Search:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in search.accepted:
-        search, better = refine(search, context, option)
+        search, better = refine(search, data, option)
         search = search.exchange(option, better)
     return search
-
-
-def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
-    """Return True when an effect that was well known no longer is after what was added.
-
-    A wide form can hold what is left of several causes and, for a small gain, take them over.
-    """
-    return any(
-        before.get(option, 0.0) >= SELECTION.weak and estimate(search, option).retained < SELECTION.weak
-        for option in search.accepted
-    )
 
 
 def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
@@ -459,10 +430,16 @@ def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) 
         loss = scores.loss
         named = places.tolist() if shapes_first else _named_causes(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
+        best = table.options[first]
+        # Forms of one cause; a change in time is none of another parameter's change.
         same = [
             place
             for place in named
-            if _are_forms(table.options[place], table.options[first])
+            if table.options[place].channels == best.channels
+            and (
+                table.options[place].mechanism == best.mechanism
+                or (table.options[place].change is None and best.change is None)
+            )
             and _simplicity(table.options[place]) < _simplicity(table.options[first])
             and _does_as_well(table, place, first, form, search.rules)
         ]
@@ -486,7 +463,7 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
         for place in places
         if table.options[place].change is None
         and same_cause(table.options[place], option)
-        and scores.t_behind(place, chosen) < rival_t
+        and scores.t_worse_than(place, chosen) < rival_t
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
@@ -494,18 +471,12 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
     return min(same, key=lambda place: float(scores.loss[:, place].sum()))
 
 
-def _are_forms(one: Option, other: Option) -> bool:
-    """Return True for forms of one cause; a change in time is none of another parameter's change."""
-    in_time = one.change is not None or other.change is not None
-    return one.channels == other.channels and (one.mechanism == other.mechanism or not in_time)
-
-
 def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
     """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
     scores = table.scores[form]
-    left = scores.loss.sum(axis=0)
-    little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
-    return little or scores.t_behind(simple, wide) < rules.rival_t
+    loss = scores.loss.sum(axis=0)
+    little = float(loss[simple] - loss[wide]) < rules.gain * float(loss[simple])
+    return little or scores.t_worse_than(simple, wide) < rules.rival_t
 
 
 def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[int]:
@@ -540,7 +511,7 @@ def _drop_superfluous(search: Search) -> Search:
         option = search.accepted[place]
         # One chance to come back, when others are there: more would go round in circles.
         again = option.mechanism in search.dropped
-        search = search.drop(option).noted("drop", option, gain=gain, t=t, p=1.0)
+        search = search.drop(option).with_round("drop", option, gain=gain, t=t, p=1.0)
         if again:
             search = search.with_banned(option.mechanism)
         else:
@@ -548,7 +519,7 @@ def _drop_superfluous(search: Search) -> Search:
     return search
 
 
-def exchange_and_check(search: Search, context: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
+def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
@@ -560,8 +531,8 @@ def exchange_and_check(search: Search, context: DiagnosisData) -> tuple[Search, 
             tables[option.name] = search.table(without=option)
             better = _better_option(search, option, tables[option.name])
             if better is not None:
-                search, better = _add_refined(search.drop(option), context, better)
-                search = search.noted("exchange", better)
+                search, better = _add_refined(search.drop(option), data, better)
+                search = search.with_round("exchange", better)
                 break
         else:
             break
@@ -589,7 +560,7 @@ def _better_option(search: Search, option: Option, table: ScoreTable) -> Option 
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
         and not same_cause(table.options[other], option)
-        and scores.t_behind(place, int(other)) > search.rules.rival_t
+        and scores.t_worse_than(place, int(other)) > search.rules.rival_t
         and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
     if not others:
@@ -604,11 +575,11 @@ def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float)
     same = mine.channels == wide.channels and _simplicity(mine) < _simplicity(wide)
     if wide.family != "unknown" and not (same and mine.channels):
         return True
-    left = table.scores[form].loss.sum(axis=0)
-    return float(left[place] - left[other]) > gain * float(left[place])
+    loss = table.scores[form].loss.sum(axis=0)
+    return float(loss[place] - loss[other]) > gain * float(loss[place])
 
 
-def few_block_test(search: Search, context: DiagnosisData, table: ScoreTable) -> ScoreTable:
+def few_block_test(search: Search, data: DiagnosisData, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
     Each is a bound of Student's distribution times the number of options: family-wise, as flips are.
@@ -623,18 +594,26 @@ def few_block_test(search: Search, context: DiagnosisData, table: ScoreTable) ->
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
     for place in places[: FEW_BLOCKS.options]:
-        p[place] = min(p[place], tried * _few_block_p(search, context, table.options[place]))
+        p[place] = min(p[place], tried * _few_block_p(search, data, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
 
-def _few_block_p(search: Search, context: DiagnosisData, option: Option) -> float:
+def _few_block_p(search: Search, data: DiagnosisData, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
-    terms = _terms_of(search, option)
-    if terms is None:
+    known = search.library.by_key
+    if option.change is None or option.terms:
+        terms = [known[key] for key in option.terms if key in known]
+        complete = len(terms) == len(option.terms)
+    else:
+        changing = {column for column, _ in option.change.functions.values()}
+        terms = [term for term in known.values() if changing & set(term.columns)]
+        complete = bool(terms)
+    if not complete:
+        # The series cannot make the option's columns.
         return 1.0
-    trials = FormTrials(search, context, option)
+    trials = FormTrials(search, data, option)
     before, after = trials.contribution(option, terms)
-    series = context.series
+    series = data.series
     correlation = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
@@ -642,21 +621,8 @@ def _few_block_p(search: Search, context: DiagnosisData, option: Option) -> floa
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
-    gained, expected = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
+    gained, expected = (
+        np.bincount(part, weights=values).astype(np.float64)[:, None]
+        for values in (before**2 - after**2, (before - after) ** 2)
+    )
     return float(expected_gain_p(gained, expected, expected > 0)[0])
-
-
-def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
-    """Return the sums of rows (row,) by their part; (part, 1)."""
-    return np.bincount(part, weights=values).astype(np.float64)[:, None]
-
-
-def _terms_of(search: Search, option: Option) -> list[Term] | None:
-    """Return the terms whose columns an option is made of; None when the series cannot make them."""
-    terms = search.library.by_key
-    if option.change is None or option.terms:
-        keys = list(option.terms)
-        return [terms[key] for key in keys] if set(keys) <= set(terms) else None
-    carried = {column for column, _ in option.change.functions.values()}
-    found = [term for term in terms.values() if carried & set(term.columns)]
-    return found or None

@@ -141,9 +141,9 @@ def time_text(when: int) -> str:
     return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
-def drifts(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
+def drifts(grams: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return drifts of everything that may drift, linear in time; factors in days from the middle."""
-    middle = evidence.start / 2 + evidence.end / 2
+    middle = grams.start / 2 + grams.end / 2
     days = (middle - middle.mean()) / DAY
     found = []
     for name in DRIFTS:
@@ -155,15 +155,19 @@ def drifts(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     return found
 
 
-def steps(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
+def steps(grams: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
-    blocks = len(evidence)
+    blocks = len(grams)
     places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
     edges = [int(place) for place in np.unique(places.round())]
-    for place, edge in enumerate(edges):
-        after = (np.arange(len(evidence)) >= edge).astype(np.float64)
-        when, sharp = int(evidence.start[edge]), _sharpness(evidence, edges, place)
+    starts = [*grams.start.tolist(), int(grams.end[-1])]
+    for before, edge, behind in zip([0, *edges], edges, [*edges[1:], blocks], strict=False):
+        after = (np.arange(len(grams)) >= edge).astype(np.float64)
+        when = starts[edge]
+        # A step may be a block away from the edge tried, or half way to the next edge tried.
+        block = max(when - starts[edge - 1], starts[edge + 1] - when)
+        sharp = max(block, max(when - starts[before], starts[behind] - when) // 2)
         for name, (family, columns) in changing.kinds.items():
             label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
             functions = {f"{label}.{column}": (column, after) for column in columns}
@@ -184,37 +188,27 @@ def batch_changes(changes: Sequence[Change]) -> Iterator[list[Change]]:
             yield batch
 
 
-def _sharpness(evidence: GramBlocks, edges: Sequence[int], place: int) -> int:
-    """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
-    starts = [*evidence.start.tolist(), int(evidence.end[-1])]
-    edge = edges[place]
-    blocks = max(starts[edge] - starts[edge - 1], starts[edge + 1] - starts[edge])
-    tried = [0, *edges, len(evidence)]
-    around = (starts[tried[place]], starts[edge], starts[tried[place + 2]])
-    return int(max(blocks, max(np.diff(around)) // 2))
-
-
 def episodes(
-    evidence: GramBlocks, marginalised: GramBlocks, changing: TimeVariableColumns, y: int
+    grams: GramBlocks, marginalised: GramBlocks, changing: TimeVariableColumns, y: int
 ) -> list[Change]:
     """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
 
     Parameters
     ----------
-    evidence, marginalised : GramBlocks
+    grams, marginalised : GramBlocks
         Before and after the calibration was marginalised; the scan takes blocks as independent.
     """
     found = []
-    lengths = np.diff([*evidence.start.tolist(), int(evidence.end[-1])])
+    lengths = np.diff([*grams.start.tolist(), int(grams.end[-1])])
     for name, (family, columns) in changing.kinds.items():
-        if len(columns) != 1 or len(evidence) < 6:
+        if len(columns) != 1 or len(grams) < 6:
             continue
         column = int(marginalised.index(columns)[0])
         score = marginalised.rows(columns)[:, 0, y]
         for first, last in _best_spans(score, marginalised.squares[:, column]):
-            inside = np.zeros(len(evidence))
+            inside = np.zeros(len(grams))
             inside[first:last] = 1.0
-            when = (int(evidence.start[first]), int(evidence.end[last - 1]))
+            when = (int(grams.start[first]), int(grams.end[last - 1]))
             begin, end = (to_utc(one).astype("datetime64[s]") for one in when)
             label = f"{name}_episode@{begin}/{end}"
             functions = {f"{label}.{columns[0]}": (columns[0], inside)}

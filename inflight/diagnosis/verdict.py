@@ -39,7 +39,7 @@ from inflight.diagnosis.result import (
 )
 from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.search import Option, ScoreTable, Search
-from inflight.diagnosis.signature import Fast, fast_part, is_unknown_band, line_signature
+from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
 from inflight.diagnosis.stepwise import (
     SELECTION,
     Estimate,
@@ -54,6 +54,7 @@ from inflight.diagnosis.stepwise import (
     select_effects,
 )
 from inflight.effects import coefficient_unit
+from inflight.mission import Mission
 from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
@@ -100,7 +101,7 @@ REPORT = ReportSettings()
 REMAINING = RemainingSettings()
 
 
-def conclude(search: Search, context: DiagnosisData) -> tuple[Diagnosis, Search]:
+def conclude(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
     Parameters
@@ -109,30 +110,37 @@ def conclude(search: Search, context: DiagnosisData) -> tuple[Diagnosis, Search]
         The first state: nothing taken yet.
     """
     first = search.table().without_fits()
-    # Handed over, not kept: every state holds gigabytes of Gram blocks.
-    handed = [search]
-    del search
-    search, last = run_rounds(handed.pop(), context, first)
-    search, checks = exchange_and_check(search, context)
+    search, last = run_rounds(search, data, first)
+    search, checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     if checks:
         last = search.table().without_fits()
-    effects = tuple(describe_effect(search, context, one) for one in checks)
-    known = with_correctable_rows(search, context)
+    effects = tuple(describe_effect(search, data, one) for one in checks)
+    known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     blocks = effective_blocks(search, known, residual)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    after = _remaining_verdict(remaining, blocks["independent"], search.rules.blocks)
+    after = remaining.verdict(blocks["independent"], search.rules.blocks)
     verdict = _verdict(effects, checks, after)
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
-    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
+    own = signature
+    if verdict == "UNKNOWN_EFFECT" and effects:
+        # The largest effect was taken for its shape and names no cause.
+        own = Signature(
+            channel="*".join(effects[0].channels) or None,
+            lag_s=effects[0].lag_s,
+            axis=effects[0].axes[0] if len(effects[0].axes) == 1 else None,
+            shape=effects[0].name,
+            amplitude_nT=effects[0].rms_nT,
+            gain=effects[0].gain,
+        )
     facts: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
         "residual": _residual_sizes(search, known, remaining),
         "remaining": after,
         "blocks": blocks,
-        "outliers": context.outliers.as_json(),
+        "outliers": data.outliers.as_json(),
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
     }
@@ -152,16 +160,16 @@ def conclude(search: Search, context: DiagnosisData) -> tuple[Diagnosis, Search]
         refined=refined_parameters(search),
         blocks=blocks,
         stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
-        comparison=context.model.comparison,
-        model={"name": context.model.name, "version": context.model.version},
-        context=context.context_id,
-        run=context.run,
+        comparison=data.model.comparison,
+        model={"name": data.model.name, "version": data.model.version},
+        context=data.context_id,
+        run=data.run,
         outliers=facts["outliers"],
     )
     return found, search
 
 
-def run_rounds(search: Search, context: DiagnosisData, first: ScoreTable) -> tuple[Search, ScoreTable]:
+def run_rounds(search: Search, data: DiagnosisData, first: ScoreTable) -> tuple[Search, ScoreTable]:
     """Return the state after all rounds, and the last table.
 
     Interactions are tried when something is left, shapes first when named causes may be substitutes.
@@ -173,41 +181,40 @@ def run_rounds(search: Search, context: DiagnosisData, first: ScoreTable) -> tup
     """
     if not search.rules.rounds:
         return search, first
-    handed = [search]
-    del search
-    search, last = select_effects(handed.pop(), context)
-    known = with_correctable_rows(search, context)
+    search, last = select_effects(search, data)
+    known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
     if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
         options = search.options
-        search = add_interactions(search, context, [first, last], remaining.is_sure)
+        search = add_interactions(search, data, [first, last], remaining.is_sure)
         if search.options is not options:
-            handed = [search]
-            del search
-            search, last = select_effects(handed.pop(), context)
-    if _may_be_substitutes(search):
-        search, last = _from_shapes(search, context, last)
-    return refine_all(search, context), last
+            search, last = select_effects(search, data)
+    # Named causes that shapes without a name had to complete: either both are there, or the named ones
+    # together substitute something that no effect here describes.
+    shapes = [one for one in search.accepted if _is_shape(one)]
+    if shapes and len(search.accepted) > max(len(shapes), 2):
+        search, last = _from_shapes(search, data, last)
+    return refine_all(search, data), last
 
 
-def _from_shapes(search: Search, context: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
+def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
-    before = held_out_rms(search, context)
+    before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
-    other, table = select_effects(blank.with_safe_intervals(), context, shapes_first=True)
+    other, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
     fewer = len(other.accepted) < len(search.accepted)
-    if fewer and held_out_rms(other, context) <= REMAINING.as_much * before:
+    if fewer and held_out_rms(other, data) <= REMAINING.as_much * before:
         return other, table
-    return other.restored(search), last
+    return other.with_choices_of(search), last
 
 
-def describe_effect(search: Search, context: DiagnosisData, check: RivalCheck) -> FoundEffect:
+def describe_effect(search: Search, data: DiagnosisData, check: RivalCheck) -> FoundEffect:
     """Return an effect of the model with its values and errors, and how it stands against rivals."""
     option = check.option
     found = estimate(search, option)
     terms = [search.library.by_key[key] for key in option.terms]
-    coefficients = _coefficients(search, context, option, terms, found)
+    coefficients = _coefficients(search, data, option, terms, found)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION.weak:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -245,16 +252,17 @@ def axis(name: str) -> str:
 
 
 def _coefficients(
-    search: Search, context: DiagnosisData, option: Option, terms: list[Term], found: Estimate
+    search: Search, data: DiagnosisData, option: Option, terms: list[Term], found: Estimate
 ) -> tuple[Coefficient, ...]:
     out = []
     for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True):
-        term, parameter = _term_of(option, [*terms, *search.library.all_terms], column)
+        # A change in time has the unit of what changes.
+        source = option.change.functions.get(column, (column,))[0] if option.change is not None else column
+        every = [*terms, *search.library.all_terms]
+        term = next((term for term in every if source in term.columns), None)
         unit, at = "", "difference"
         if term is not None:
-            kind = term.entry.effect.parameters()[parameter]
-            channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            unit = coefficient_unit(kind, context.mission, channel) if channel else kind.unit
+            unit = column_unit(data.mission, term, source)
             at = "difference" if term.entry.is_additive else term.entry.sensor.name
         if option.change is not None:
             unit += option.change.unit
@@ -262,13 +270,11 @@ def _coefficients(
     return tuple(out)
 
 
-def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | None, str]:
-    made_of = option.change.functions if option.change is not None else {}
-    source = made_of[column][0] if column in made_of else column
-    for term in terms:
-        if source in term.columns:
-            return term, source[len(term.key) + 1 :].split("[")[0]
-    return None, ""
+def column_unit(mission: Mission, term: Term, column: str) -> str:
+    """Return the unit of the coefficient of a term's column."""
+    kind = term.entry.effect.parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
+    channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
+    return coefficient_unit(kind, mission, channel) if channel else kind.unit
 
 
 def lag_profile(search: Search, option: Option) -> LagProfile | None:
@@ -326,20 +332,20 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     """Return the blocks in which two rivals' contributions differ most, and by how much there."""
     if option.change is not None or rival.change is not None:
         return []
-    evidence = search.forms["raw"]
-    one, other = evidence.index(option.columns), evidence.index(rival.columns)
+    grams = search.forms["raw"]
+    one, other = grams.index(option.columns), grams.index(rival.columns)
     present, y = search.present("raw", option), search.y()
-    (first, second), _ = fit(evidence, present, [one, other], y)
+    (first, second), _ = fit(grams, present, [one, other], y)
     both = np.concatenate([one, other])
     weights = np.concatenate([first, -second])
-    sums = np.einsum("i,bij,j->b", weights, evidence.rows(both, both), weights)
-    rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(evidence.count, 1.0))
+    sums = np.einsum("i,bij,j->b", weights, grams.rows(both, both), weights)
+    rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(grams.count, 1.0))
     best = np.argsort(-rms)[: REPORT.separating]
     return [
         {
             "rivals": [option.name, rival.name],
-            "start": utc_text(int(evidence.start[place])),
-            "end": utc_text(int(evidence.end[place])),
+            "start": utc_text(int(grams.start[place])),
+            "end": utc_text(int(grams.end[place])),
             "difference_nT": float(rms[place]),
         }
         for place in best
@@ -382,13 +388,13 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
 
 def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     """Return the model's own parameters that data moved, within what was known of them."""
-    evidence, present = search.forms["raw"], search.present()
+    grams, present = search.forms["raw"], search.present()
     names = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]
     if not names:
         return ()
-    value, covariance = joint_fit(evidence, present, search.y())
-    scale = evidence.scale[present.columns]
+    value, covariance = joint_fit(grams, present, search.y())
+    scale = grams.scale[present.columns]
     out = []
     for place, name in enumerate(names):
         moved = float(value[place] * scale[place])
@@ -446,38 +452,53 @@ class Remaining:
         certain = self.has_line or self.has_band or self.has_unit
         return certain or (self.structure.is_sure and self.structure.is_large(self.noise))
 
+    def verdict(self, independent: float, fewest: int) -> Verdict:
+        """Return the verdict on what remains, from so many independent blocks of the fewest that it takes."""
+        if not self.is_there:
+            return "NOTHING_LEFT"
+        return "UNKNOWN_EFFECT" if self.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"
+
 
 def describe_remaining(
-    search: Search, context: DiagnosisData, last: ScoreTable, residual: Floats, structure: Structure
+    search: Search, data: DiagnosisData, last: ScoreTable, residual: Floats, structure: Structure
 ) -> Remaining:
     """Describe what remains: a line, else what the best rejected candidate hints at, else its size."""
-    known = 1.0 - context.gaps.part if context.gaps else 1.0
-    floor = remaining_floor(context.series, residual, known * context.sums.get("count", 0.0), context.floor)
+    known = 1.0 - data.gaps.part if data.gaps else 1.0
+    floor = remaining_floor(data.series, residual, known * data.sums.get("count", 0.0), data.floor)
     noise = floor.level_nT
     if not noise > 0:
-        good = context.series["weight"] > 0
+        good = data.series["weight"] > 0
         noise = float(np.sqrt(np.mean(residual[good] ** 2))) if good.any() else float("nan")
-    unit = unrecorded_unit(context)
+    unit = unrecorded_unit(data)
     if unit is not None:
         return Remaining(structure, False, unit, noise, floor, has_unit=True)
-    line = line_signature(context, residual)
+    line = line_signature(data, residual)
     found = Remaining(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
-    size = native_rms(context, search)
-    fast = fast_part(context.series, residual, size, floor.level_nT, structure)
-    found = replace(found, has_band=fast is not None and is_unknown_band(context, fast))
+    size = native_rms(data, search)
+    fast = fast_part(data.series, residual, size, floor.level_nT, structure)
+    found = replace(found, has_band=fast is not None and is_unknown_band(data, fast))
     if not found.is_there:
         return found
     hint = _hint_signature(search, last, structure)
-    return replace(found, signature=hint if fast is None else _fast_signature(hint, fast))
+    if fast is not None:
+        # A channel that the slow part hints at stays in the signature of what is fast.
+        hint = replace(
+            hint if hint.channel else Signature(),
+            shape="fast",
+            amplitude_nT=fast.rms_nT,
+            faster_than_s=fast.faster_than_s,
+            periods_s=fast.periods_s,
+        )
+    return replace(found, signature=hint)
 
 
-def unrecorded_unit(context: DiagnosisData) -> Signature | None:
+def unrecorded_unit(data: DiagnosisData) -> Signature | None:
     """Return the signature of the unit without housekeeping that switches most often, of two sensors."""
-    if context.switched is None or not context.switched.unexplained:
+    if data.switched is None or not data.switched.unexplained:
         return None
-    step, sigma, count = context.switched.units[0]
+    step, sigma, count = data.switched.units[0]
     return Signature(
         shape="unit without housekeeping",
         axis="xyz"[int(np.argmax(np.abs(step)))],
@@ -487,26 +508,26 @@ def unrecorded_unit(context: DiagnosisData) -> Signature | None:
     )
 
 
-def _fast_signature(hint: Signature, fast: Fast) -> Signature:
-    """Return the signature of what is fast; a channel that the slow part hints at stays in it."""
-    return replace(
-        hint if hint.channel else Signature(),
-        shape="fast",
-        amplitude_nT=fast.rms_nT,
-        faster_than_s=fast.faster_than_s,
-        periods_s=fast.periods_s,
-    )
-
-
 def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> Signature:
-    """Return the signature that the best rejected candidate hints at."""
-    hint = _best_rejected(search, last)
-    if hint is None:
+    """Return the signature that the best rejected candidate hints at, if it explains anything held out."""
+    scores = last.scores["raw"]
+    real = [
+        place
+        for place, option in enumerate(last.options)
+        if not option.placebo and scores.t[place] > REMAINING.hint_t
+    ]
+    if not real:
         return Signature(shape="wander", amplitude_nT=structure.rms_nT)
-    option, gain = hint
+    best = max(real, key=lambda place: (last.options[place].change is None, float(scores.gain[place])))
+    option, gain = last.options[best], float(scores.gain[best])
     along = None
     if option.change is None and len(option.columns) == 3:
-        along = axis(option.columns[int(np.argmax(_standardised(search, option)))])
+        # The largest coefficient, in units of what is detectable.
+        grams = search.forms["raw"]
+        columns = grams.index(option.columns)
+        gamma, _ = fit(grams, search.present(), [columns], search.y())
+        detectable = np.maximum(detectable_amplitude(search, option), 1e-300)
+        along = axis(option.columns[int(np.argmax(np.abs(gamma[0] * grams.scale[columns]) / detectable))])
     shape = option.mechanism
     if option.change is not None:
         shape = "step" if option.change.at else "drift"
@@ -522,53 +543,22 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
     )
 
 
-def _standardised(search: Search, option: Option) -> Floats:
-    """Return how far a rejected candidate's coefficients are from nothing, in units of what is detectable."""
-    evidence = search.forms["raw"]
-    gamma, _ = fit(evidence, search.present(), [evidence.index(option.columns)], search.y())
-    physical = gamma[0] * evidence.scale[evidence.index(option.columns)]
-    return np.abs(physical) / np.maximum(detectable_amplitude(search, option), 1e-300)
-
-
-def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | None:
-    """Return the best option that was not beyond doubt, if it explains anything held out."""
-    scores = last.scores["raw"]
-    real = [
-        place
-        for place, option in enumerate(last.options)
-        if not option.placebo and scores.t[place] > REMAINING.hint_t
-    ]
-    if not real:
-        return None
-    best = max(real, key=lambda place: (last.options[place].change is None, float(scores.gain[place])))
-    return last.options[best], float(scores.gain[best])
-
-
-def _residual_sizes(search: Search, context: DiagnosisData, remaining: Remaining) -> dict[str, Any]:
+def _residual_sizes(search: Search, data: DiagnosisData, remaining: Remaining) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
     nothing = search.as_found()
     return {
-        "before_nT": native_rms(context, nothing),
-        "after_nT": native_rms(context, search),
-        "held_out_before_nT": held_out_rms(nothing, context),
-        "held_out_after_nT": held_out_rms(search, context),
+        "before_nT": native_rms(data, nothing),
+        "after_nT": native_rms(data, search),
+        "held_out_before_nT": held_out_rms(nothing, data),
+        "held_out_after_nT": held_out_rms(search, data),
         # A record without a fast part, filtered or rounded away, has no floor.
         "noise_floor_nT": remaining.floor.level_nT or float("nan"),
         "noise_floor_low_nT": remaining.floor.low_nT,
         "noise_floor_high_nT": remaining.floor.high_nT,
         "structure_nT": remaining.structure.rms_nT,
         "structure_t": remaining.structure.t,
-        "uncorrected": context.gaps.as_json() if context.gaps else [],
+        "uncorrected": data.gaps.as_json() if data.gaps else [],
     }
-
-
-def _may_be_substitutes(search: Search) -> bool:
-    """Return True when named causes were taken and yet shapes that name none had to complete them.
-
-    Either both are there, or the named ones together substitute something that no effect here describes.
-    """
-    shapes = [one for one in search.accepted if _is_shape(one)]
-    return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
 
 
 def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaining: Verdict) -> Verdict:
@@ -584,22 +574,3 @@ def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaini
 def _is_shape(option: Option) -> bool:
     """Return True for what was taken for its shape and names no cause."""
     return option.agnostic or option.family == "unknown"
-
-
-def _shape_signature(effect: FoundEffect) -> Signature:
-    """Return the signature of an effect that was taken for its shape and names no cause."""
-    return Signature(
-        channel="*".join(effect.channels) or None,
-        lag_s=effect.lag_s,
-        axis=effect.axes[0] if len(effect.axes) == 1 else None,
-        shape=effect.name,
-        amplitude_nT=effect.rms_nT,
-        gain=effect.gain,
-    )
-
-
-def _remaining_verdict(remaining: Remaining, independent: float, fewest: int) -> Verdict:
-    """Return the verdict on what remains."""
-    if not remaining.is_there:
-        return "NOTHING_LEFT"
-    return "UNKNOWN_EFFECT" if remaining.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"

@@ -21,7 +21,7 @@ from inflight.diagnosis.result import Coefficient
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
-from inflight.effects import coefficient_unit
+from inflight.diagnosis.verdict import column_unit
 from inflight.lsq import correlation_of, gram_inverse
 from inflight.residual import DEPENDENCES, Curve, FieldResponse, curve_of, field_axes, field_response
 from inflight.time import DAY, SECOND, Int64, to_utc
@@ -133,11 +133,11 @@ class BeforeAfter:
         return BeforeAfter(series, self.before[::step], self.after[::step], self.block[::step])
 
 
-def before_after(search: Search, material: DiagnosisData) -> BeforeAfter:
+def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
-    material = with_correctable_rows(search, material)
-    series = material.series
-    before, after = (remaining_residual(search, material, one) for one in (False, True))
+    data = with_correctable_rows(search, data)
+    series = data.series
+    before, after = (remaining_residual(search, data, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEWS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
@@ -173,8 +173,15 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
     """Return maps of day against orbit phase and Sun phase, local time or what else there is."""
     series = seen.series
     there = [name for name in _COORDINATES if name in series.channels]
-    varied = [name for name in there if _covers(series[name], _COORDINATES[name][1])]
-    length = _row_length(series.tt2000)
+    varied = []
+    for name in there:
+        # A coordinate must run through most of its turn within the record.
+        known = series[name][np.isfinite(series[name])] / _COORDINATES[name][1]
+        if np.unique((known * 8).astype(np.int64) % 8).size >= 6:
+            varied.append(name)
+    # A row is a day or more of a long record, else a part of it.
+    whole = int(series.tt2000[-1] - series.tt2000[0]) + 1
+    length = DAY * -(-whole // (DAY * VIEWS.map_rows)) if whole >= 4 * DAY else max(-(-whole // 24), 1)
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
     # No more columns than a row has samples, or every other one were empty.
@@ -188,20 +195,6 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
         out.append(_map(seen, (name, unit, reach), values, place, span, columns))
     return out
-
-
-def _covers(values: Floats, reach: float) -> bool:
-    """Return True when a coordinate runs through most of its turn within the record."""
-    known = values[np.isfinite(values)]
-    return known.size > 0 and np.unique((known / reach * 8).astype(np.int64) % 8).size >= 6
-
-
-def _row_length(tt2000: Int64) -> int:
-    """Return the length of a row, ns: a day or more of a long record, else a part of it."""
-    span = int(tt2000[-1] - tt2000[0]) + 1
-    if span >= 4 * DAY:
-        return DAY * -(-span // (DAY * VIEWS.map_rows))
-    return max(-(-span // 24), 1)
 
 
 def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Floats]:
@@ -349,12 +342,12 @@ class Step:
         return self.before**2 - self.after**2
 
 
-def waterfall(search: Search, material: DiagnosisData) -> list[Step]:
+def waterfall(search: Search, data: DiagnosisData) -> list[Step]:
     """Return how the held-out error falls with every effect the search took."""
-    taken, known = list(search.accepted), with_correctable_rows(search, material)
+    taken, known = list(search.accepted), with_correctable_rows(search, data)
 
     def size(options: Sequence[Option]) -> float:
-        return held_out_rms(search.holding(options), known)
+        return held_out_rms(search.with_accepted(options), known)
 
     sizes = [size(taken[:count]) for count in range(len(taken) + 1)]
     out = []
@@ -393,10 +386,10 @@ def cross_talk(search: Search) -> CrossTalk:
 
     Of many refined parameters only those that are most correlated with the others are kept.
     """
-    base = [(name, sigma) for term in search.library.base for name, sigma in _known(term.columns, term.sigma)]
-    refined = [
-        (name, sigma) for term in search.library.refined for name, sigma in _known(term.columns, term.sigma)
-    ]
+    base, refined = (
+        [pair for term in terms for pair in zip(term.columns, term.sigma, strict=True)]
+        for terms in (search.library.base, search.library.refined)
+    )
     found = [(name, np.inf) for option in search.accepted for name in option.columns]
     every = [*base, *refined, *found]
     if not every:
@@ -408,26 +401,18 @@ def cross_talk(search: Search) -> CrossTalk:
     covariance = gram_inverse(raw.total[np.ix_(place, place)] + np.diag(precision))
     correlation = correlation_of(covariance)
     groups = ["calibration"] * len(base) + ["model"] * len(refined) + ["found"] * len(found)
-    kept = _most_correlated(correlation, groups)
+    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
+    own = [place for place, group in enumerate(groups) if group == "model"]
+    # Of many refined parameters those that are most correlated with the others are kept.
+    others = np.abs(correlation - np.diag(np.diag(correlation)))
+    strength = others[:, fixed].max(axis=1, initial=0.0)
+    chosen = sorted(own, key=lambda place: -strength[place])[: VIEWS.most_parameters - len(fixed)]
+    kept = sorted([*fixed, *chosen])
     return CrossTalk(
         tuple(names[one].removeprefix("model:") for one in kept),
         tuple(groups[one] for one in kept),
         correlation[np.ix_(kept, kept)],
     )
-
-
-def _known(columns: Sequence[str], sigma: Sequence[float]) -> list[tuple[str, float]]:
-    return list(zip(columns, sigma, strict=True))
-
-
-def _most_correlated(correlation: Floats, groups: Sequence[str]) -> list[int]:
-    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
-    room = VIEWS.most_parameters - len(fixed)
-    own = [place for place, group in enumerate(groups) if group == "model"]
-    apart = np.abs(correlation - np.diag(np.diag(correlation)))
-    strength = apart[:, fixed].max(axis=1, initial=0.0)
-    chosen = sorted(own, key=lambda place: -strength[place])[:room]
-    return sorted([*fixed, *chosen])
 
 
 @dataclass(frozen=True)
@@ -482,7 +467,7 @@ class Trial:
     values: tuple[tuple[str, float, float, str], ...]
 
 
-def trials(search: Search, material: DiagnosisData, names: Sequence[str]) -> dict[str, Trial]:
+def trials(search: Search, data: DiagnosisData, names: Sequence[str]) -> dict[str, Trial]:
     """Return the values that candidates would have, each alone added to the model as it was.
 
     Changes bound to a time and candidates of many columns are skipped: they have no value to print.
@@ -493,24 +478,16 @@ def trials(search: Search, material: DiagnosisData, names: Sequence[str]) -> dic
         option = known.get(name)
         if option is None or option.change is not None:
             continue
-        alone = search.holding([option])
+        alone = search.with_accepted([option])
         found = estimate(alone, option)
+        terms = [search.library.by_key[key] for key in option.terms]
+        units = {column: column_unit(data.mission, term, column) for term in terms for column in term.columns}
         values = tuple(
-            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, material, option, column))
+            (column.rsplit(".", 1)[-1], float(value), float(sigma), units.get(column, ""))
             for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True)
         )
         out[name] = Trial(found.retained, form_disagreement(alone, option), values)
     return out
-
-
-def _unit(search: Search, material: DiagnosisData, option: Option, column: str) -> str:
-    for key in option.terms:
-        term = search.library.by_key[key]
-        if column in term.columns:
-            kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
-            channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            return coefficient_unit(kind, material.mission, channel) if channel else kind.unit
-    return ""
 
 
 def responses(seen: BeforeAfter, channels: Sequence[str]) -> list[FieldResponse]:

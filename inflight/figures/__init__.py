@@ -1,6 +1,10 @@
-"""Figures: pure functions from arrays and Datasets to Bokeh figures, shared by reports and pages.
+"""Figures and pages: pure functions from results and arrays to Bokeh figures and HTML.
 
-They draw aggregates, never raw samples.
+In go records of `inflight.diagnosis`, `inflight.mission_fit` and `inflight.residual`, calibration tables,
+and arrays of aggregates, never raw samples; out come Bokeh figures and text without scripts, which reports
+and the web page share. Open ``page.py`` first: a `Section` is a heading, text and figures, and `html_page`
+writes sections as one file; then the module of the thing that is drawn. ``style.py`` has colours, bars and
+names.
 """
 
 import lazy_loader

@@ -1,16 +1,8 @@
-"""Coil, day/night, torquers, epochs, z offset.
+"""Figures of causes: temperature, day and night, magneto-torquers, current steps, offsets from the spread.
 
-Figures of a coil's temperature: what it does to the scale factors, and the rivals on held-out blocks.
-
-Figures of the day/night field: its course along the orbit, the wander of an angle without and with it.
-
-Figures of the magneto-torquers: daily coefficients, the band before and after, the running mean.
-
-Figures of superposed epochs: a current with its steps, the stacked residual, the field by local time.
-
-Figures of the spread of the residual against the offset, and of the offsets it gives.
-
-Figures of a whole mission's fit: coefficients, daily parameters, the torquers' band.
+Takes the fits of `inflight.mission_fit` and calibration tables; makes Bokeh figures of what each cause does:
+scale factors against temperature, the day/night field along the orbit, the torquers' coefficients and their
+band, superposed epochs of a current, daily offsets, and coefficients against what was known of them before.
 """
 
 from __future__ import annotations
@@ -19,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d, Span, Whisker
+from bokeh.models import ColumnDataSource, Range1d, Span, Whisker
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
@@ -38,7 +30,6 @@ from inflight.figures.style import (
 from inflight.mission_fit import (
     MEAN_STATES,
     SERIES,
-    TORQUER_BAND_HZ,
     CoilFit,
     DayNightField,
     EpochStack,
@@ -46,11 +37,9 @@ from inflight.mission_fit import (
     LocalTimeDependence,
     OffsetsFromSpread,
     PanelModel,
-    SpreadLaw,
     TemperatureChoice,
 )
-from inflight.residual import CurrentSteps
-from inflight.time import Int64, mjd2000, to_utc
+from inflight.time import mjd2000, to_utc
 
 
 def scale_curves_figure(fit: CoilFit, temperatures: Floats) -> figure:
@@ -157,55 +146,25 @@ def coefficient_figures(daily: xr.Dataset, mean: xr.Dataset) -> list[figure]:
     mean : xarray.Dataset
         Of `torquer_band.robust_mean`.
     """
-    return [_coefficients_of(daily, mean, axis) for axis in daily["axis"].values]
-
-
-def _coefficients_of(daily: xr.Dataset, mean: xr.Dataset, axis: str) -> figure:
-    plot = plain_figure(
-        f"Torquers' field along {axis}", "", "nT/A, vector less scalar", x_axis_type="datetime"
-    )
+    plots = []
     middle = to_utc(daily["start"].values // 2 + daily["end"].values // 2)
-    for coil, colour in zip(daily["coil"].values, COMPONENTS, strict=True):
-        one = daily.sel(axis=axis, coil=coil)
-        value = float(mean["value"].sel(axis=axis, coil=coil))
-        error_bars(plot, middle, one["value"].values, one["sigma"].values, colour, 0.35)
-        plot.scatter(middle, one["value"].values, color=colour, size=5, legend_label=f"coil {coil}")
-        plot.add_layout(Span(location=value, dimension="width", line_color=colour, line_width=1))
-    legend_below(plot)
-    return plot
-
-
-def band_figure(spectra: xr.Dataset, low: float = 0.02, high: float = 0.1) -> figure:
-    """Draw the spectrum of dB around the modulation, before and after; the band that is fitted is shaded.
-
-    Parameters
-    ----------
-    spectra : xarray.Dataset
-        Of `torquer_band.band_spectra`.
-    low, high : float
-        Hz, what is shown.
-    """
-    plot = plain_figure(
-        "Residual around the torquers' 20 s",
-        "frequency (Hz)",
-        "nT / sqrt(Hz)",
-        y_axis_type="log",
-        width=_WIDE,
-    )
-    frequency = spectra["frequency"].values
-    shown = (frequency >= low) & (frequency <= high)
-    for name, colour in (("before", BEFORE), ("after", AFTER)):
-        size = np.sqrt(spectra[name].values[shown])
-        plot.line(frequency[shown], size, color=colour, legend_label=name)
-    plot.add_layout(
-        BoxAnnotation(left=TORQUER_BAND_HZ[0], right=TORQUER_BAND_HZ[1], fill_color=REFERENCE, fill_alpha=0.1)
-    )
-    legend_below(plot)
-    return plot
+    for axis in daily["axis"].values:
+        plot = plain_figure(
+            f"Torquers' field along {axis}", "", "nT/A, vector less scalar", x_axis_type="datetime"
+        )
+        for coil, colour in zip(daily["coil"].values, COMPONENTS, strict=True):
+            own = daily.sel(axis=axis, coil=coil)
+            value = float(mean["value"].sel(axis=axis, coil=coil))
+            error_bars(plot, middle, own["value"].values, own["sigma"].values, colour, 0.35)
+            plot.scatter(middle, own["value"].values, color=colour, size=5, legend_label=f"coil {coil}")
+            plot.add_layout(Span(location=value, dimension="width", line_color=colour, line_width=1))
+        legend_below(plot)
+        plots.append(plot)
+    return plots
 
 
 def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[figure]:
-    """Draw daily and running means of the torquer currents, and the remanent field they tell.
+    """Draw daily and running means of the torquer currents, and the remanent field that follows from them.
 
     Parameters
     ----------
@@ -233,41 +192,6 @@ def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[fig
     return [upper, lower]
 
 
-#: Drops and rises are told apart by colour and mark.
-_MARKS = {-1: ("drop", "inverted_triangle", HIGHLIGHT), 1: ("rise", "triangle", BEFORE)}
-
-
-def current_steps_figure(
-    stamps: Int64, current: Floats, steps: CurrentSteps, name: str = "current"
-) -> figure:
-    """Draw a current and the steps found in it.
-
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (reading,)
-        TT2000.
-    current : ndarray, shape (reading,)
-        In the steps' unit.
-    steps : CurrentSteps
-    name : str
-        Of the channel.
-    """
-    title = f"Steps of {name.replace('_', ' ')}"
-    plot = plain_figure(
-        title, "", f"{name.replace('_', ' ')} ({steps.unit})", x_axis_type="datetime", width=_WIDE
-    )
-    plot.line(to_utc(stamps), current, color=AFTER, legend_label=name.replace("_", " "))
-    for direction, (label, marker, colour) in _MARKS.items():
-        chosen = steps.where(steps.direction == direction)
-        when, middle = to_utc(chosen.time), 0.5 * (chosen.before + chosen.after)
-        if len(chosen):
-            plot.scatter(
-                when, middle, marker=marker, color=colour, size=7, legend_label=f"{label} ({len(chosen)})"
-            )
-    legend_below(plot)
-    return plot
-
-
 def stack_figures(found: EpochStack, unit_of: str = "solar current") -> list[figure]:
     """Draw the stacked residual with the band that resampling days gives, and the current below it."""
     reach = Range1d(float(found.lag[0]) - 3.0, float(found.lag[-1]) + 3.0)
@@ -293,7 +217,7 @@ def local_time_figure(course: LocalTimeDependence, model: PanelModel | None = No
     ----------
     course : LocalTimeDependence
     model : PanelModel, optional
-        Drawn as lines when local time alone tells it: *constant* or *two_panels*.
+        Drawn as lines when it depends on local time alone: *constant* or *two_panels*.
     """
     plot = plain_figure(
         "Field of the solar current, vector minus scalar sensor",
@@ -315,26 +239,6 @@ def local_time_figure(course: LocalTimeDependence, model: PanelModel | None = No
             plot.line(hours, weight @ model.value[:, index], color=colour, alpha=0.7)
     for hour in (12.0, 0.0):
         plot.add_layout(Span(location=hour, dimension="height", line_color=REFERENCE, line_dash="dotted"))
-    legend_below(plot)
-    return plot
-
-
-def spread_figure(statistics: xr.Dataset, offset: Floats, law: SpreadLaw) -> figure:
-    """Draw each day's spread of dB against its offset, and the law (Yin 2010, eq. 3.6)."""
-    sigma = np.sqrt(law.covariance[0, 0])
-    plot = plain_figure(
-        f"a {law.factor:.4f} +- {sigma:.4f}, orbit {law.geometry:.4f}; noise {np.sqrt(law.noise):.3f} nT",
-        "offset (nT)",
-        "std dB (nT)",
-        width=470,
-    )
-    spread = np.sqrt(statistics["variance"].values)
-    error = np.sqrt(statistics["covariance"].values[:, 1, 1]) / (2.0 * spread)
-    error_bars(plot, offset, spread, error, AFTER, 0.4)
-    plot.scatter(offset, spread, color=AFTER, size=4, legend_label="days")
-    reach = np.linspace(min(offset.min(), 0.0), max(offset.max(), 0.0), 200)
-    curve = np.sqrt(np.maximum(law.factor * reach**2 + law.noise, 0.0))
-    plot.line(reach, curve, color=BEFORE, line_width=2, legend_label="law")
     legend_below(plot)
     return plot
 
@@ -426,7 +330,7 @@ def continuous_figure(daily: xr.Dataset, table: xr.Dataset, title: str, factor: 
         values = factor * (common["value"].values - base)
         sigma = factor * common["sigma"].values
         reach = float(np.nanmax(np.abs(shown)) + np.nanmedian(bars))
-        # A band many times wider than all that is to be seen hides it; the label tells its size.
+        # A band many times wider than all that is to be seen hides it; the label has its size.
         if np.nanmedian(sigma) < _HIDES * reach:
             error_band(plot, curve, values, sigma, colour)
         plot.line(

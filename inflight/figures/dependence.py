@@ -127,23 +127,27 @@ def response_figures(found: FieldResponse) -> list[figure]:
             f"{found.channel}: field along {name}", label, "nT", height=205, width=384, y_range=reach
         )
         plot.toolbar.autohide = True
-        _envelope(plot, found, axis)
+        known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
+        if known.sum() > 1:
+            ends = {"x": found.centre, "low": found.low[axis], "high": found.high[axis]}
+            source = ColumnDataSource({key: values[known] for key, values in ends.items()})
+            plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
         for branch, parts in found.branches.items():
             if branch == "after":
                 continue
             colour, marker = _BRANCHES[branch]
             _draw(plot, parts[axis], colour, marker)
         if "after" in found.branches:
-            left = found.branches["after"][axis]
-            known = np.isfinite(left.mean)
+            after = found.branches["after"][axis]
+            known = np.isfinite(after.mean)
             style = {"color": "#111111", "line_dash": "dotted", "line_width": 2}
-            plot.line(left.centre[known], left.mean[known], **style)
+            plot.line(after.centre[known], after.mean[known], **style)
         plots.append(plot)
     return plots
 
 
 def response_legend() -> str:
-    """Return the key of all response figures as HTML: one for the page leaves the small ones their room."""
+    """Return the common legend of all response figures as HTML."""
     marks = (
         (_BRANCHES["rising"][0], "\u25b2", "before, channel rising"),
         (_BRANCHES["falling"][0], "\u25bc", "before, channel falling"),
@@ -152,16 +156,6 @@ def response_legend() -> str:
         (_CHANCE, "\u25a0", "chance"),
     )
     return render("key.html", marks=marks)
-
-
-def _envelope(plot: figure, found: FieldResponse, axis: int) -> None:
-    known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
-    if known.sum() < 2:
-        return
-    source = ColumnDataSource(
-        {"x": found.centre[known], "low": found.low[axis][known], "high": found.high[axis][known]}
-    )
-    plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
 
 
 def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str = "") -> None:
@@ -176,19 +170,16 @@ def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str = "")
 
 def _reach(curves: Sequence[Curve], more: Sequence[np.ndarray] = ()) -> tuple[float, float]:
     """Return one range for several figures, wide enough for all that is known to a few sigma."""
-    ends = [curve.mean[_sure(curve)] for curve in curves] + [np.asarray(one) for one in more]
-    values = np.concatenate([*ends, np.zeros(1)])
+    ends = [np.zeros(1), *map(np.asarray, more)]
+    for curve in curves:
+        # Bins that are all noise must not set the scale of all others.
+        usual = np.nanmedian(curve.sigma) if np.isfinite(curve.sigma).any() else np.inf
+        ends.append(curve.mean[np.nan_to_num(curve.sigma, nan=0.0, posinf=0.0, neginf=0.0) <= 8.0 * usual])
+    values = np.concatenate(ends)
     values = values[np.isfinite(values)]
     low, high = float(values.min()), float(values.max())
     room = 0.08 * max(high - low, 1e-6)
     return low - room, high + room
-
-
-def _sure(curve: Curve) -> np.ndarray:
-    """Bins that are not all noise: one lonely bin must not set the scale of all others."""
-    usual = np.nanmedian(curve.sigma) if np.isfinite(curve.sigma).any() else np.inf
-    sigma = np.where(np.isfinite(curve.sigma), curve.sigma, 0.0)
-    return np.asarray(np.isfinite(curve.mean) & (sigma <= 8.0 * usual))
 
 
 def epoch_figure(name: str, found: Mapping[str, Curve]) -> figure:
@@ -227,13 +218,13 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
     name : str
         Of the effect.
     rows : float
-        Rows of the evidence, which turn sums of squares into an rms.
+        Rows of the Gram blocks, which turn sums of squares into an rms.
     """
-    size = np.sqrt(np.maximum(found.left, 0.0) / max(rows, 1.0))
+    size = np.sqrt(np.maximum(found.remaining, 0.0) / max(rows, 1.0))
     drawn = found.lags > 0
-    said = f"lag {found.best:.3g} ± {found.sigma:.2g} s" if found.best > 0 else "no lag is best"
+    title = f"lag {found.best:.3g} ± {found.sigma:.2g} s" if found.best > 0 else "no lag is best"
     plot = plain_figure(
-        f"{short_name(name).split(', lag')[0]}: {said}",
+        f"{short_name(name).split(', lag')[0]}: {title}",
         "lag (s)",
         "rms left, in-sample (nT)",
         x_axis_type="log",

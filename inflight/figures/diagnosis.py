@@ -71,10 +71,14 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
         Verdict on what is left.
     """
     part = explained(residual)
+    low, high = (residual.get(f"noise_floor_{end}_nT") for end in ("low", "high"))
+    interval = "no interval"
+    if low is not None and high is not None and np.isfinite([low, high]).all():
+        interval = f"{low:.4g} to {high:.4g}, 95 %"
     sizes = [
         ("residual now", _size_text(residual["held_out_before_nT"])),
         ("with what was found", _size_text(residual["held_out_after_nT"])),
-        (f"noise floor ({_interval(residual)})", _size_text(residual["noise_floor_nT"])),
+        (f"noise floor ({interval})", _size_text(residual["noise_floor_nT"])),
         ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
         ("what is left", remaining),
     ]
@@ -98,13 +102,6 @@ def _sizes(residual: Mapping[str, Any]) -> list[float]:
 
 def _size_text(value: float | None) -> str:
     return f"{value:.4g} nT" if value is not None and np.isfinite(value) else "unknown"
-
-
-def _interval(residual: Mapping[str, Any]) -> str:
-    low, high = residual.get("noise_floor_low_nT"), residual.get("noise_floor_high_nT")
-    if low is None or high is None or not np.isfinite(low) or not np.isfinite(high):
-        return "no interval"
-    return f"{low:.4g} to {high:.4g}, 95 %"
 
 
 def _scale(residual: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -184,7 +181,12 @@ def _row(
     own = [short_parameter(rival) if "." in rival else short_name(rival) for rival in found.get(name, ())]
     rivals = [f"or {rival}" for rival in own[:_CHIPS]]
     rivals += [f"or {len(own) - _CHIPS} more"] if len(own) > _CHIPS else []
-    rivals += [f"rival of {short_name(other)}" for other, them in found.items() if _is_among(name, them)]
+    # Rivals are named by mechanism: the candidate's name without its lag or width.
+    rivals += [
+        f"rival of {short_name(other)}"
+        for other, mechanisms in found.items()
+        if any(name == one or name.startswith(f"{one}@") for one in mechanisms)
+    ]
     gain, sigma = float(one["gain"]), 2.0 * _sigma(one)
     trial = trials.get(name)
     numbers = [_number(one["t"], ".1f"), _number(one["p"], ".2g"), _number(one["placebo_t"], ".1f")]
@@ -209,11 +211,6 @@ def _row(
         "alone": values if trials else None,
         "hidden": hidden,
     }
-
-
-def _is_among(name: str, rivals: Sequence[str]) -> bool:
-    """Rivals are named by mechanism: the candidate's name without its lag or width."""
-    return any(name == rival or name.startswith(f"{rival}@") for rival in rivals)
 
 
 def _number(value: float | None, how: str) -> str:
@@ -367,11 +364,12 @@ def _signature(signature: Fields | None) -> list[str]:
     if signature is None:
         return []
     period, lag, duty = signature["period_s"], signature["lag_s"], signature["duty"]
+    amplitude = signature["amplitude_nT"]
     parts = [
         ("period", format_period(period) if period else ""),
         ("axis", signature["axis"] or ""),
         ("shape", signature["shape"] or ""),
-        ("half of peak to peak" if period else "amplitude", _nanotesla(signature["amplitude_nT"])),
+        ("half of peak to peak" if period else "amplitude", f"{amplitude:.3g} nT" if amplitude else ""),
         *(
             (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
             for name, (size, sigma) in signature["steps"].items()
@@ -381,12 +379,8 @@ def _signature(signature: Fields | None) -> list[str]:
         ("lag", format_period(lag) if lag else ""),
         ("duty", f"{duty:.2f}" if duty is not None else ""),
     ]
-    said = ", ".join(f"{name} {value}" for name, value in parts if value)
-    return [paragraph(f" {said}", bold="Signature of what is left:")]
-
-
-def _nanotesla(size: float | None) -> str:
-    return f"{size:.3g} nT" if size else ""
+    text = ", ".join(f"{name} {value}" for name, value in parts if value)
+    return [paragraph(f" {text}", bold="Signature of what is left:")]
 
 
 def separating_blocks(fields: Fields) -> list[str]:
@@ -478,7 +472,13 @@ def waterfall_figure(
     plot.vbar(["as found"], width=0.7, top=[start], color=BEFORE)
     plot.vbar(["now left"], width=0.7, top=[end], color=AFTER)
     if steps:
-        _bars(plot, steps, names)
+        before = np.array([step.before for step in steps])
+        after = np.array([step.after for step in steps])
+        text = [f"-{change * 1000:.3g} pT" for change in before - after]
+        bars = ColumnDataSource({"name": names, "before": before, "after": after, "text": text})
+        plot.vbar("name", width=0.7, top="before", bottom="after", source=bars, color="#5b8c5a", alpha=0.9)
+        style = {"text_align": "center", "text_font_size": "11px", "y_offset": -4}
+        plot.text("name", "before", text="text", source=bars, **style)
     level, low, high = floor
     if np.isfinite(level):
         plot.add_layout(BoxAnnotation(bottom=low, top=high, fill_color=REFERENCE, fill_alpha=0.4))
@@ -487,23 +487,6 @@ def waterfall_figure(
     plot.hover.tooltips = [("", "@name"), ("from", "@before{0.0000} nT"), ("to", "@after{0.0000} nT")]
     place_legend(plot, "top_right")
     return plot
-
-
-def _bars(plot: figure, steps: Sequence[Step], names: Sequence[str]) -> None:
-    before = np.array([step.before for step in steps])
-    after = np.array([step.after for step in steps])
-    source = ColumnDataSource(
-        {
-            "name": list(names),
-            "before": before,
-            "after": after,
-            "text": [f"-{(b - a) * 1000:.3g} pT" for b, a in zip(before, after, strict=True)],
-        }
-    )
-    plot.vbar("name", width=0.7, top="before", bottom="after", source=source, color="#5b8c5a", alpha=0.9)
-    plot.text(
-        "name", "before", text="text", source=source, text_align="center", text_font_size="11px", y_offset=-4
-    )
 
 
 def order_figure(steps: Sequence[Step], start: float) -> figure:
@@ -534,8 +517,8 @@ def order_figure(steps: Sequence[Step], start: float) -> figure:
     plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
     marks = (("first", "triangle", BEFORE), ("turn", "circle", "#111111"), ("last", "square", AFTER))
     for kind, marker, colour in marks:
-        said = "in its turn" if kind == "turn" else kind
-        plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=said)
+        label = "in its turn" if kind == "turn" else kind
+        plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=label)
     plot.hover.tooltips = [
         ("", "@name"),
         *((kind, f"@{kind}{{0.00}} %") for kind in ("first", "turn", "last")),
@@ -559,7 +542,13 @@ def error_figure(changes: Sequence[Fields]) -> figure:
     changes : sequence of mapping
         As `inflight.tasks.analysis.revise.Revision.as_json`, in the order they were made.
     """
-    names = [f"{one['model']['version']}: {short_name(_what(one))}" for one in changes]
+    # What was done, without the words that the version says already.
+    done = [
+        "undo" if one["command"] == "undo" else one["effect"].removeprefix("auto: ").removeprefix("add ")
+        for one in changes
+    ]
+    versions = [one["model"]["version"] for one in changes]
+    names = [f"{version}: {short_name(what)}" for version, what in zip(versions, done, strict=True)]
     plot = plain_figure(
         "The error, change by change",
         "",
@@ -584,23 +573,16 @@ def error_figure(changes: Sequence[Fields]) -> figure:
     return plot
 
 
-def _what(change: Fields) -> str:
-    """Return what was done, without the words that the version says already."""
-    if change["command"] == "undo":
-        return "undo"
-    return str(change["effect"]).removeprefix("auto: ").removeprefix("add ")
-
-
 def change_tables(change: Fields) -> list[str]:
     """Return what a change did as HTML: the error, the effect's own numbers, what else moved."""
     model, error = change["model"], change["error"]
-    said = "; ".join(
+    sizes = "; ".join(
         f"{label} {error[key][0]:.4g} to {error[key][1]:.4g} nT"
         for key, label in (("held_out_nT", "held out"), ("in_sample_nT", "in sample"))
     )
     out: list[str] = [
         paragraph(
-            f", from version {model['parent']}: {change['effect']}. Residual {said}.",
+            f", from version {model['parent']}: {change['effect']}. Residual {sizes}.",
             bold=f"{model['name']} version {model['version']}",
         )
     ]

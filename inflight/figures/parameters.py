@@ -49,7 +49,6 @@ from inflight.mission_fit import (
     ParameterSpectrum,
     RunningMean,
     TrendComparison,
-    TrendFit,
 )
 from inflight.residual import ParameterScatter
 from inflight.time import mjd2000, to_utc
@@ -80,45 +79,37 @@ def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
     parts: dict[str, list[str]] = {}
     for name in map(str, daily["parameter"].values):
         parts.setdefault(name.split(".", 1)[-1].partition("[")[0], []).append(name)
-    return [
-        _panel(daily, used, part, names)
-        for part, names in parts.items()
-        if (daily["value"] != daily["prior"]).sel(parameter=names).values.any()
-    ]
-
-
-def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, names: list[str]) -> figure:
-    stated = str(daily["units"].sel(parameter=names[0]).values)
-    factor, unit = _UNITS.get(stated, (1.0, stated))
-    title = _TITLES.get(part, part.replace("_", " ").capitalize())
-    plot = plain_figure(f"{title} less prior", "", unit, x_axis_type="datetime")
     middle = to_utc(daily["start"].values // 2 + daily["end"].values // 2)
-    for name, colour in zip(names, COMPONENTS, strict=False):
-        prior = float(daily["prior"].sel(parameter=name))
-        value = (daily["value"].sel(parameter=name).values - prior) * factor
-        sigma = daily["sigma"].sel(parameter=name).values * factor
-        known = daily["determined"].sel(parameter=name).values
-        label = name.partition("[")[2].rstrip("]") or part.replace("_", " ")
-        # The prior's width is no measurement, and would flatten what was measured.
-        error_bars(plot, middle[known], value[known], sigma[known], colour, 0.4)
-        fill = np.where(known, 1.0, 0.0)
-        plot.scatter(middle, value, color=colour, fill_alpha=fill, size=5, legend_label=label)
-        _steps(plot, daily, used, name, prior, factor, colour)
-    legend_below(plot)
-    return plot
-
-
-def _steps(
-    plot: figure, daily: xr.Dataset, used: xr.Dataset, part: str, prior: float, factor: float, colour: str
-) -> None:
+    # Steps of the table that products use, within the days that are drawn.
     begin, stop = int(daily["start"].values[0]), int(daily["end"].values[-1])
     start, end = (to_utc(np.clip(used[name].values, begin, stop)) for name in ("start", "end"))
-    value = (used["value"].sel(parameter=part).values - prior) * factor
-    plot.segment(start, value, end, value, color=colour, line_width=2, alpha=0.8)
+    plots = []
+    for part, names in parts.items():
+        if not (daily["value"] != daily["prior"]).sel(parameter=names).values.any():
+            continue
+        stated = str(daily["units"].sel(parameter=names[0]).values)
+        factor, unit = _UNITS.get(stated, (1.0, stated))
+        title = _TITLES.get(part, part.replace("_", " ").capitalize())
+        plot = plain_figure(f"{title} less prior", "", unit, x_axis_type="datetime")
+        for name, colour in zip(names, COMPONENTS, strict=False):
+            own = daily.sel(parameter=name)
+            prior = float(own["prior"])
+            value, sigma = (own["value"].values - prior) * factor, own["sigma"].values * factor
+            known = own["determined"].values
+            label = name.partition("[")[2].rstrip("]") or part.replace("_", " ")
+            # The prior's width is no measurement, and would flatten what was measured.
+            error_bars(plot, middle[known], value[known], sigma[known], colour, 0.4)
+            fill = np.where(known, 1.0, 0.0)
+            plot.scatter(middle, value, color=colour, fill_alpha=fill, size=5, legend_label=label)
+            level = (used["value"].sel(parameter=name).values - prior) * factor
+            plot.segment(start, level, end, level, color=colour, line_width=2, alpha=0.8)
+        legend_below(plot)
+        plots.append(plot)
+    return plots
 
 
 #: A ratio this many sigmas above 1 is drawn in red.
-_TELLING = 3.0
+_SIGNIFICANT = 3.0
 
 
 def excess_scatter_figure(found: Sequence[ParameterScatter]) -> figure:
@@ -135,7 +126,7 @@ def excess_scatter_figure(found: Sequence[ParameterScatter]) -> figure:
     known = [index for index, one in enumerate(found) if np.isfinite(one.ratio) and one.ratio > 0]
     ratio = np.array([found[index].ratio for index in known])
     sigma = np.array([found[index].sigma_ratio * found[index].ratio for index in known])
-    far = [found[index].ratio > 1 + _TELLING * found[index].sigma_ratio for index in known]
+    far = [found[index].ratio > 1 + _SIGNIFICANT * found[index].sigma_ratio for index in known]
     shown = [names[index] for index in known]
     error_bars(plot, shown, ratio, np.minimum(sigma, 0.9 * ratio), AFTER, 0.5)
     plot.scatter(shown, ratio, size=8, color=[HIGHLIGHT if one else AFTER for one in far])
@@ -253,7 +244,7 @@ def ignored_effects_figure(found: CrossTalkTable) -> figure:
             "part": [
                 one / max(limit[found.units[place]], 1e-12) for one, place in zip(value, column, strict=True)
             ],
-            "told": [_two_digits(one) for one in value],
+            "text": [_two_digits(one) for one in value],
         }
     )
     mapper = LinearColorMapper(palette=DIVERGING, low=-1.4, high=1.4)
@@ -262,7 +253,7 @@ def ignored_effects_figure(found: CrossTalkTable) -> figure:
     plot.text(
         "x",
         "y",
-        text="told",
+        text="text",
         source=source,
         text_align="center",
         text_baseline="middle",
@@ -270,7 +261,7 @@ def ignored_effects_figure(found: CrossTalkTable) -> figure:
     )
     plot.xaxis.major_label_orientation = 0.7
     plot.grid.visible = False
-    plot.hover.tooltips = [("ignored", "@y"), ("shifts", "@x"), ("by", "@told")]
+    plot.hover.tooltips = [("ignored", "@y"), ("shifts", "@x"), ("by", "@text")]
     return plot
 
 
@@ -288,44 +279,6 @@ def _unit(name: str) -> tuple[float, str]:
 
 #: Points of a curve, and error bars drawn at most.
 _POINTS, _BARS = 400, 60
-
-
-def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor: float, unit: str) -> figure:
-    """Draw values of a table with error bars, and the trend with its band of one sigma, less the first value.
-
-    Parameters
-    ----------
-    fit : TrendFit
-    table : xarray.Dataset
-        dims interval, parameter: `value`, `sigma`, `start`, `end`.
-    parameters : list of str
-        At most three; all shown in `unit`, which is `factor` times their own.
-    """
-    title = "trend" if fit.origin is None else fit.origin.summary()
-    plot = plain_figure(f"Continuous parameters: {title}", "MJD (2000-01-01)", unit, width=560)
-    times = np.linspace(*fit.span, _POINTS).astype(np.int64)
-    value, sigma = fit.at(times)
-    middle = mjd2000(table["start"].values // 2 + table["end"].values // 2)
-    thin = slice(None, None, max(1, middle.size // _BARS))
-    for name, colour in zip(parameters, COMPONENTS, strict=False):
-        index = list(fit.trends).index(name)
-        base = value[0, index]
-        shown = (table["value"].sel(parameter=name).values - base) * factor
-        bars = table["sigma"].sel(parameter=name).values * factor
-        error_bars(plot, middle[thin], shown[thin], bars[thin], colour, 0.35)
-        plot.scatter(middle, shown, color=colour, size=3, alpha=0.4)
-        label = f"{name.rsplit('[', maxsplit=1)[-1].rstrip(']')}: {fit.trends[name].time}"
-        curve = (value[:, index] - base) * factor
-        error_band(plot, mjd2000(times), curve, sigma[:, index] * factor, colour)
-        plot.line(
-            mjd2000(times),
-            curve,
-            color=colour,
-            line_width=2,
-            legend_label=f"{label}: {fit.trends[name].time}",
-        )
-    legend_below(plot)
-    return plot
 
 
 def comparison_figure(found: TrendComparison) -> figure:
@@ -369,9 +322,9 @@ def parameter_spectrum_figure(found: ParameterSpectrum, title: str) -> figure:
             location=one.period, dimension="height", line_color=REFERENCE, line_dash=dash, line_alpha=0.5
         )
         plot.add_layout(mark)
-    told = [one for one in found.peaks if one.label]
-    new = [one for one in found.peaks if not one.label]
-    for peaks, colour, label in ((told, AFTER, "named"), (new, HIGHLIGHT, "unnamed")):
+    named = [one for one in found.peaks if one.label]
+    unnamed = [one for one in found.peaks if not one.label]
+    for peaks, colour, label in ((named, AFTER, "named"), (unnamed, HIGHLIGHT, "unnamed")):
         x, y = [one.period for one in peaks], [one.amplitude for one in peaks]
         if peaks:
             plot.scatter(x, y, color=colour, size=8, legend_label=label)
@@ -393,8 +346,8 @@ def running_means_figure(mjd: Floats, value: Floats, means: Sequence[RunningMean
 
 def hysteresis_figure(found: HysteresisLoop, title: str) -> figure:
     """Draw a parameter against temperature on the rising and the falling branch."""
-    told = f"{title}: area {found.area:.3g} +- {found.sigma:.2g} {found.unit} K"
-    plot = plain_figure(told, "temperature (degC)", found.unit, width=470)
+    title = f"{title}: area {found.area:.3g} +- {found.sigma:.2g} {found.unit} K"
+    plot = plain_figure(title, "temperature (degC)", found.unit, width=470)
     branches = (
         (found.rising, found.sigma_rising, BEFORE, "rising"),
         (found.falling, found.sigma_falling, AFTER, "falling"),

@@ -89,7 +89,8 @@ def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
     limit = float(np.quantile(values, _SPANNED)) if values.size else 0.0
     limit = max(limit, 1e-6)
     label = f"{found.coordinate.replace('_', ' ')} ({found.unit})"
-    start, end = (_milliseconds(edge) for edge in found.span)
+    # Bokeh's axes of time count milliseconds of UTC since 1970.
+    start, end = to_utc(np.array(found.span)).astype("datetime64[ms]").astype(np.float64).tolist()
     plots = []
     pair = [("before", found.before), ("after", found.after)]
     for title, map_ in pair if changed else [("now", found.before)]:
@@ -121,8 +122,3 @@ def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
             plot.add_layout(bar, "right")
         plots.append(plot)
     return plots
-
-
-def _milliseconds(tt2000: int) -> float:
-    """Return what Bokeh's axes of time count in: milliseconds of UTC since 1970."""
-    return float(to_utc(tt2000).astype("datetime64[ms]").astype(np.int64))

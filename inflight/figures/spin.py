@@ -1,7 +1,7 @@
 """Figures of a spinning sensor: its parameters over days, its estimates, and the tones of its residual.
 
-Takes: tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`SubintervalEstimates`), and the
-tones and what they depend on of `inflight.spin.residual`. Makes: bokeh figures. `estimates_figure` and
+Takes tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`SubintervalEstimates`), and the
+tones and their dependences (`inflight.spin.residual`); makes Bokeh figures. `estimates_figure` and
 `uncertainty_figure` are figures 3 and 2 (c to f) of Plaschke et al. (2019).
 """
 
@@ -30,7 +30,6 @@ from inflight.figures.style import (
     place_legend,
     plain_figure,
 )
-from inflight.samples import Complex
 from inflight.spin import ROW_NAMES, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
 from inflight.time import Int64, to_utc
 
@@ -82,17 +81,13 @@ def _days_panel(table: xr.Dataset, selected: tuple[Floats, Floats], name: str) -
         plot.scatter(when, value[known], color=colour, size=5, legend_label=label)
     used = row["value"].values - prior
     plot.segment(to_utc(start), used, to_utc(end), used, color=HIGHLIGHT, line_width=2, legend_label="in use")
-    _level(plot, used, own, to_utc(start[:1]), to_utc(end[-1:]))
+    values = np.concatenate([used, own[np.isfinite(own)]])
+    # The pre-flight value is drawn where it does not press everything else together.
+    if np.abs(values).min() <= _FAR * float(np.ptp(values)):
+        ends = to_utc(start[:1]), [0.0], to_utc(end[-1:]), [0.0]
+        plot.segment(*ends, color=REFERENCE, line_dash="dashed", legend_label="pre-flight")
     legend_below(plot)
     return plot
-
-
-def _level(plot: figure, used: Floats, own: Floats, start: Any, end: Any) -> None:
-    """Draw the pre-flight value where it does not press everything else together."""
-    values = np.concatenate([used, own[np.isfinite(own)]])
-    reach = float(np.ptp(values))
-    if np.abs(values).min() <= _FAR * reach:
-        plot.segment(start, [0.0], end, [0.0], color=REFERENCE, line_dash="dashed", legend_label="pre-flight")
 
 
 def zero_drift_figure(table: xr.Dataset, rate: dict[str, tuple[float, float]]) -> figure:
@@ -243,7 +238,7 @@ class SubintervalEstimates:
 
     @classmethod
     def of(cls, found: Selection) -> SubintervalEstimates:
-        """Return the cloud of a selection."""
+        """Return the estimates of a selection."""
         one = found.estimates
         return cls(
             one.start,
@@ -262,7 +257,7 @@ def estimates_figure(selection: SubintervalEstimates, joint: tuple[Floats, Float
 
     Parameters
     ----------
-    selection : Cloud
+    selection : SubintervalEstimates
         Chosen estimates are drawn in red, their mean as a line; the threshold is a dotted one.
     joint : tuple of (ndarray (8,), ndarray (8,)), optional
         Value and sigma of the joint estimate, drawn as a dashed line.
@@ -328,19 +323,22 @@ def uncertainty_figure(selection: SubintervalEstimates) -> Any:
         ("elevation[1]", "elevations (rad)"),
     ):
         at = SPIN_RELATED.index(name)
-        panels.append(_time_panel(hours, selection.uncertainty[:, at], selection.chosen[:, at], title))
+        uncertainty, chosen = selection.uncertainty[:, at], selection.chosen[:, at]
+        plot = plain_figure(
+            title,
+            "time (UTC)",
+            "uncertainty",
+            width=820,
+            height=190,
+            x_axis_type="datetime",
+            y_axis_type="log",
+        )
+        known = np.isfinite(uncertainty) & (uncertainty > 0.0)
+        for which, colour in ((known & ~chosen, BEFORE), (known & chosen, HIGHLIGHT)):
+            source = ColumnDataSource({"x": hours[which], "y": uncertainty[which]})
+            plot.scatter("x", "y", source=source, color=colour, size=3)
+        panels.append(plot)
     return gridplot([[panel] for panel in panels], toolbar_location="above", merge_tools=True)
-
-
-def _time_panel(hours: Any, uncertainty: Floats, chosen: Any, title: str) -> figure:
-    plot = plain_figure(
-        title, "time (UTC)", "uncertainty", width=820, height=190, x_axis_type="datetime", y_axis_type="log"
-    )
-    known = np.isfinite(uncertainty) & (uncertainty > 0.0)
-    for which, colour in ((known & ~chosen, BEFORE), (known & chosen, HIGHLIGHT)):
-        source = ColumnDataSource({"x": hours[which], "y": uncertainty[which]})
-        plot.scatter("x", "y", source=source, color=colour, size=3)
-    return plot
 
 
 #: Points of a curve over time: more intervals are drawn as medians of several.
@@ -387,20 +385,15 @@ def mean_turn_figure(before: ToneDependence | None, after: ToneDependence | None
         for one, (label, colour) in zip((before, after), _STATES, strict=True):
             if one is None:
                 continue
-            curve, sigma = _turn(one.mean[0], one.sigma[0], row, np.deg2rad(phase))
+            tones = [tone for tone, (which, _) in enumerate(TONES) if which == row]
+            waves = [one.mean[0, at] * np.exp(-1j * TONES[at][1] * np.deg2rad(phase)) for at in tones]
+            curve = np.sum(np.real(waves), axis=0)
+            sigma = np.full(phase.size, np.sqrt(np.sum(one.sigma[0, tones] ** 2) / 2.0))
             error_band(plot, phase, curve, sigma, colour)
             plot.line(phase, curve, color=colour, line_width=2, legend_label=label)
         legend_below(plot)
         plots.append(plot)
     return gridplot([plots], toolbar_location="above", merge_tools=True)
-
-
-def _turn(mean: Complex, sigma: Floats, row: int, phase: Floats) -> tuple[Floats, Floats]:
-    """Return a row over a turn from its tones, and its sigma."""
-    mine = [tone for tone, (which, _) in enumerate(TONES) if which == row]
-    curve = sum(np.real(mean[tone] * np.exp(-1j * TONES[tone][1] * phase)) for tone in mine)
-    spread = float(np.sqrt(np.sum(sigma[mine] ** 2) / 2.0))
-    return np.asarray(curve), np.full(phase.size, spread)
 
 
 def tone_dependence_figure(found: ToneDependence, tone: int) -> figure:

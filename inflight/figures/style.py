@@ -112,19 +112,19 @@ _KIND = {"field": "", "rate": "rate of ", "scale": "scale by "}
 
 
 def short_name(name: str) -> str:
-    """Return the name of a candidate as a person says it: ``battery_current, lag 40 s``."""
+    """Return the name of a candidate in readable form: ``battery_current, lag 40 s``."""
+
+    def time(stamp: re.Match[str]) -> str:
+        """Return a time with as much of the clock as it needs."""
+        seconds = stamp[4] if stamp[4] not in (None, ":00") else ""
+        clock = f" {stamp[3]}{seconds}" if seconds or stamp[3] != "00:00" else ""
+        return f"{' ' if stamp[1] == '@' else ' to '}{stamp[2]}{clock}"
+
     found = _FIELD.match(name)
-    said = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
-    said = _LAG.sub(lambda lag: f", lag {format_period(float(lag[1]))}", said)
-    said = _PLAY_WIDTH.sub(lambda width: f", width {float(width[1]):g}", said)
-    return _STAMP.sub(_told_stamp, said)
-
-
-def _told_stamp(stamp: re.Match[str]) -> str:
-    """Return a time with as much of the clock as it needs."""
-    seconds = stamp[4] if stamp[4] not in (None, ":00") else ""
-    clock = f" {stamp[3]}{seconds}" if seconds or stamp[3] != "00:00" else ""
-    return f"{' ' if stamp[1] == '@' else ' to '}{stamp[2]}{clock}"
+    text = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
+    text = _LAG.sub(lambda lag: f", lag {format_period(float(lag[1]))}", text)
+    text = _PLAY_WIDTH.sub(lambda width: f", width {float(width[1]):g}", text)
+    return _STAMP.sub(time, text)
 
 
 def short_parameter(name: str) -> str:
@@ -146,5 +146,5 @@ def bare_parameter(name: str) -> str:
 
 
 def unique_labels(names: Sequence[str]) -> list[str]:
-    """Return the names, those that come again with marks that are not seen: axes of names want each once."""
+    """Return the names, repeated ones with invisible marks: an axis of names needs each one once."""
     return [name + "\u200b" * list(names[:place]).count(name) for place, name in enumerate(names)]

@@ -1,9 +1,9 @@
-"""What is left of a comparison after the model, measured: size, noise, spectrum, lines, what it follows.
+"""What a model leaves of a comparison, measured: size, noise, spectrum, lines, and what the residual follows.
 
-In go residuals (in nT, at equal steps with gaps), the direction of the field, and coordinates; out come sizes
-and noise floors (`noise`), power densities (`spectrum`), lines with known periods named (`lines`), the
-waveform of what repeats (`waveform`), and dependences on any coordinate with errors between blocks and words
-(`dependence`); `channel_steps` finds steps and levels of housekeeping. Open `dependence` first.
+In go residuals (nT, at equal steps with gaps as NaN), the direction of the field, and coordinates; out come
+sizes and noise floors (``noise.py``), power densities (``spectrum.py``), lines with known periods named
+(``lines.py``), the waveform of what repeats (``waveform.py``), and dependences on any coordinate with errors
+between blocks (``dependence.py``, open this first); ``channel_steps.py`` finds steps of housekeeping.
 """
 
 import lazy_loader

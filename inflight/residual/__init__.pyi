@@ -28,7 +28,6 @@ from .dependence import (
     select_successively,
 )
 from .lines import (
-    KnownPeriods,
     Line,
     drawn_periods,
     find_lines,
@@ -64,7 +63,7 @@ from .spectrum import (
     stretch_power,
     thin_spectrum,
 )
-from .waveform import Waveform, fold, shape_of, steps_of, waveform_of
+from .waveform import Waveform, fold, shape_of, waveform_of
 
 __all__ = [
     "DEPENDENCES",
@@ -80,7 +79,6 @@ __all__ = [
     "Curve",
     "Dependence",
     "FieldResponse",
-    "KnownPeriods",
     "Line",
     "NoiseFloor",
     "ParameterScatter",
@@ -123,7 +121,6 @@ __all__ = [
     "select_successively",
     "shape_of",
     "size_of",
-    "steps_of",
     "stretch_power",
     "strongest_new",
     "thin_spectrum",

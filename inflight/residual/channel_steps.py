@@ -126,16 +126,13 @@ def clean_readings(stamps: Int64, current: Floats, resolution: float | None = No
         )
     if np.any(np.diff(times) <= 0):
         raise SamplesError("times of the current do not rise", remedy="sort them and drop duplicates")
-    kept = ~_spikes(values, STEP_SIGNIFICANCE * np.sqrt(2.0) * channel_noise(values, resolution)[0])
-    return times[kept], values[kept]
-
-
-def _spikes(values: Floats, limit: float) -> npt.NDArray[np.bool_]:
-    """Return single readings that leave their neighbours' level and come back to it."""
+    # Single readings that leave their neighbours' level and come back to it are dropped.
+    limit = STEP_SIGNIFICANCE * np.sqrt(2.0) * channel_noise(values, resolution)[0]
     ahead, behind = np.diff(values)[:-1], np.diff(values)[1:]
     out_and_back = np.minimum(np.abs(ahead), np.abs(behind))
-    alone = (out_and_back > limit) & (np.abs(ahead + behind) < 0.5 * out_and_back)
-    return np.concatenate([[False], alone, [False]])
+    kept = np.ones(values.size, dtype=bool)
+    kept[1:-1] = (out_and_back <= limit) | (np.abs(ahead + behind) >= 0.5 * out_and_back)
+    return times[kept], values[kept]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +293,12 @@ def find_steps(
     fast = (np.abs(change) > np.maximum(significance * usual, STEPS.rest * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)
     channel = _Readings(seconds, values, noise, longest, window)
-    fitted = [_fit_step(channel, _around(runs, i, seconds.size), run) for i, run in enumerate(runs)]
+    # A run's own readings: from the end of the run before it to the start of the next.
+    low = [0, *(last for _, last in runs)]
+    high = [*(first + 1 for first, _ in runs[1:]), seconds.size]
+    fitted = [
+        _fit_step(channel, own, run) for own, run in zip(zip(low, high, strict=False), runs, strict=False)
+    ]
     kept = [
         one
         for one in fitted
@@ -341,13 +343,6 @@ def _runs(change: Floats, fast: npt.NDArray[np.bool_], lag: int) -> list[tuple[i
     return runs
 
 
-def _around(runs: list[tuple[int, int]], index: int, count: int) -> tuple[int, int]:
-    """Return the readings, half-open, that are a run's own: from the end of the last to the next's start."""
-    low = runs[index - 1][1] if index else 0
-    high = runs[index + 1][0] + 1 if index + 1 < len(runs) else count
-    return low, high
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Step:
     first: float
@@ -360,7 +355,7 @@ class _Step:
 
 @dataclass(frozen=True)
 class _Readings:
-    """The channel's readings, s and its unit, and what is asked of a step."""
+    """The readings of a channel (s, its unit), their noise, and limits of a step (s)."""
 
     seconds: Floats
     values: Floats

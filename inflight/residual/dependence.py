@@ -6,11 +6,12 @@ field, a channel. All of them rest on one fit, `BinnedFit`: in each bin of the c
 solution b of ``y = A b``, where A is one (a mean), the field's direction (a field along each axis) or a
 channel's own tone.
 
-Uncertainties are jackknives over blocks of time (Efron, 1982): samples of a block are not independent, blocks
-are. An amplitude is the rms over bins less what noise makes of it. A structure counts when it stands out by
-five sigma and exceeds *chance*: what the same coordinate of another part of the record explains of the
-residual without the structure. The structures of a residual are taken one after the other, the largest first
-(`successive`): coordinates move together, and what one structure leaves in twenty of them is reported once.
+Uncertainties are jackknives over blocks of time (Efron, 1982): samples of a block are not independent,
+blocks are. An amplitude is the rms over bins less what noise makes of it. A structure counts when it stands
+out by five sigma and exceeds *chance*: what the same coordinate of another part of the record explains of
+the residual without the structure. The structures of a residual are taken one after the other, the largest
+first (`select_successively`): coordinates move together, and what one structure leaves in twenty of them is
+reported once.
 """
 
 from __future__ import annotations
@@ -668,11 +669,6 @@ def _field_curves(
     }
 
 
-def strongest_dependences(found: Sequence[Dependence], count: int = DEPENDENCES.count) -> list[Dependence]:
-    """Return the dependences that stand out by five sigma, largest first."""
-    return sorted((one for one in found if one.is_clear), key=lambda one: -one.amplitude)[:count]
-
-
 def select_successively(
     residual: Residual,
     measure: Callable[[Residual], list[Structure]],
@@ -798,37 +794,26 @@ class RankedDependence:
     @property
     def sentence(self) -> str:
         """The structure as a sentence: what, how large, along which axis, and what could make it."""
-        opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
-        meaning = _MEANING.get(self.kind, _OTHERWISE)
-        return (
-            f"{opening} follows {self.coordinate} with {self.amplitude:.3f} +- {self.sigma:.3f} nT rms"
-            f"{self._extremes()}{self._along()}{self._loop()}; it could be {meaning}."
-        )
-
-    def _extremes(self) -> str:
-        found = self.dependence
-        low, high = int(np.nanargmin(found.mean)), int(np.nanargmax(found.mean))
+        found, loop = self.dependence, self.dependence.loop
         unit = f" {found.unit}" if found.unit not in ("", "1") else ""
         ends = [
             f"{found.mean[at]:+.3f} +- {found.sigma[at]:.3f} nT near {found.centre[at]:.4g}{unit}"
-            for at in (low, high)
+            for at in (int(np.nanargmin(found.mean)), int(np.nanargmax(found.mean)))
         ]
-        return f" ({ends[0]}, {ends[1]})"
-
-    def _along(self) -> str:
-        if not self.axis or self.response is None:
-            return ", along no axis more than another"
-        index = "xyz".index(self.axis)
-        amplitude, sigma = self.response.amplitude[index], self.response.sigma_amplitude[index]
-        return f", as a field along {self.axis} of {amplitude:.3f} +- {sigma:.3f} nT would make it"
-
-    def _loop(self) -> str:
-        loop = self.dependence.loop
-        if loop is None or not loop.is_open:
-            return ""
+        along, branches = ", along no axis more than another", ""
+        if self.axis and self.response is not None:
+            index = "xyz".index(self.axis)
+            amplitude, sigma = self.response.amplitude[index], self.response.sigma_amplitude[index]
+            along = f", as a field along {self.axis} of {amplitude:.3f} +- {sigma:.3f} nT would make it"
+        if loop is not None and loop.is_open:
+            branches = (
+                f"; rising and falling differ by {loop.opening:.3f} +- {loop.sigma_opening:.3f} nT "
+                "(hysteresis, or a slow response)"
+            )
         return (
-            f"; rising and falling differ by {loop.opening:.3f} +- {loop.sigma_opening:.3f} nT "
-            "(hysteresis, or a slow response)"
+            f"{'The residual' if self.rank == 0 else 'Beyond that, the residual'} follows {self.coordinate} "
+            f"with {self.amplitude:.3f} +- {self.sigma:.3f} nT rms ({ends[0]}, {ends[1]}){along}{branches}; "
+            f"it could be {_MEANING.get(self.kind, _OTHERWISE)}."
         )
 
 
@@ -857,7 +842,7 @@ def rank_dependences(
     coordinates : mapping of str to Coordinate
         By name.
     found : list of Dependence
-        Of the whole residual, as `measure` returns them.
+        Of the whole residual, as `measure_dependences` returns them.
     residual : ndarray, shape (sample,)
         nT.
     direction : ndarray, shape (sample, 3)
@@ -877,8 +862,16 @@ def rank_dependences(
         return axis_response(one.name, one.unit, one.values, of, direction, block, bins)
 
     def removed(of: Floats, best: Dependence) -> Floats:
-        one = coordinates[best.coordinate]
-        return of - _fitted(best, one, of, response(of, best), direction, block)
+        """Return the residual without a structure: its field along the axes, and its mean curve beyond."""
+        one, along = coordinates[best.coordinate], response(of, best)
+        fitted = np.zeros_like(of)
+        if along is not None and along.axis:
+            curves = [np.interp(one.values, along.centre, along.field[:, axis]) for axis in range(3)]
+            fitted = np.nan_to_num(np.einsum("at,ta->t", np.array(curves), direction))
+            best = _dependence_on(one, of - fitted, block, rising=False) or best
+        met = np.isfinite(best.mean)
+        curve = np.nan_to_num(np.interp(one.values, best.centre[met], best.mean[met]))
+        return np.asarray(of - (fitted + curve))
 
     def chance(rest: Floats, best: Dependence) -> float:
         one = coordinates[best.coordinate]
@@ -900,21 +893,3 @@ def rank_dependences(
         RankedDependence(best, response(of, best), coordinates[best.coordinate].kind, rank)
         for rank, (best, of, _, _, _) in enumerate(structures)
     ]
-
-
-def _fitted(
-    best: Dependence,
-    one: Coordinate,
-    residual: Floats,
-    response: AxisResponse | None,
-    direction: Floats,
-    block: Ints,
-) -> Floats:
-    """Return what a structure makes of the residual: its field along the axes, and its mean curve beyond."""
-    fitted = np.zeros_like(residual)
-    if response is not None and response.axis:
-        curves = [np.interp(one.values, response.centre, response.field[:, axis]) for axis in range(3)]
-        fitted = np.nan_to_num(np.einsum("at,ta->t", np.array(curves), direction))
-        best = _dependence_on(one, residual - fitted, block, rising=False) or best
-    met = np.isfinite(best.mean)
-    return np.asarray(fitted + np.nan_to_num(np.interp(one.values, best.centre[met], best.mean[met])))

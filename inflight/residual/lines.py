@@ -247,7 +247,7 @@ class KnownPeriods:
         for name, seconds in known.items():
             base = 1.0 / seconds
             if name.startswith("orbit"):
-                found |= {_sided(name, turn, "/day"): base + turn / _DAY_S for turn in turns}
+                found |= {_sideband_name(name, turn, "/day"): base + turn / _DAY_S for turn in turns}
                 continue
             count = settings.stated_harmonics
             if name.startswith("day"):
@@ -260,7 +260,10 @@ class KnownPeriods:
                 multiple = name if times == 1 else f"{name}/{times}"
                 # A multiple that is named among the known ones is not made a second time.
                 if times == 1 or multiple not in own:
-                    found |= {_sided(multiple, side, "/orbit"): times * base + side * orbit for side in sides}
+                    found |= {
+                        _sideband_name(multiple, side, "/orbit"): times * base + side * orbit
+                        for side in sides
+                    }
         frequency = np.array(list(found.values()))
         wide = coarse & (frequency > 30 * orbit) if orbit else np.zeros(frequency.size, dtype=bool)
         width = np.where(wide, settings.split, settings.apart) * step
@@ -273,7 +276,7 @@ class KnownPeriods:
         return self.names[best] if away.size and away[best] <= self.width[best] else ""
 
 
-def _sided(name: str, side: int, unit: str) -> str:
+def _sideband_name(name: str, side: int, unit: str) -> str:
     return name if side == 0 else f"{name} {'+' if side > 0 else '-'} {abs(side)}{unit}"
 
 
@@ -294,7 +297,7 @@ def find_lines(
     known : mapping of str to float
         Periods by name, s.
     shortest, longest : float
-        Periods looked at, s.
+        Range of periods, s.
     most : int
         Lines returned at most of each sort, largest first.
 
@@ -374,7 +377,7 @@ def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]
                     whole = period if times == 1 else f"({period})/{times}"
                     if side == 0:
                         return f"multiple: {whole}"
-                    return f"sideband: {_sided(whole, side, '/orbit')}"
+                    return f"sideband: {_sideband_name(whole, side, '/orbit')}"
     return ""
 
 
@@ -443,26 +446,30 @@ def resolve_lines(
     at = np.clip(np.round(frequency / power.step).astype(np.int64) - 1, 0, background.size - 1)
     # White noise of this variance a row has the background's density.
     noise = background[at] * power.frequency[-1]
-    taken = _taken(gram, right, noise, settings.chance)
-    found = [_resolved(lines, gram, right, noise, taken, place) for place in range(len(taken))]
-    found = [_unless_alone(line, found, settings) for line in found]
+    taken = _select_lines(gram, right, noise, settings.chance)
+    found = [_line_of_fit(lines, gram, right, noise, taken, place) for place in range(len(taken))]
+    found = [_check_daily_name(line, found, settings) for line in found]
     return [_as_multiple(line, found[:place], power.step, settings) for place, line in enumerate(found)]
 
 
-def _unless_alone(line: Line, found: Sequence[Line], settings: LineSettings) -> Line:
+def _check_daily_name(line: Line, found: Sequence[Line], settings: LineSettings) -> Line:
     """Take off a name that is due to the Earth's turn where lines nearer to the orbit's own are too weak.
 
     The field's harmonics make lines of the orbit split by once, twice, ... a day, and the first ones
     are the strong ones: a line at four times a day without them is something else.
     """
-    base, side = _turns(line)
+    base, side = _daily_sideband(line)
     if abs(side) < settings.far:
         return line
-    nearer = [one.strength for one in found if _turns(one)[0] == base and abs(_turns(one)[1]) < abs(side)]
+    nearer = [
+        one.strength
+        for one in found
+        if _daily_sideband(one)[0] == base and abs(_daily_sideband(one)[1]) < abs(side)
+    ]
     return line if max(nearer, default=0.0) > settings.family * line.strength else replace(line, label="")
 
 
-def _turns(line: Line) -> tuple[str, int]:
+def _daily_sideband(line: Line) -> tuple[str, int]:
     """Return the orbit's line that a line is a sideband of, and by how many times a day."""
     parts = line.label.split(" ")
     if len(parts) != 3 or not parts[2].endswith("/day"):
@@ -502,8 +509,8 @@ def _line_equations(
     return gram, right
 
 
-def _taken(gram: Floats, right: Floats, noise: Floats, chance: float) -> list[int]:
-    """Return the lines that are taken one after the other."""
+def _select_lines(gram: Floats, right: Floats, noise: Floats, chance: float) -> list[int]:
+    """Return which lines are taken, one after the other: each explains most of what the others leave."""
     count = noise.size
     limit = float(stats.chi2.isf(chance / count, 6))
     own = [gram[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(count)]
@@ -530,7 +537,7 @@ def _solved(gram: Floats, right: Floats) -> Floats:
     return np.asarray(np.linalg.solve(gram + ridge * np.eye(len(gram)), right))
 
 
-def _resolved(
+def _line_of_fit(
     lines: Sequence[Line], gram: Floats, right: Floats, noise: Floats, taken: list[int], place: int
 ) -> Line:
     """Return one taken line with the amplitudes of the common fit."""
@@ -567,7 +574,7 @@ def record_lines(
     known : mapping of str to float
         Periods by name, s.
     shortest : float
-        Shortest period looked at, s.
+        Shortest period, s.
     """
     power = record_power(*record, step, settings)
     if power is None:

@@ -112,7 +112,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     cadence : float
         Seconds between samples.
     working : float, optional
-        Seconds of the means that the level is asked for; the cadence itself when absent. White
+        Seconds of the means that the level refers to; the cadence itself when absent. White
         noise falls with the square root of the samples in a mean.
 
     Returns
@@ -199,9 +199,12 @@ def _segment_powers(values: Floats) -> Floats | None:
     count = int(finite.sum())
     if count < NOISE.fewest:
         return None
+    sums = np.concatenate([[0], np.cumsum(finite)])
     for length in NOISE.lengths:
         stride = length // 2 if length > 64 else length // 4
-        whole = _whole_starts(finite, length, stride)
+        starts = np.arange(0, max(finite.size - length + 1, 0), stride)
+        # Where segments without a gap begin.
+        whole = starts[sums[starts + length] - sums[starts] == length]
         spans = whole.size * stride / length
         shortest = length == NOISE.lengths[-1]
         long_enough = shortest or whole.size * stride >= NOISE.enough * count
@@ -210,24 +213,12 @@ def _segment_powers(values: Floats) -> Floats | None:
             _, power = signal.periodogram(
                 signal.detrend(parts, axis=1), window="hann", detrend=False, return_onesided=False, axis=1
             )
-            return _quiet(np.asarray(power[:, : length // 2 + 1]))
+            power = np.asarray(power[:, : length // 2 + 1])
+            # Segments with a burst in them are left out.
+            loud = power[:, _first(power) :].mean(axis=1)
+            usual = float(np.median(loud))
+            return power[loud <= NOISE.loud * usual] if usual > 0 else power
     return None
-
-
-def _whole_starts(finite: npt.NDArray[np.bool_], length: int, stride: int) -> npt.NDArray[np.int64]:
-    """Return where segments without a gap begin."""
-    if finite.size < length:
-        return np.empty(0, dtype=np.int64)
-    sums = np.concatenate([[0], np.cumsum(finite)])
-    starts = np.arange(0, finite.size - length + 1, stride)
-    return np.asarray(starts[sums[starts + length] - sums[starts] == length])
-
-
-def _quiet(power: Floats) -> Floats:
-    """Return the segments without a burst in them."""
-    loud = power[:, _first(power) :].mean(axis=1)
-    usual = float(np.median(loud))
-    return power[loud <= NOISE.loud * usual] if usual > 0 else power
 
 
 def _first(power: Floats) -> int:
@@ -385,7 +376,29 @@ def daily_scatter(
     inside &= begin >= start if start is not None else True
     inside &= begin < end if end is not None else True
     rows = own_estimates(daily.isel(interval=np.flatnonzero(inside)))
-    return [_scatter_of(rows.isel(parameter=index)) for index in range(daily.sizes["parameter"])]
+    found, nan = [], float("nan")
+    for index in range(daily.sizes["parameter"]):
+        one = rows.isel(parameter=index)
+        known = one["determined"].values & np.isfinite(one["sigma"].values) & np.isfinite(one["value"].values)
+        days = int(known.sum())
+        std = sigma = ratio = error = nan
+        if days >= NOISE.fewest_days:
+            std = float(np.std(one["value"].values[known], ddof=1))
+            sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
+            ratio = std / sigma if sigma > 0 else nan
+            error = float(1.0 / np.sqrt(2 * (days - 1)))
+        found.append(
+            ParameterScatter(
+                name=str(one["parameter"].values),
+                unit=str(one["units"].values) if "units" in one else "",
+                std=std,
+                sigma=sigma,
+                ratio=ratio,
+                sigma_ratio=error,
+                days=days,
+            )
+        )
+    return found
 
 
 def own_estimates(daily: xr.Dataset) -> xr.Dataset:
@@ -401,24 +414,4 @@ def own_estimates(daily: xr.Dataset) -> xr.Dataset:
         value=(dims, daily["own"].values),
         sigma=(dims, daily["own_sigma"].values),
         determined=(dims, estimated),
-    )
-
-
-def _scatter_of(one: xr.Dataset) -> ParameterScatter:
-    known = one["determined"].values & np.isfinite(one["sigma"].values) & np.isfinite(one["value"].values)
-    days, nan = int(known.sum()), float("nan")
-    std = sigma = ratio = error = nan
-    if days >= NOISE.fewest_days:
-        std = float(np.std(one["value"].values[known], ddof=1))
-        sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
-        ratio = std / sigma if sigma > 0 else nan
-        error = float(1.0 / np.sqrt(2 * (days - 1)))
-    return ParameterScatter(
-        name=str(one["parameter"].values),
-        unit=str(one["units"].values) if "units" in one else "",
-        std=std,
-        sigma=sigma,
-        ratio=ratio,
-        sigma_ratio=error,
-        days=days,
     )

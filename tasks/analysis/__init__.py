@@ -1,8 +1,9 @@
-"""What products and models tell of a mission: compare, diagnose, revise.
+"""Compare products with measurements, find the missing effect, revise the model.
 
-In go a catalog and a mission; out come the residual before and after (`compare`), the missing effect with
-its rivals (`diagnose`), and new versions of a model (`Workbench`). `gram_pass` looks at every day
-once; all else is algebra on what it stored. Open `comparing` or `diagnosis` first, then `revise`.
+In go a catalog and a mission with its archive; out come the residual before and after calibration
+(`compare`), a `Diagnosis` with rivals and values (`diagnose`) and its page (`report`), and new versions of a
+model (`Workbench`). Open ``diagnosis.py`` first: `make_pass` reads every day once into Gram blocks
+(``gram_pass.py``), and all that follows is algebra on these; then ``revise.py``.
 """
 
 import lazy_loader

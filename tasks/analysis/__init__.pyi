@@ -1,6 +1,6 @@
 from .comparing import compare, measure_comparison
-from .diagnosis import diagnose
-from .diagnosis_page import DiagnosisReport, diagnosis_sections, examine, report
+from .diagnosis import diagnose, examine
+from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import DiagnoseSettings, block_grams
 from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench, require_sampled
 

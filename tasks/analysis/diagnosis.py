@@ -1,19 +1,20 @@
 """Which physical effect is missing: plan, pass, search, verdict.
 
-Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`). The pieces are `plan_pass` (survey
-the span, linearise the model, decide what is tried), `make_pass` (make or find the Gram blocks),
-`begin_search` and `diagnosis_data` (what `inflight.diagnosis.conclude` takes).
+Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`), or with it everything its page shows
+(`examine`, the one set-up of both). The steps are `plan_pass` (survey the span, linearise the model, decide
+what is tried), `make_pass` (make or find the Gram blocks), `begin_search` and `diagnosis_data` (what
+`inflight.diagnosis.conclude` takes).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Day
 from inflight.design import BURSTS
 from inflight.diagnosis import (
     Diagnosis,
@@ -56,12 +57,9 @@ from inflight.tasks.archive import (
     resolves_spin,
 )
 from inflight.tasks.models import VersionedModel, current_model
-from inflight.tasks.pipelines import learns_states
+from inflight.tasks.pipelines import learns_states, units_of
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
-
-#: The span of a record of no more days is what was measured, not whole days; assumed.
-_SHORT_DAYS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,12 +102,44 @@ def diagnose(
     MissionError, ModelError, CatalogError, CalibrationError
         When there is nothing to work on, or the model does not fit the mission.
     """
+    return examine(cat, mission, start, end, settings, client=client, progress=progress).found
+
+
+class Examined(NamedTuple):
+    """A finished search, and all that its page is made from: arguments of `diagnosis_sections`."""
+
+    search: Search
+    data: DiagnosisData
+    found: Diagnosis
+    settings: DiagnoseSettings
+    #: Further lines of the page's ledger.
+    facts: Mapping[str, Any]
+
+
+def examine(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Examined:
+    """Diagnose a span and return with the result what it was made from; arguments are those of `diagnose`."""
     settings = settings or DiagnoseSettings()
+    report_progress = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    context, searches = diagnosis_data(made, mission), [begin_search(made, settings)]
-    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
+    report_progress("search", 0, 1)
+    search, data = begin_search(made, settings), diagnosis_data(made, mission)
+    facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
+    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    return conclude(searches.pop(), context)[0]
+    found, search = conclude(search, data)
+    report_progress("search", 1, 1)
+    units = units_of(cat, mission, settings.comparison, start, end)
+    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
+    return Examined(search, data, found, settings, facts)
 
 
 def make_pass(
@@ -124,51 +154,54 @@ def make_pass(
     used: VersionedModel | None = None,
     narrow: Callable[[PassPlan], PassPlan] | None = None,
 ) -> PassResult:
-    """Make or find the Gram blocks of a span and a model, the present one if none; narrow ones stay apart."""
-    tell = progress or (lambda stage, done, total: None)
-    made = plan_pass(cat, mission, settings, start, end, used, tell)
-    plan = narrow(made.plan) if narrow else made.plan
-    context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
+    """Make or find the Gram blocks of a span and a model, by default the present one.
+
+    Parameters
+    ----------
+    narrow : callable, optional
+        Makes of the plan one of fewer columns; its Gram blocks are stored in a dataset of their own.
+    """
+    report_progress = progress or (lambda stage, done, total: None)
+    planned = plan_pass(cat, mission, settings, start, end, used, report_progress)
+    plan = narrow(planned.plan) if narrow else planned.plan
+    context = cat.save_context(mission.text, planned.used.model.name, planned.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
-    run, blocks = make_blocks(
-        cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
-    )
-    loaded = load_grams(cat, plan, blocks)
-    if loaded.outliers.share > BURSTS.largest_share:
-        # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
-        plan = replace(plan, keep_bursts=True)
-        run, blocks = make_blocks(
-            cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
-        )
-        loaded = load_grams(cat, plan, blocks)
-        dataset = f"{dataset}-bursts"
-    seen = find_switchings(mission, plan, loaded.series)
-    if seen is not None:
-        # Rows at switchings are left out, and the levels between those that nobody recorded are free.
-        plan = replace(plan, stretches=stretches_between(seen, plan))
+
+    def make() -> tuple[str, Sequence[Day], Loaded]:
         run, blocks = make_blocks(
             cat,
             mission,
             plan,
-            made.index,
-            made.base,
+            planned.index,
+            planned.base,
             settings,
             context,
-            f"{dataset}-stretches",
+            dataset,
             client,
-            tell,
+            report_progress,
         )
-        loaded = load_grams(cat, plan, blocks)
-    failed = len(plan.blocks) - len(blocks)
+        return run, blocks, load_grams(cat, plan, blocks)
+
+    run, blocks, loaded = make()
+    if loaded.outliers.share > BURSTS.largest_share:
+        # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
+        plan, dataset = replace(plan, keep_bursts=True), f"{dataset}-bursts"
+        run, blocks, loaded = make()
+    switched = find_switchings(mission, plan, loaded.series)
+    if switched is not None:
+        # Rows at switchings are left out, and the levels between those that nobody recorded are free.
+        plan = replace(plan, stretches=stretches_between(switched, plan))
+        dataset = f"{dataset}-stretches"
+        run, blocks, loaded = make()
     return PassResult(
         plan=plan,
-        used=made.used,
-        survey=made.survey,
+        used=planned.used,
+        survey=planned.survey,
         loaded=loaded,
         context=context,
         run=run,
-        days_failed=failed,
-        switched=seen,
+        days_failed=len(plan.blocks) - len(blocks),
+        switched=switched,
     )
 
 
@@ -190,7 +223,7 @@ def plan_pass(
     start: DayLike | None = None,
     end: DayLike | None = None,
     used: VersionedModel | None = None,
-    tell: Progress = lambda stage, done, total: None,
+    report_progress: Progress = lambda stage, done, total: None,
 ) -> PlannedPass:
     """Survey the span, linearise the model, and decide what is tried.
 
@@ -211,8 +244,13 @@ def plan_pass(
         )
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
     folding = folding_of(mission, settings.comparison)
-    whole = len(days) > _SHORT_DAYS or folding is not None
-    span = _span(index, base, days, whole)
+    first, last = index.get(base, days[0]), index.get(base, days[-1])
+    assert first is not None
+    assert last is not None
+    # A short record ends with its samples, a longer one with its days.
+    span = first.first_tt2000, last.last_tt2000 + base.cadence_ns
+    if len(days) > PASS.short_days or folding is not None:
+        span = day_bounds(days[0])[0], day_bounds(days[-1])[1]
     # Bands and turns are lost on a coarser cadence.
     platform = folding is not None or mission.comparisons[settings.comparison].kind == "platform"
     native = max(need.cadence_ns for need in needs if need.channel == "field")
@@ -224,21 +262,11 @@ def plan_pass(
     reader = ChannelReader(
         cat, mission, channels, index, cadence, span, settings.comparison, by_levels=levels
     )
-    tell("survey", 0, 1)
+    report_progress("survey", 0, 1)
     found = survey(cat, mission, used.model, needs, index, days, reader)
-    tell("survey", 1, 1)
+    report_progress("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
     return PlannedPass(plan, index, base, used, found)
-
-
-def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:
-    """Return the first and the last TT2000 the record covers, or the bounds of its days."""
-    first, last = index.get(base, days[0]), index.get(base, days[-1])
-    assert first is not None
-    assert last is not None
-    if whole:
-        return day_bounds(days[0])[0], day_bounds(days[-1])[1]
-    return first.first_tt2000, last.last_tt2000 + base.cadence_ns
 
 
 def _plan(
@@ -294,13 +322,16 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
     """Return the first state of a search over a pass: nothing taken yet."""
     raw = made.loaded.raw
     days = _groups_of_blocks(raw.start, DAY)
+    if len(days) <= 2 and len(raw) >= 8:
+        # A record of one or two days is calibrated anew in each of its quarters.
+        days = [part.tolist() for part in np.array_split(np.arange(len(raw)), 4)]
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
     return Search.begin(
         raw,
         made.loaded.white,
         made.plan.library,
         intervals_of(made, settings),
-        _within_groups(days, len(raw)),
+        days,
         rules,
         made.loaded.within,
         time_variable=time_variable_columns(made.plan.library),
@@ -311,13 +342,6 @@ def _groups_of_blocks(start: Any, width: int) -> list[list[int]]:
     """Return blocks by consecutive spans of a length, from the first block's start."""
     place = (start - start[0]) // width
     return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
-
-
-def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
-    """Return the days; of a record of one or two days, its quarters."""
-    if len(days) > 2 or blocks < 8:
-        return days
-    return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
 
 
 def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]]:

@@ -1,9 +1,8 @@
-"""The page of a diagnosis: one HTML file that needs nothing but itself.
+"""The page of a diagnosis: one HTML file that needs no network.
 
-Takes a finished search and its context (`examine` makes them of a span); makes sections, each a heading,
-text that needs no script, and figures (`diagnosis_sections`), and the page of them (`report`): where the
-residual fails, what it follows, which effect explains it, how the error falls, what stands for what, the
-ledger.
+Takes a finished search with its data (`Examined`); makes sections, each a heading, text that needs no script,
+and figures (`diagnosis_sections`), and the page of them (`report`): where the residual fails, what it
+follows, which effect explains it, how the error falls, which parameters imitate each other, the ledger.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from inflight.diagnosis import (
     Signature,
     along_field,
     before_after,
-    conclude,
     cross_talk,
     epoch,
     heat_maps,
@@ -71,13 +69,8 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, fold, format_period
-from inflight.tasks.analysis.diagnosis import (
-    begin_search,
-    diagnosis_data,
-    make_pass,
-)
+from inflight.tasks.analysis.diagnosis import examine
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
@@ -89,7 +82,7 @@ _STATES = ("before", "after")
 # Fails here.
 
 
-def fails_here(seen: BeforeAfter) -> Section:
+def where_it_fails(seen: BeforeAfter) -> Section:
     """Return heat maps, and the residual against the field's direction."""
     plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
     note = [
@@ -111,31 +104,27 @@ def fails_here(seen: BeforeAfter) -> Section:
     )
 
 
-def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
+def what_it_follows(seen: BeforeAfter, found: Diagnosis) -> Section:
     """Return the responses to the channels of found effects and of the best candidates."""
-    found_ones = responses(seen, _channels(seen, found))
+    # Channels of found effects, then those of the best candidates.
+    there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
+    own = [name for one in found.effects for name in one.channels if name in there]
+    others = [name for one in found.candidates if not one["placebo"] for name in one["channels"]]
+    more = [name for name in dict.fromkeys(others) if name in there and name not in own]
+    channels = [*dict.fromkeys(own), *more[:_CHANNELS]]
     note = (
         "Field along each sensor axis that would make the residual follow the channel, fitted bin by bin, "
         "one scale a channel. Bars are one sigma between blocks; the grey band is what the same channel "
         "explains at six other times, so only what leaves it counts. Branches that part and meet again are "
         "a loop: hysteresis or a lag."
     )
-    plots = [plot for one in found_ones for plot in response_figures(one)]
+    plots = [plot for one in responses(seen, channels) for plot in response_figures(one)]
     return "What it follows", [paragraph(note, kind="quiet"), response_legend()] if plots else [], plots
 
 
-def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
-    """Return the channels of found effects, then those of the best candidates."""
-    there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
-    own = [name for one in found.effects for name in one.channels if name in there]
-    others = [name for one in found.candidates if not one["placebo"] for name in one["channels"]]
-    more = [name for name in dict.fromkeys(others) if name in there and name not in own]
-    return [*dict.fromkeys(own), *more[:_CHANNELS]]
-
-
-def spectrum(seen: BeforeAfter, context: DiagnosisData) -> Section:
+def spectrum(seen: BeforeAfter, data: DiagnosisData) -> Section:
     """Return the spectra along each axis before and after, with their lines."""
-    known = periods_of(context)
+    known = periods_of(data)
     after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
     before = None
     if seen.changed:
@@ -156,7 +145,7 @@ def spectrum(seen: BeforeAfter, context: DiagnosisData) -> Section:
 # Which effect.
 
 
-def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
+def which_effect(search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return the table of candidates and how their gains fall."""
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
@@ -168,7 +157,7 @@ def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Se
     )
     text = [
         paragraph(note, kind="quiet"),
-        candidate_table(found.candidates, trials(search, context, names), rivals),
+        candidate_table(found.candidates, trials(search, data, names), rivals),
         unscorable_list(found.unscorable),
     ]
     return "Which effect", [one for one in text if one], [gain_change_figure(found.candidates)]
@@ -177,11 +166,11 @@ def which_effect(search: Search, context: DiagnosisData, found: Diagnosis) -> Se
 # The error falls.
 
 
-def error_falls(seen: BeforeAfter, search: Search, context: DiagnosisData, found: Diagnosis) -> Section:
+def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
     sizes_nt = found.residual
     floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
-    steps = waterfall(search, context)
+    steps = waterfall(search, data)
     start, end = float(sizes_nt["held_out_before_nT"]), float(sizes_nt["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
@@ -212,23 +201,19 @@ def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
             plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
     signature: Signature | None = found.remaining.get("signature")
     if signature is not None and signature.period_s:
-        plots.append(_folded(seen, signature.period_s))
+        good, series = seen.good, seen.series
+        seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, seen.after.shape[1])
+        y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
+        curve = fold(seconds, y, u, signature.period_s)
+        plots.append(fold_figure(format_period(signature.period_s), *curve))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [paragraph(note, kind="quiet")] if plots else [], plots
-
-
-def _folded(seen: BeforeAfter, period: float) -> Any:
-    good, series = seen.good, seen.series
-    rows = seen.after.shape[1]
-    seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, rows)
-    y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-    return fold_figure(format_period(period), *fold(seconds, y, u, period))
 
 
 # Cross-talk.
 
 
-def stands_for(search: Search, found: Diagnosis) -> Section:
+def imitations(search: Search, found: Diagnosis) -> Section:
     """Return the correlations of parameters, and what ignored effects do to the calibration."""
     talk = cross_talk(search)
     if not talk.names:
@@ -311,50 +296,16 @@ def report(
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    tell = progress or (lambda stage, done, total: None)
-    tell("report", 0, 1)
+    report_progress = progress or (lambda stage, done, total: None)
+    report_progress("report", 0, 1)
     write_page(output, diagnosis_page(*examined))
-    tell("report", 1, 1)
+    report_progress("report", 1, 1)
     return DiagnosisReport(examined.found, output)
-
-
-class Examined(NamedTuple):
-    """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
-
-    search: Search
-    context: DiagnosisData
-    found: Diagnosis
-    settings: DiagnoseSettings
-    facts: Mapping[str, Any]
-
-
-def examine(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
-    settings: DiagnoseSettings | None = None,
-    *,
-    client: Any = None,
-    progress: Progress | None = None,
-) -> Examined:
-    """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
-    settings = settings or DiagnoseSettings()
-    tell = progress or (lambda stage, done, total: None)
-    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    tell("search", 0, 1)
-    context = diagnosis_data(made, mission)
-    found, search = conclude(begin_search(made, settings), context)
-    tell("search", 1, 1)
-    facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
-    units = units_of(cat, mission, settings.comparison, start, end)
-    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, context, found, settings, facts)
 
 
 def diagnosis_page(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -362,14 +313,14 @@ def diagnosis_page(
     """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
     raw = search.raw
     first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
-    name = f"{context.mission.mission}: what is missing from the model, {first} to {last}"
-    sections = diagnosis_sections(search, context, found, settings, facts)
-    return html_page(name, sections, context.mission.acknowledgement)
+    name = f"{data.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, data, found, settings, facts)
+    return html_page(name, sections, data.mission.acknowledgement)
 
 
 def diagnosis_sections(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -383,19 +334,19 @@ def diagnosis_sections(
     facts : mapping, optional
         More lines of the ledger.
     """
-    seen = before_after(search, context)
+    seen = before_after(search, data)
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
         ("Verdict", [strip, *found_effects(fields), *separating_blocks(fields)], []),
-        fails_here(seen),
-        follows(seen, found),
-        spectrum(seen, context),
-        which_effect(search, context, found),
-        error_falls(seen, search, context, found),
+        where_it_fails(seen),
+        what_it_follows(seen, found),
+        spectrum(seen, data),
+        which_effect(search, data, found),
+        error_falls(seen, search, data, found),
         shapes(seen, search, found),
-        stands_for(search, found),
-        _ledger(search, context, found, settings, facts or {}),
+        imitations(search, found),
+        _ledger(search, data, found, settings, facts or {}),
     ]
     return [section for section in sections if section[1] or section[2]]
 
@@ -405,27 +356,27 @@ def diagnosis_sections(
 
 def _ledger(
     search: Search,
-    context: DiagnosisData,
+    data: DiagnosisData,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any],
 ) -> Section:
     y = search.raw.residuals[search.residual]
-    data = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
+    digest = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
     rules = search.rules
     listed = {
-        "mission": context.mission.mission,
+        "mission": data.mission.mission,
         "comparison": found.comparison,
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
-        "samples left out": _left_out(found.outliers),
-        "cadence of the search": f"{context.cadence_s:g} s",
+        "samples left out": _outlier_text(found.outliers),
+        "cadence of the search": f"{data.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
         f"over the best placebo t > {rules.t:g}",
         "seed of the sign flips": rules.seed,
-        "sha256 of the data's products with the residual": data,
+        "sha256 of the data's products with the residual": digest,
         "run": found.run,
         "context": found.context,
         "software": f"inflight {__version__}",
@@ -439,7 +390,7 @@ def _ledger(
     return "Ledger", text, []
 
 
-def _left_out(outliers: Mapping[str, Any]) -> str:
+def _outlier_text(outliers: Mapping[str, Any]) -> str:
     """Return how many samples are not in the Gram blocks, and when the first bursts of them were."""
     if not outliers:
         return "none"

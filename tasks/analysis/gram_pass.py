@@ -144,6 +144,8 @@ class PassSettings:
         A channel whose values spread by less than this part of their size does not change: rounding.
     rows : int
         A short record is not thinned below so many rows; assumed.
+    short_days : int
+        The span of a record of no more days is what was measured, not whole days; assumed.
     longest_stretch_s : int
         A stretch between unexplained switchings is divided into these, s: offsets wander by hours; assumed.
     """
@@ -161,6 +163,7 @@ class PassSettings:
     cadences: tuple[tuple[float, float], ...] = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
     steady: float = 1e-9
     rows: int = 5000
+    short_days: int = 3
     longest_stretch_s: int = 3 * 3600
 
 
@@ -257,7 +260,7 @@ class PassPlan:
 
     @property
     def key(self) -> str:
-        """sha256 of everything but the archive that the evidence is made from."""
+        """sha256 of everything but the archive that the Gram blocks are made from."""
         parts = {
             "version": GRAM_VERSION,
             "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
@@ -275,80 +278,82 @@ class PassPlan:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def gram_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
-    """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
-    comparison = made.model.comparison
+def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
+    """Make the Gram blocks of a batch and write it as one segment; blocks go by their first day."""
+    comparison = plan.model.comparison
     reader = ChannelReader(
         cat,
         mission,
-        made.channel_needs,
+        plan.channel_needs,
         index,
-        made.cadence_ns,
-        made.span,
+        plan.cadence_ns,
+        plan.span,
         comparison,
         by_levels=learns_states(mission, comparison),
     )
-    derived = DerivedChannels(reader, made.days, made.channel_summaries, made.library.placebos)
-    days_of = {block[0]: block for block in made.blocks}
+    derived = DerivedChannels(reader, plan.days, plan.channel_summaries, plan.library.placebos)
+    days_of = {block[0]: block for block in plan.blocks}
     return make_days(
         cat,
         job,
-        lambda day: block_grams(cat, mission, made, index, derived, days_of[day]),
+        lambda day: block_grams(cat, mission, plan, index, derived, days_of[day]),
     )
 
 
 def block_grams(
     cat: Catalog,
     mission: Mission,
-    made: PassPlan,
+    plan: PassPlan,
     index: ArchiveIndex,
     derived: DerivedChannels,
     days: Sequence[np.datetime64],
 ) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return the evidence of a block of days (or of the blocks of a day), and sums over its samples."""
-    found = [_day_evidence(cat, mission, made, index, derived, day) for day in days]
+    """Return the Gram blocks of some days (or of the blocks of a day), and sums over its samples."""
+    found = [_day_grams(cat, mission, plan, index, derived, day) for day in days]
     raw, white, _, sums = found[0]
     total = dict(sums)
     for more_raw, more_white, _, more in found[1:]:
         raw, white = _sum_blocks(raw, more_raw), _sum_blocks(white, more_white)
         total = {name: total[name] + more[name] for name in total}
-    kept = [_as_recorded(one[2], derived.reader.day(day)) for one, day in zip(found, days, strict=True)]
-    series, features = _series(made, raw, kept)
+    series, features = _series(
+        plan, raw, [one[2] for one in found], [derived.reader.day(day) for day in days]
+    )
     dataset = raw.as_dataset().assign(gram_white=white.as_dataset()["gram"])
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
-    if made.within_blocks:
-        names = [name for term in made.library.base for name in term.columns]
+    if plan.within_blocks:
+        names = [name for term in plan.library.base for name in term.columns]
         inside = [one[0].marginalise(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
         within = inside[0]
         for more_raw in inside[1:]:
             within = _sum_blocks(within, more_raw)
         packed = within.as_dataset()["gram"].rename(entry="entry_within")
         dataset = dataset.assign(gram_within=packed)
-    return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
+    return dataset.assign_attrs(cadence_ns=plan.cadence_ns), total
 
 
-def _as_recorded(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
-    """Return rows whose channels are missing where they were not recorded, so that a series has it."""
-    samples = {
-        name: rows.samples[name].copy(data=values)
-        for name, values in recorded.items()
-        if name in rows.samples and rows.samples[name].shape == values.shape
-    }
-    return replace(rows, samples=rows.samples.assign(samples))
+def _series(
+    plan: PassPlan, raw: GramArrays, rows: Sequence[DesignRows], recorded: Sequence[Mapping[str, Floats]]
+) -> tuple[np.ndarray, Features]:
+    """Return the coarse series of a block (or of the blocks of a day), and what it holds.
 
-
-def _series(made: PassPlan, raw: GramArrays, rows: Sequence[DesignRows]) -> tuple[np.ndarray, Features]:
-    """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
-    plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
-    channels = list(dict.fromkeys([*made.channel_summaries, *plain, *GEOMETRY]))
-    features = features_of(rows[0], channels)
-    thinned = [thin_rows(one, features, made.series_step) for one in rows]
-    stamps = np.concatenate([one[0] for one in thinned])
-    values = np.concatenate([one[1] for one in thinned])
-    days = max(len(block) for block in made.blocks)
-    samples = -(-DAY // (made.cadence_ns * made.series_step)) * days // made.parts + 2
-    record = made.span[1] - made.span[0]
-    samples = min(samples, record // (made.cadence_ns * made.series_step) + 2)
+    Channels are NaN in it where they were not recorded.
+    """
+    own = []
+    for one, readings in zip(rows, recorded, strict=True):
+        shapes = {name: one.samples[name].shape for name in readings if name in one.samples}
+        known = [name for name, shape in shapes.items() if shape == readings[name].shape]
+        there = one.samples.assign({name: one.samples[name].copy(data=readings[name]) for name in known})
+        own.append(replace(one, samples=there))
+    plain = [name for name in plan.library.channels if name and not set(name) & set("@~*")]
+    channels = list(dict.fromkeys([*plan.channel_summaries, *plain, *GEOMETRY]))
+    features = features_of(own[0], channels)
+    thinned = [thin_rows(part, features, plan.series_step) for part in own]
+    stamps = np.concatenate([part[0] for part in thinned])
+    values = np.concatenate([part[1] for part in thinned])
+    days = max(len(block) for block in plan.blocks)
+    samples = -(-DAY // (plan.cadence_ns * plan.series_step)) * days // plan.parts + 2
+    record = plan.span[1] - plan.span[0]
+    samples = min(samples, record // (plan.cadence_ns * plan.series_step) + 2)
     return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
 
 
@@ -356,31 +361,31 @@ def _sum_blocks(one: GramArrays, other: GramArrays) -> GramArrays:
     return one.join([other]).merge([min(one.start[0], other.start[0]), max(one.end[-1], other.end[-1])])
 
 
-def _day_evidence(
+def _day_grams(
     cat: Catalog,
     mission: Mission,
-    made: PassPlan,
+    plan: PassPlan,
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[GramArrays, GramArrays, DesignRows, dict[str, Any]]:
-    rows, sums = day_rows(cat, mission, made, index, derived, day)
-    columns = design_matrix(made.library.all_terms, rows)
+    rows, sums = day_rows(cat, mission, plan, index, derived, day)
+    columns = design_matrix(plan.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
-    bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
+    bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // plan.parts) for part in range(plan.parts + 1)]
     parts = parts_of(stamps, bounds)
     residual = rows.residual[:, :, None]
     white = [
-        prewhiten(values, rows.weight, stamps, made.correlation_time_s) for values in (columns, residual)
+        prewhiten(values, rows.weight, stamps, plan.correlation_time_s) for values in (columns, residual)
     ]
     count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
-    names = (*made.library.columns, "residual")
+    names = (*plan.library.columns, "residual")
     common = (
         np.array(bounds[:-1], dtype=np.int64),
         np.array(bounds[1:], dtype=np.int64),
         count,
-        np.array([*made.scale, 1.0]),
+        np.array([*plan.scale, 1.0]),
     )
     return (
         GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common),
@@ -393,46 +398,42 @@ def _day_evidence(
 def day_rows(
     cat: Catalog,
     mission: Mission,
-    made: PassPlan,
+    plan: PassPlan,
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[DesignRows, dict[str, Any]]:
     """Return a day's rows on the library's cadence, and sums over its native samples."""
-    samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
-    native = rows_of(made.model, samples)
-    if made.stretches is not None:
-        lost = made.stretches.is_lost(samples["tt2000"].values)
+    samples = load_samples(cat, mission, plan.model, day, list(plan.needs), index, geometry=False)
+    native = rows_of(plan.model, samples)
+    if plan.stretches is not None:
+        lost = plan.stretches.is_lost(samples["tt2000"].values)
         native = replace(native, good=native.good & ~lost)
-    if made.folding is not None:
+    if plan.folding is not None:
         # What a sensor reads that turns in the steady field: effects are linearised there.
         steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
-        samples = samples.assign(vector=made.model.disturb(steady)["vector"])
+        samples = samples.assign(vector=plan.model.disturb(steady)["vector"])
     start, end = day_bounds(day)
     geometry = _geometry(mission, derived.reader, day, samples)
     there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
-    values = derived.on(day, made.library.channels, there)
+    values = derived.on(day, plan.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
-    matrices = sensor_matrices(made.model, (start + end) // 2)
+    matrices = sensor_matrices(plan.model, (start + end) // 2)
     recorded = derived.reader.day(day)
-    rows, sums = coarsen(samples, native, edges, variables, matrices, recorded, made.keep_bursts)
+    rows, sums = coarsen(samples, native, edges, variables, matrices, recorded, plan.keep_bursts)
     rows = replace(rows, weight=np.where(_without_geometry(there, rows.weight > 0), 0.0, rows.weight))
-    if made.stretches is not None:
-        rows = _in_stretches(rows, made.stretches)
-    if made.folding is None:
+    if plan.stretches is not None:
+        # The residual is relative to its stretch; rows in none have no weight.
+        stamps = rows.samples["tt2000"].values
+        weight = np.where(plan.stretches.is_lost(stamps), 0.0, rows.weight)
+        residual = np.nan_to_num(plan.stretches.keep(rows.residual, stamps, weight > 0))
+        rows = replace(rows, residual=residual, weight=weight, row_filter=plan.stretches)
+    if plan.folding is None:
         sums |= floor_of_samples(native.residual, native.good, samples["tt2000"].values)
     else:
-        sums |= floor_of_turns(samples, native.good, made.folding.sectors)
+        sums |= floor_of_turns(samples, native.good, plan.folding.sectors)
     return rows, sums
-
-
-def _in_stretches(rows: DesignRows, stretches: Stretches) -> DesignRows:
-    """Return rows whose residual is relative to its stretch; those in none have no weight."""
-    stamps = rows.samples["tt2000"].values
-    weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
-    residual = np.nan_to_num(stretches.keep(rows.residual, stamps, weight > 0))
-    return replace(rows, residual=residual, weight=weight, row_filter=stretches)
 
 
 def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
@@ -460,7 +461,7 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
+    """Gram blocks of a span (`within` when blocks hold several days), series, sums and outliers."""
 
     raw: GramBlocks
     white: GramBlocks
@@ -471,17 +472,17 @@ class Loaded:
     outliers: OutlierReport
 
 
-def load_grams(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
-    """Read the evidence of blocks, in order of time."""
-    names = (*made.library.columns, "residual")
-    scale = np.array([*made.scale, 1.0])
+def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
+    """Read Gram blocks, in order of time."""
+    names = (*plan.library.columns, "residual")
+    scale = np.array([*plan.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
     parts = [cat.read(day) for day in ordered]
     raw = [GramArrays.of(part, names, scale) for part in parts]
     white = [GramArrays.of(part, names, scale, "gram_white") for part in parts]
     within = None
-    if made.within_blocks:
-        base = {name for term in made.library.base for name in term.columns}
+    if plan.within_blocks:
+        base = {name for term in plan.library.base for name in term.columns}
         kept = [place for place, name in enumerate(names) if name not in base]
         left = tuple(names[place] for place in kept)
         apart = [GramArrays.of(part, left, scale[kept], "gram_within") for part in parts]
@@ -489,7 +490,7 @@ def load_grams(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: replacement_value(made.channel_summaries, need.name) for need in made.channel_needs}
+    filled = {need.name: replacement_value(plan.channel_summaries, need.name) for need in plan.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
@@ -499,10 +500,10 @@ def load_grams(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         raw=raw[0].join(raw[1:]),
         white=white[0].join(white[1:]),
         within=within,
-        series=replace(series, row_filter=made.row_filter),
+        series=replace(series, row_filter=plan.row_filter),
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),
-        outliers=OutlierReport.of([day.report for day in ordered], made.keep_bursts),
+        outliers=OutlierReport.of([day.report for day in ordered], plan.keep_bursts),
     )
 
 
@@ -516,7 +517,7 @@ def make_blocks(
     context: str,
     dataset: str,
     client: Any,
-    tell: Progress,
+    report_progress: Progress,
 ) -> tuple[str, list[Day]]:
     """Make the blocks that are missing or out of date; return the run and all blocks' days."""
     keys, parents = {}, {}
@@ -538,10 +539,18 @@ def make_blocks(
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
         jobs = [
-            Job(batch, _choose(keys, batch), _choose(parents, batch), index, plan.needs, run.id, dataset)
+            Job(
+                batch,
+                {day: keys[day] for day in batch},
+                {day: parents[day] for day in batch},
+                index,
+                plan.needs,
+                run.id,
+                dataset,
+            )
             for batch in batches
         ]
-        tell("pass", 0, len(todo))
+        report_progress("pass", 0, len(todo))
         done = 0
         failed: dict[np.datetime64, dict[str, str]] = {}
         for job, outcome in zip(
@@ -551,7 +560,7 @@ def make_blocks(
         ):
             kept |= {day.day: day for day in register_outcome(run, dataset, outcome, failed)}
             done += len(job.days)
-            tell("pass", done, len(todo))
+            report_progress("pass", done, len(todo))
         if not kept:
             raise WorkerError(
                 f"no block of the span could be made; the first: {next(iter(failed.values()))['message']}",
@@ -559,10 +568,6 @@ def make_blocks(
             )
         run.publish(supersede=True)
         return run.id, [kept[day] for day in sorted(kept)]
-
-
-def _choose(by_day: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
-    return {day: by_day[day] for day in days}
 
 
 @dataclass(frozen=True)
@@ -609,8 +614,23 @@ def survey(
     places = np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int)
     some = [days[place] for place in np.unique(places)]
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
-    changing, still = _channels(reader, some)
-    return Survey(fitted, base, fixed, changing, still)
+    changing, still, kinds = {}, [], channels_of(mission)
+    read = {day: reader.day(day) for day in some}
+    for name in reader.scalars:
+        values = np.concatenate([read[day][name] for day in some])
+        finite = values[np.isfinite(values)]
+        if finite.size < 2:
+            still.append(name)
+            continue
+        low, high = np.quantile(finite, [0.05, 0.95])
+        spread = float(high - low) or float(np.ptp(finite))
+        if spread <= PASS.steady * max(float(np.abs(finite).max()), 1e-300):
+            still.append(name)
+            continue
+        changing[name] = ChannelSummary(
+            float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
+        )
+    return Survey(fitted, base, fixed, changing, tuple(still))
 
 
 def _linearised(
@@ -628,10 +648,11 @@ def _linearised(
     if kind == "platform":
         return model, (), ()
     if kind == "dual":
-        return model, (_dual_base(mission, model),), ()
+        # A matrix and a shift between two vector sensors: what their difference leaves to calibration.
+        return model, (_calibration_term(mission, model, "inboard", "affine", ("matrix", "shift")),), ()
     own = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
     if not own:
-        return model, (_extra_base(mission, model),), ()
+        return model, (_calibration_term(mission, model, "vector", "vector_sensor", PARAMETER_GROUPS),), ()
     middle = sum(day_bounds(days[len(days) // 2])) // 2
     prior = prior_of(own[0], middle)
     parts = [_thinned_samples(cat, mission, model, day, needs, index) for day in days]
@@ -644,9 +665,30 @@ def _linearised(
     value = prior.value
     if np.any(prior.sigma > 0):
         value = fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
-    entry = _at_values(own[0], value)
+    sigmas = dict(zip(PARAMETER_GROUPS, prior.sigma.reshape(-1, 3), strict=True))
+    fitted = {
+        part: replace(
+            own[0].parameters[part],
+            time="constant",
+            value=three[:, None],
+            sigma=own[0].parameters[part].sigma[:, :1],
+            table=None,
+        )
+        for part, three in zip(PARAMETER_GROUPS, value.reshape(-1, 3), strict=True)
+    }
+    entry = replace(own[0], parameters={**own[0].parameters, **fitted})
+    base = [
+        Term(entry.name, entry, (part,), tuple(sigma.tolist()))
+        for part, sigma in sigmas.items()
+        if np.any(sigma > 0)
+    ]
+    fixed = [
+        Term(entry.name, entry, (part,), (np.inf,) * 3)
+        for part, sigma in sigmas.items()
+        if not np.any(sigma > 0)
+    ]
     effects = tuple(entry if one is own[0] else one for one in model.effects)
-    return replace(model, effects=effects), *_nine_terms(entry, prior)
+    return replace(model, effects=effects), tuple(base), tuple(fixed)
 
 
 def _linearised_spin(
@@ -693,40 +735,15 @@ def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
     return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
 
 
-def _at_values(entry: ModelEffect, value: Floats) -> ModelEffect:
-    parameters = dict(entry.parameters)
-    for place, part in enumerate(PARAMETER_GROUPS):
-        numbers = value[3 * place : 3 * place + 3][:, None]
-        sigma = entry.parameters[part].sigma[:, :1]
-        parameters[part] = replace(parameters[part], time="constant", value=numbers, sigma=sigma, table=None)
-    return replace(entry, parameters=parameters)
-
-
-def _nine_terms(entry: ModelEffect, prior: Reference) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
-    base, fixed = [], []
-    for place, part in enumerate(PARAMETER_GROUPS):
-        sigma = prior.sigma[3 * place : 3 * place + 3]
-        if np.any(sigma > 0):
-            base.append(Term(entry.name, entry, (part,), tuple(sigma.tolist())))
-        else:
-            fixed.append(Term(entry.name, entry, (part,), (np.inf,) * 3))
-    return tuple(base), tuple(fixed)
-
-
-def _extra_base(mission: Mission, model: Model) -> Term:
-    """Nine parameters around what a model without a `vector_sensor` leaves."""
+def _calibration_term(
+    mission: Mission, model: Model, role: str, effect: str, parameters: Sequence[str]
+) -> Term:
+    """Return free parameters of a calibration that the model has not itself, of the sensor of a role."""
     sensors = sensors_of(mission, model.comparison)
-    vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
-    entry = make_effect({"effect": "vector_sensor", "name": "calibration", "sensor": vector.name}, sensors)
-    return Term("calibration", entry, PARAMETER_GROUPS, (np.inf,) * 9)
-
-
-def _dual_base(mission: Mission, model: Model) -> Term:
-    """A matrix and a shift between two vector sensors: what their difference leaves to calibration."""
-    sensors = sensors_of(mission, model.comparison)
-    inboard = next(sensor for sensor in sensors.values() if sensor.role == "inboard")
-    entry = make_effect({"effect": "affine", "name": "calibration", "sensor": inboard.name}, sensors)
-    return Term("calibration", entry, ("matrix", "shift"), (np.inf,) * 12)
+    sensor = next(sensor for sensor in sensors.values() if sensor.role == role)
+    entry = make_effect({"effect": effect, "name": "calibration", "sensor": sensor.name}, sensors)
+    size = sum(entry.effect.parameters()[name].size for name in parameters)
+    return Term("calibration", entry, tuple(parameters), (np.inf,) * size)
 
 
 def _thinned_samples(
@@ -743,28 +760,6 @@ def _thinned_samples(
     step = max(1, len(reading) // PASS.surveyed_samples)
     additive = np.broadcast_to(additive, reading.shape)
     return reading[::step], additive[::step], scalar[::step], good[::step]
-
-
-def _channels(
-    reader: ChannelReader, days: Sequence[np.datetime64]
-) -> tuple[dict[str, ChannelSummary], tuple[str, ...]]:
-    changing, still, kinds = {}, [], channels_of(reader.mission)
-    read = {day: reader.day(day) for day in days}
-    for name in reader.scalars:
-        values = np.concatenate([read[day][name] for day in days])
-        finite = values[np.isfinite(values)]
-        if finite.size < 2:
-            still.append(name)
-            continue
-        low, high = np.quantile(finite, [0.05, 0.95])
-        spread = float(high - low) or float(np.ptp(finite))
-        if spread <= PASS.steady * max(float(np.abs(finite).max()), 1e-300):
-            still.append(name)
-            continue
-        changing[name] = ChannelSummary(
-            float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
-        )
-    return changing, tuple(still)
 
 
 def cadence_for(span_ns: int, native_ns: int) -> int:

@@ -234,20 +234,16 @@ class Workbench:
         self.dropped = sorted(root - now)
         added = [entry for entry in self.current.model.effects if entry.name not in root]
         self.additions: list[Addition] = [addition_of_entry(self.maker, entry) for entry in added]
-        for entry in self.root.model.effects:
-            if isinstance(entry.effect, SENSOR_EQUATIONS) and entry.name in now:
-                self.additions += self._freed(entry.name)
-
-    def _freed(self, name: str) -> list[Addition]:
-        """Return the sensor's own parameters that the present version lets free and the root did not."""
-        was, now = self.root.model.effect(name), self.current.model.effect(name)
-        keys = [key for key in was.parameters if now.parameters[key].free and not was.parameters[key].free]
+        # The sensor's own parameters that the present version lets free and the root did not.
         candidates = {one.name: one for one in self.made.plan.library.candidates}
-        return [
-            self.maker.of_candidate(candidates[f"{name}.{key}"])
-            for key in keys
-            if f"{name}.{key}" in candidates
-        ]
+        for was in self.root.model.effects:
+            if isinstance(was.effect, SENSOR_EQUATIONS) and was.name in now:
+                free = self.current.model.effect(was.name).parameters
+                keys = [key for key, timed in was.parameters.items() if free[key].free and not timed.free]
+                names = [f"{was.name}.{key}" for key in keys]
+                self.additions += [
+                    self.maker.of_candidate(candidates[name]) for name in names if name in candidates
+                ]
 
     @property
     def root(self) -> VersionedModel:
@@ -448,6 +444,14 @@ class Workbench:
     def _revision(
         self, command: str, effect: str, parent: int, before: JointFit, after: JointFit
     ) -> Revision:
+        entries = [*self.made.plan.model.effects, *(one.entry for one in self.made.plan.library.base)]
+        entries += [entry for one in self.additions for entry in one.entries]
+        units = {column.name: one.unit for one in self.additions for column in one.columns} | {
+            name: timed.parameter.unit
+            for entry in entries
+            for timed in entry.parameters.values()
+            for name in timed.columns
+        }
         inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
         sizes = [
             float(np.sqrt(one + inside))
@@ -460,21 +464,10 @@ class Workbench:
             parent=parent,
             in_sample=(sizes[0], sizes[1]),
             held_out=(sizes[2], sizes[3]),
-            moved=moved_parameters(before, after, self._units()),
+            moved=moved_parameters(before, after, units),
             run=self.made.run,
             context=self.made.context,
         )
-
-    def _units(self) -> dict[str, str]:
-        entries = [*self.made.plan.model.effects, *(one.entry for one in self.made.plan.library.base)]
-        entries += [entry for one in self.additions for entry in one.entries]
-        made = {column.name: one.unit for one in self.additions for column in one.columns}
-        return made | {
-            name: timed.parameter.unit
-            for entry in entries
-            for timed in entry.parameters.values()
-            for name in timed.columns
-        }
 
     # The search.
 
@@ -483,7 +476,12 @@ class Workbench:
         return self._searched()[0]
 
     def _searched(self) -> tuple[Diagnosis, Search]:
-        self._refresh()
+        if self.root.version != self.current.version or self.additions or self.dropped:
+            self._measured = self.mission
+            self.made = self._prepared(self.current, None)
+            self._narrow = None
+        self.__dict__.pop("_whole", None)
+        self._restore()
         context = diagnosis_data(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
         return conclude(begin_search(self.made, self.settings), replace(context, model=model))
@@ -501,14 +499,6 @@ class Workbench:
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
         return found, steps
-
-    def _refresh(self) -> None:
-        if self.root.version != self.current.version or self.additions or self.dropped:
-            self._measured = self.mission
-            self.made = self._prepared(self.current, None)
-            self._narrow = None
-        self.__dict__.pop("_whole", None)
-        self._restore()
 
 
 def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
@@ -585,7 +575,13 @@ def require_sampled(mission: Mission, comparison: str) -> None:
     SettingsError
         Naming those that can be diagnosed.
     """
-    usable = [name for name in mission.comparisons if _has_rows(mission, name)]
+    channels = {channel.kind for _, _, channel in mission.channel_instruments()}
+    has_turns = bool({"sun_pulse", "spin_phase"} & channels)
+    usable = [
+        name
+        for name, entry in mission.comparisons.items()
+        if entry.kind in SAMPLED_KINDS or (has_turns and folding_of(mission, name) is not None)
+    ]
     choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
     if comparison not in mission.comparisons:
         raise SettingsError(
@@ -600,14 +596,6 @@ def require_sampled(mission: Mission, comparison: str) -> None:
             remedy="state 'spin' under periods and a channel of kind 'sun_pulse' or 'spin_phase'"
             + (f", or {choice}" if usable else ""),
         )
-
-
-def _has_rows(mission: Mission, comparison: str) -> bool:
-    """Return True when a comparison has a residual: of a spin comparison, when its turns are known."""
-    if mission.comparisons[comparison].kind in SAMPLED_KINDS:
-        return True
-    kinds = {channel.kind for _, _, channel in mission.channel_instruments()}
-    return folding_of(mission, comparison) is not None and bool({"sun_pulse", "spin_phase"} & kinds)
 
 
 def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:

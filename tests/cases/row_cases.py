@@ -19,7 +19,7 @@ class RowCase:
     values: np.ndarray
 
     @property
-    def evidence(self) -> GramArrays:
+    def grams(self) -> GramArrays:
         """The Gram matrix of each block; scales are not 1, so that nobody forgets them."""
         blocks, rows, width = self.values.shape
         gram = np.einsum("bri,brj->bij", self.values, self.values)

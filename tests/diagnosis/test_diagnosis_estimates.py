@@ -40,7 +40,7 @@ def hidden():
         case.white,
         search.library,
         search.intervals,
-        search.days,
+        search.shared.days,
         time_variable=search.time_variable,
     )
     return case, every

@@ -27,7 +27,7 @@ def grams_of(rows):
 def test_absorbing_is_a_fit_of_the_rows_in_each_interval(seed, cut, precision):
     case = row_case(seed, blocks=10, rows=12)
     groups = [range(cut), range(cut, 10)]
-    left = case.evidence.marginalise(["n0", "n1", "n2"], groups, np.array(precision))
+    left = case.grams.marginalise(["n0", "n1", "n2"], groups, np.array(precision))
     expected = case.values[:, :, 3:].copy()
     for group in groups:
         n = case.of("n0", "n1", "n2")[list(group)]
@@ -37,14 +37,14 @@ def test_absorbing_is_a_fit_of_the_rows_in_each_interval(seed, cut, precision):
         expected[list(group)] -= n @ np.linalg.lstsq(more, right, rcond=None)[0]
     assert left.names == case.names[3:]
     np.testing.assert_allclose(left.gram, grams_of(expected), rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(left.scale, case.evidence.scale[3:])
+    np.testing.assert_array_equal(left.scale, case.grams.scale[3:])
 
 
 def test_a_column_that_the_calibration_explains_wholly_is_dead_but_a_residual_never():
     case = row_case(1)
     case.values[:, :, 5] = case.of("n0", "n1") @ [2.0, -1.0]
     case.values[:, :, 10] = case.of("n2")[:, :, 0]
-    left = case.evidence.marginalise(["n0", "n1", "n2"], [range(20)], np.zeros(3))
+    left = case.grams.marginalise(["n0", "n1", "n2"], [range(20)], np.zeros(3))
     dead, alive = left.names.index("z0"), left.names.index("z1")
     assert not left.gram[:, dead].any()
     assert not left.gram[:, :, dead].any()
@@ -58,7 +58,7 @@ def test_a_column_that_the_calibration_explains_wholly_is_dead_but_a_residual_ne
 def test_expanding_is_multiplying_rows_by_a_function_of_the_block(seed, factors):
     case = row_case(seed, rows=6)
     factor = np.array(factors)
-    wide = case.evidence.expand({"step": ("z0", factor), "late": ("n1", 1.0 - factor)})
+    wide = case.grams.expand({"step": ("z0", factor), "late": ("n1", 1.0 - factor)})
     rows = np.concatenate(
         [
             case.values[:, :, :-1],
@@ -71,14 +71,14 @@ def test_expanding_is_multiplying_rows_by_a_function_of_the_block(seed, factors)
     assert wide.names == (*case.names[:-1], "step", "late", "residual")
     np.testing.assert_allclose(wide.gram, grams_of(rows), atol=1e-9)
     np.testing.assert_array_equal(
-        wide.scale[-3:-1], [case.evidence.scale[case.names.index(name)] for name in ("z0", "n1")]
+        wide.scale[-3:-1], [case.grams.scale[case.names.index(name)] for name in ("z0", "n1")]
     )
 
 
 @settings(max_examples=20, deadline=None)
 @given(cuts=st.sets(st.integers(1, 19), max_size=6), order=st.randoms(use_true_random=False))
 def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
-    whole = row_case(3, rows=8).evidence
+    whole = row_case(3, rows=8).grams
     edges = [0, *sorted(cuts), 20]
     groups = [list(range(a, b)) for a, b in pairwise(edges)]
     merged = whole.merge_groups(groups)
@@ -101,7 +101,7 @@ def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
 
 
 def test_joining_refuses_what_overlaps_and_what_has_other_columns():
-    one = row_case().evidence
+    one = row_case().grams
     with pytest.raises(CalibrationError, match="overlap"):
         one.join([one])
     with pytest.raises(CalibrationError, match="different libraries"):
@@ -110,15 +110,15 @@ def test_joining_refuses_what_overlaps_and_what_has_other_columns():
 
 def test_selecting_keeps_the_residual_last():
     case = row_case(4)
-    some = case.evidence.select(["z3", "n1"])
+    some = case.grams.select(["z3", "n1"])
     assert some.names == ("z3", "n1", "residual")
     np.testing.assert_allclose(some.gram, grams_of(case.of("z3", "n1", "residual")), rtol=1e-12)
     with pytest.raises(CalibrationError, match="no column z9"):
-        case.evidence.select(["z9"])
+        case.grams.select(["z9"])
 
 
 def test_sums_over_folds_are_sums_of_blocks():
-    evidence = row_case(5).evidence
+    evidence = row_case(5).grams
     folds = [np.arange(0, 7), np.arange(7, 20)]
     for found, fold in zip(evidence.sums(folds), folds, strict=True):
         np.testing.assert_allclose(found, evidence.gram[fold].sum(axis=0))
@@ -134,7 +134,7 @@ def test_packing_keeps_symmetric_matrices(width, blocks, seed):
 
 
 def test_a_store_gives_back_the_evidence():
-    evidence = row_case(6).evidence
+    evidence = row_case(6).grams
     back = GramArrays.of(evidence.as_dataset(), evidence.names, evidence.scale)
     for name in ("gram", "start", "end", "count", "scale"):
         np.testing.assert_array_equal(getattr(back, name), getattr(evidence, name))
@@ -187,7 +187,7 @@ def test_a_system_is_solved_in_units_of_its_diagonal_and_left_alone_where_it_is_
 
 
 def test_columns_that_join_later_are_as_if_they_had_been_there():
-    evidence, fresh = row_case(1).evidence, ["z3", "z4"]
+    evidence, fresh = row_case(1).grams, ["z3", "z4"]
     small = evidence.select([name for name in evidence.names if name not in (*fresh, "residual")])
     places = evidence.index(fresh)
     across = evidence.gram[:, evidence.index(small.names)][:, :, places]

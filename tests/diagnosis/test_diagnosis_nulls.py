@@ -44,7 +44,7 @@ def searched(orbit, field=0.0, some=NOISES):
     case = case_of(flight, [read(flight)], residuals, block_days=0.4, channels=CHANNELS[2:5])
     one = case.search()
     return Search.begin(
-        case.raw, case.white, one.library, one.intervals, one.days, time_variable=one.time_variable
+        case.raw, case.white, one.library, one.intervals, one.shared.days, time_variable=one.time_variable
     )
 
 

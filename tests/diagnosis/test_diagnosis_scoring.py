@@ -56,7 +56,7 @@ def contributed(case, present, precision, candidate, folds, beside=None):
 
 
 def scored(case, present, precision, folds):
-    evidence = case.evidence
+    evidence = case.grams
     held = ModelColumns(evidence.index(present), np.array(precision, dtype=float))
     return score(evidence, held, [evidence.index(one) for one in CANDIDATES], evidence.residuals[0], folds)
 
@@ -86,9 +86,9 @@ def test_what_sets_two_candidates_apart_is_what_sets_their_predictions_of_rows_a
     case, folds = row_case(2), make_folds(20)
     found = scored(case, names, precision, folds)
     expected = contributed(case, names, precision, CANDIDATES[0], folds, beside=CANDIDATES[3])
-    np.testing.assert_allclose(found.fits.apart(0, 3), expected, rtol=1e-8)
-    np.testing.assert_allclose(found.fits.apart(3, 0), expected, rtol=1e-8)
-    assert found.t_behind(3, 0) == pytest.approx(-found.t_behind(0, 3), rel=1e-9)
+    np.testing.assert_allclose(found.fits.squared_difference(0, 3), expected, rtol=1e-8)
+    np.testing.assert_allclose(found.fits.squared_difference(3, 0), expected, rtol=1e-8)
+    assert found.t_worse_than(3, 0) == pytest.approx(-found.t_worse_than(0, 3), rel=1e-9)
 
 
 @pytest.mark.parametrize("present", PRESENTS)
@@ -116,7 +116,7 @@ def test_many_residuals_at_once_score_as_one_after_the_other(present):
     g = np.random.default_rng(1)
     more = np.concatenate([case.values, g.normal(size=(20, 60, 2))], axis=2)
     case = type(case)((*case.names, "residual~1", "residual~2"), more)
-    evidence = case.evidence
+    evidence = case.grams
     held = ModelColumns(evidence.index(names), np.array(precision, dtype=float))
     columns = [evidence.index(one) for one in CANDIDATES]
     folds, y = make_folds(20), np.array(evidence.residuals)
@@ -129,7 +129,7 @@ def test_many_residuals_at_once_score_as_one_after_the_other(present):
 
 def test_block_scores_are_sums_over_rows_at_the_models_own_fit():
     case = row_case(5)
-    evidence = case.evidence
+    evidence = case.grams
     held = ModelColumns(evidence.index(("p0", "p1")), np.zeros(2))
     p, y = case.of("p0", "p1"), case.of("residual")
     every = case.values - p @ np.linalg.lstsq(p.reshape(-1, 2), case.values.reshape(-1, 11), rcond=None)[0]
@@ -141,7 +141,7 @@ def test_block_scores_are_sums_over_rows_at_the_models_own_fit():
 def test_a_candidate_that_the_model_holds_already_explains_nothing_more():
     case = row_case(6)
     case.values[:, :, 5] = case.of("p0", "p1") @ [1.0, -2.0]
-    evidence = case.evidence
+    evidence = case.grams
     held = ModelColumns(evidence.index(("p0", "p1")), np.zeros(2))
     gamma, explained = fit(evidence, held, [evidence.index(["z0"])], evidence.residuals[0])
     assert np.abs(explained[0]) < 1e-6 * evidence.total[-1, -1]
@@ -169,7 +169,7 @@ def test_a_block_is_active_when_a_part_of_a_column_is_left_in_it():
     case.values[5:, :, 5] = 0.0
     case.values[5:, :, 6] *= 1e-6
     case.values[:3, :, 8] = 0.0
-    evidence = case.evidence
+    evidence = case.grams
     found = active_blocks(
         evidence, [evidence.index(["z0"]), evidence.index(["z1"]), evidence.index(["z0", "z3"])]
     )

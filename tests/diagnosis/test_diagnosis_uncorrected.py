@@ -11,7 +11,7 @@ from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, fligh
 from inflight.design import DesignRows
 from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin_rows
 from inflight.diagnosis.residual import (
-    correctable_evidence,
+    correctable_grams,
     held_out_rms,
     uncorrectable_rows,
     unknown_rows,
@@ -108,7 +108,7 @@ def test_evidence_of_the_known_rows_is_that_of_a_record_without_the_others(step)
     lost = np.repeat(lost[: len(series.tt2000) * step : step], step)
     series = replace(series, missing={"heater_current": lost[::step]})
     gaps = uncorrectable_rows(search, series)
-    found = correctable_evidence(search, gaps, material.sensor_matrices)
+    found = correctable_grams(search, gaps, material.sensor_matrices)
     rows = replace(case.rows, weight=np.where(lost, 0.0, case.rows.weight))
     direct = evidence_of(case.library, rows, case.residuals)[0]
     base, sigma = search.base()

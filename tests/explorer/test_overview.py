@@ -64,7 +64,7 @@ def test_main_comes_first():
 def test_a_table_belongs_to_the_comparison_whose_whole_name_it_has(table, owner):
     from types import SimpleNamespace
 
-    from inflight.explorer.overview import _is_of
+    from inflight.explorer.overview import owner_of_table
 
     mission = SimpleNamespace(comparisons={"main": None, "main-b": None})
-    assert [name for name in mission.comparisons if _is_of(table, name, mission)] == [owner]
+    assert owner_of_table(table, mission) == owner

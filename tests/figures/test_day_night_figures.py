@@ -28,14 +28,14 @@ def test_each_unit_has_its_own_scale_of_colours():
     plot = ignored_effects_figure(talk(np.array([[15.0, 0.1], [-0.4, -3.2]])))
     assert components(plot)
     np.testing.assert_allclose(column(plot, "part"), [1.0, 0.1 / 3.2, -0.4 / 15.0, -1.0])
-    assert column(plot, "told") == ["+15.0", "+0.10", "-0.40", "-3.2"]
+    assert column(plot, "text") == ["+15.0", "+0.10", "-0.40", "-3.2"]
     assert column(plot, "y") == ["bias = 0.4 nT"] * 2 + ["lag = 0.01 s"] * 2
 
 
 def test_nothing_ignored_is_drawn_without_colours():
     plot = ignored_effects_figure(talk(np.zeros((2, 2))))
     assert components(plot)
-    assert set(column(plot, "told")) == {"0"}
+    assert set(column(plot, "text")) == {"0"}
 
 
 def test_the_series_is_drawn_for_the_fitted_axes():

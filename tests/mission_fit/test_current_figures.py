@@ -5,11 +5,10 @@ import pytest
 from bokeh.embed import file_html
 from bokeh.models import Legend, Whisker
 from bokeh.resources import CDN
-from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
+from epoch_cases import epochs_of_days, stored_epochs
 
 from inflight.effects import panel_weights_at
 from inflight.figures import coefficient_figures, local_time_figure, stack_figures, torquer_mean_figures
-from inflight.figures.causes import band_figure, current_steps_figure
 from inflight.mission_fit import (
     filled_running_mean,
     fit_by_local_time,
@@ -22,17 +21,6 @@ from inflight.mission_fit.torquers import COLUMNS
 
 def labels(plot):
     return [item.label["value"] for legend in plot.select(Legend) for item in legend.items]
-
-
-def test_steps_are_marked_by_direction():
-    samples, _ = make_day(0)
-    steps = steps_of(samples)
-    plot = current_steps_figure(
-        samples["tt2000"].values[::60], samples["solar_current"].values[::60], steps, "solar_current"
-    )
-    drops = int((steps.direction < 0).sum())
-    assert f"drop ({drops})" in labels(plot)
-    assert "solar current (A)" in file_html(plot, CDN)
 
 
 def test_the_stack_has_its_band_and_the_current():
@@ -76,18 +64,6 @@ def test_coefficients_have_a_figure_an_axis(daily):
     plots = coefficient_figures(daily, daily.mean("day"))
     assert len(plots) == 3 == len(COLUMNS) // 3
     assert labels(plots[0]) == ["coil x", "coil y", "coil z"]
-
-
-def test_the_band_is_shown_before_and_after():
-    import xarray as xr
-
-    frequency = np.linspace(0.0, 0.5, 1001)
-    spectra = xr.Dataset(
-        {name: ("frequency", np.ones(1001)) for name in ("before", "after")}, coords={"frequency": frequency}
-    )
-    plot = band_figure(spectra)
-    assert labels(plot) == ["before", "after"]
-    assert max(plot.renderers[0].data_source.data["x"]) <= 0.1
 
 
 def test_what_was_held_is_dashed():

@@ -51,7 +51,6 @@ def trend_figures():
     steps = table_jumps(table)
     smooth = trend_jumps(lambda times: fit.at(times)[0], steps.at)
     return [
-        trends.trend_figure(fit, table, SCALES, 1e6, "ppm"),
         trends.comparison_figure(found),
         trends.boundary_steps_figure(steps, smooth),
     ]
@@ -62,7 +61,7 @@ def offset_figures():
     statistics = days(offsets)
     law = fit_spread_law(statistics, offsets, np.full(40, 0.01))
     found = offsets_from_spread(statistics, law.noise, float(np.sqrt(law.covariance[1, 1])))
-    return [z_offset.spread_figure(statistics, offsets, law), z_offset.offsets_figure(found)]
+    return [z_offset.offsets_figure(found)]
 
 
 def distribution_figures():

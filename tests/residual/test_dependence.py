@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.residual.dependence import axis_response, dependence, strongest_dependences
+from inflight.residual.dependence import axis_response, dependence
 
 COUNT, BLOCKS = 14_400, 80
 BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)
@@ -30,7 +30,7 @@ def test_an_injected_dependence_is_found_with_its_size_and_an_honest_sigma():
     assert sigma.mean() == pytest.approx(amplitude.std(), rel=0.35)
     pulls = np.abs(amplitude - injected.std()) / sigma
     assert np.mean(pulls < 2.0) > 0.85
-    assert all(one.coordinate == "current" for one in strongest_dependences(found))
+    assert all(one.coordinate == "current" and one.is_clear for one in found)
 
 
 def test_the_error_bars_of_the_bins_cover_the_truth():
@@ -48,7 +48,7 @@ def test_pure_noise_is_called_a_dependence_in_fewer_than_one_of_twenty_seeds():
     alarms = 0
     for seed in range(100):
         noise = correlated(np.random.default_rng(2000 + seed))
-        alarms += bool(strongest_dependences([dependence("current", "A", coordinate, noise, BLOCK)]))
+        alarms += dependence("current", "A", coordinate, noise, BLOCK).is_clear
     assert alarms < 5
 
 

@@ -19,6 +19,7 @@ from inflight.diagnosis import (
     Features,
     Series,
     along_field,
+    conclude,
     cross_talk,
     epoch,
     heat_maps,
@@ -31,7 +32,6 @@ from inflight.diagnosis import (
 from inflight.diagnosis.views import VIEWS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
-from inflight.tasks.analysis import diagnosis_page as module
 from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
 from inflight.tasks.analysis.diagnosis_page import diagnosis_page
 from inflight.tasks.archive import ingest
@@ -91,9 +91,9 @@ def made(place, tmp_path_factory):
 def searched(place):
     """A search that has taken what it found, with what a verdict needs."""
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
-    search, material = begin_search(prepared, SETTINGS), diagnosis_data(prepared, place.mission())
-    found, search = module.conclude(search, material)
-    return search, material, found
+    search, data = begin_search(prepared, SETTINGS), diagnosis_data(prepared, place.mission())
+    found, search = conclude(search, data)
+    return search, data, found
 
 
 class _Told(HTMLParser):
@@ -211,9 +211,9 @@ def test_a_real_browser_draws_the_page_without_an_error_and_without_a_network(ma
 def test_a_search_without_rounds_has_a_page(place):
     settings = SETTINGS.model_copy(update={"rounds": 0})
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, settings)
-    search, material = begin_search(prepared, settings), diagnosis_data(prepared, place.mission())
-    found, search = module.conclude(search, material)
-    text, _ = told(diagnosis_page(search, material, found, settings))
+    search, data = begin_search(prepared, settings), diagnosis_data(prepared, place.mission())
+    found, search = conclude(search, data)
+    text, _ = told(diagnosis_page(search, data, found, settings))
     assert "No effect was added" in text
     assert "No round took anything" in text
 
@@ -240,8 +240,8 @@ def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypa
 
 
 def test_the_steps_of_the_waterfall_join_and_end_at_the_held_out_error(searched):
-    search, material, found = searched
-    steps = waterfall(search, material)
+    search, data, found = searched
+    steps = waterfall(search, data)
     assert [step.name for step in steps] == [option.name for option in search.accepted]
     assert steps[0].before == pytest.approx(found.residual["held_out_before_nT"])
     assert steps[-1].after == pytest.approx(found.residual["held_out_after_nT"])
@@ -253,11 +253,11 @@ def test_the_steps_of_the_waterfall_join_and_end_at_the_held_out_error(searched)
 
 
 def test_looking_changes_nothing(searched):
-    search, material, _ = searched
+    search, data, _ = searched
     before = list(search.accepted)
-    search.holding([])
-    waterfall(search, material)
-    trials(search, material, [option.name for option in search.options])
+    search.with_accepted([])
+    waterfall(search, data)
+    trials(search, data, [option.name for option in search.options])
     assert list(search.accepted) == before
 
 
@@ -281,9 +281,9 @@ def test_a_shift_is_straight_in_the_coefficient(searched):
 
 
 def test_a_trial_of_what_was_taken_has_its_value(searched):
-    search, material, found = searched
+    search, data, found = searched
     name = search.accepted[0].name
-    values = {value[0]: value[1] for value in trials(search, material, [name])[name].values}
+    values = {value[0]: value[1] for value in trials(search, data, [name])[name].values}
     taken = {one.name: one for one in found.effects[0].coefficients}
     for axis, one in taken.items():
         assert abs(values[axis] - one.value) < 5 * one.sigma + 1e-9

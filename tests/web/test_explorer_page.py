@@ -31,7 +31,7 @@ def test_the_missing_effect_is_found_added_and_taken_back_by_clicks(serve, brows
     browser.wait_for_text("Noise floor", 120)
     browser.wait_for("pick('canvas').length > 2")
     browser.press(".bk-tab", "The missing effect")
-    browser.wait_for_text("Nobody has asked yet")
+    browser.wait_for_text("There is no diagnosis yet")
     browser.press("button", "Diagnose this span")
     browser.wait_for_text("FOUND", 180)
     browser.wait_for_text("follows heater_current")
