@@ -187,61 +187,12 @@ def measure_tones(
         Unwrapped spin phase, rad.
     stamps : ndarray of int64, shape (time,)
         TT2000.
-    layout : Layout
-        From `lay_out` of the same record.
+    layout : BlockLayout
+        From `cut_into_blocks` of the same record.
     parameters : CalibrationParameters
         The readings are corrected with these.
-
     """
-    return _of_blocks(layout, stamps, parameters, *block_sums(readings, phase, layout, parameters))
-
-
-def corrected_tones(
-    readings: Floats, phase: Floats, layout: BlockLayout, before: SpinTones, parameters: CalibrationParameters
-) -> SpinTones:
-    """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
-
-    A third of the work of `measure_tones`. Derivatives and noise change by the relative change of the field
-    only: for small steps (see `is_small_step`) they hold.
-
-    Parameters
-    ----------
-    readings, phase, layout
-        As for `measure_tones`.
-    before : SpinTones
-        Of the same record and layout.
-    parameters : CalibrationParameters
-    """
-    sums = tone_sums(readings, phase, layout, parameters)
-    lost = np.isnan(before.tones[:, 0, Z])
-    rest = without_lines(sums, before.known)
-    summed = layout.over_blocks(rest).sum(axis=1)
-    gram = np.where(lost[:, None, None], np.eye(TONES), summed[:, :, :TONES])
-    tones = before.tones.copy()
-    tones[:, :, [Z, M]] = np.linalg.solve(gram, summed[:, :, TONES:])
-    tones[lost] = np.nan
-    return replace(before, tones=tones, parameters=parameters)
-
-
-def is_small_step(before: SpinTones, parameters: CalibrationParameters) -> bool:
-    """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
-    turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
-    shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
-    least = before.least_modulus[before.usable]
-    if not least.size:
-        return False
-    return bool(turned < TONE_LIMITS.small and shifted < TONE_LIMITS.small * float(np.median(least)))
-
-
-def _of_blocks(
-    layout: BlockLayout,
-    stamps: Int64,
-    parameters: CalibrationParameters,
-    inner: Floats,
-    neighbours: Floats,
-    levels: Floats,
-) -> SpinTones:
-    """Return the tones of all sub-intervals from the sums of blocks."""
+    inner, neighbours, levels = block_sums(readings, phase, layout, parameters)
     settings = layout.settings
     covered = levels[:, 1] / settings.turn
     # The step from one block to the next is in neither.
@@ -284,6 +235,43 @@ def _of_blocks(
         parameters=parameters,
         blocks=settings.blocks,
     )
+
+
+def corrected_tones(
+    readings: Floats, phase: Floats, layout: BlockLayout, before: SpinTones, parameters: CalibrationParameters
+) -> SpinTones:
+    """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
+
+    A third of the work of `measure_tones`. Derivatives and noise change by the relative change of the field
+    only: for small steps (see `is_small_step`) they hold.
+
+    Parameters
+    ----------
+    readings, phase, layout
+        As for `measure_tones`.
+    before : SpinTones
+        Of the same record and layout.
+    parameters : CalibrationParameters
+    """
+    sums = tone_sums(readings, phase, layout, parameters)
+    lost = np.isnan(before.tones[:, 0, Z])
+    rest = without_lines(sums, before.known)
+    summed = layout.over_blocks(rest).sum(axis=1)
+    gram = np.where(lost[:, None, None], np.eye(TONES), summed[:, :, :TONES])
+    tones = before.tones.copy()
+    tones[:, :, [Z, M]] = np.linalg.solve(gram, summed[:, :, TONES:])
+    tones[lost] = np.nan
+    return replace(before, tones=tones, parameters=parameters)
+
+
+def is_small_step(before: SpinTones, parameters: CalibrationParameters) -> bool:
+    """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
+    turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
+    shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
+    least = before.least_modulus[before.usable]
+    if not least.size:
+        return False
+    return bool(turned < TONE_LIMITS.small and shifted < TONE_LIMITS.small * float(np.median(least)))
 
 
 def _noise(residual: Floats, count: Floats) -> tuple[Floats, Floats]:
