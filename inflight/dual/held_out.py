@@ -602,10 +602,15 @@ class GeometryPrior:
         power, slope = np.zeros(scales.size), []
         for place, scale in enumerate(scales.tolist()):
             here = cells.select(cells.scale == scale)
-            total, *parts = _powers(here)
+            # Of the correction in contrasts, and of its parts with states and without.
+            products = here.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
+            total, with_states, without = (
+                max(float(np.einsum("c,cii->", here.count, one) / here.count.sum()), 1e-300)
+                for one in (products.sum(axis=(1, 3)), products[:, 0, :, 0], products[:, 1, :, 1])
+            )
             power[place] = total / (2.0 * float(scale))
             rest = other[scale].reduced(self._slopes(here, slice(9, 12))[:, None])
-            slope.append((other_stepped[scale].reduced(switched) * parts[0] + rest * parts[1]) / total)
+            slope.append((other_stepped[scale].reduced(switched) * with_states + rest * without) / total)
         # What changes more slowly than any contrast.
         power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         return SlopePrior(
@@ -755,13 +760,6 @@ def means_by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:
     count = np.bincount(place)
     mean = [np.bincount(place, column[known]) / count for column in values.T]
     return np.asarray(np.stack(mean, axis=1)[place[last]])
-
-
-def _powers(cells: Cells) -> list[float]:
-    """Return the power of a correction in contrasts, and of its parts with states and without, nT^2."""
-    taken = cells.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
-    parts = taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1]
-    return [max(float(np.einsum("c,cii->", cells.count, one) / cells.count.sum()), 1e-300) for one in parts]
 
 
 def _filtered(

@@ -431,7 +431,14 @@ def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> Prove
             return None
     kept, parts = reduce_to_units(changes)
     vectors = np.array([changes[one].vector for one in kept])
-    if len(real) - len(kept) < UNITS.proof_steps or _nearly_equal(vectors):
+    if len(real) - len(kept) < UNITS.proof_steps:
+        return None
+    # Two of the vectors that hardly differ, up to their sign, may be one.
+    length = np.linalg.norm(vectors, axis=1)
+    sums = np.stack([vectors[:, None] - vectors, vectors[:, None] + vectors])
+    apart = np.linalg.norm(sums, axis=3).min(axis=0)
+    np.fill_diagonal(apart, np.inf)
+    if np.any(apart < UNITS.least_difference * np.minimum(length[:, None], length[None])):
         return None
     toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
     for one, (change, sign) in which.items():
@@ -447,17 +454,6 @@ def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> Prove
     label = np.full(len(segments), TRANSIENT, dtype=np.int64)
     label[steady] = np.argsort(np.argsort(first))[found.ravel()]
     return ProvenStates(label, table[np.sort(first)])
-
-
-def _nearly_equal(vectors: Floats) -> bool:
-    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
-    size = np.linalg.norm(vectors, axis=1)
-    apart = np.minimum(
-        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
-        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
-    )
-    np.fill_diagonal(apart, np.inf)
-    return bool(np.any(apart < UNITS.least_difference * np.minimum(size[:, None], size[None])))
 
 
 @dataclass(frozen=True)

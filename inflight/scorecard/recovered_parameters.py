@@ -115,7 +115,7 @@ def origin_of_law(scene: Scene) -> float:
     return float(np.mean([one.mjd if one and one.determined else np.nan for one in found]))
 
 
-def _jump_of_intervals(scene: Scene, boundary: int) -> float:
+def jump_of_intervals(scene: Scene, boundary: int) -> float:
     """Return the mean step of |B| between two calibrations of 15 days, mean over seeds, nT."""
     steps = []
     edges = from_mjd2000(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
@@ -295,7 +295,7 @@ FIGURES = (
         published=tuple(ageing_between_middles(day) for day in _BOUNDARIES),
         # Three times what the noise of 15 days leaves of the mean scale, mostly of the weak y.
         tolerance=0.03,
-        obtain=lambda scene: tuple(_jump_of_intervals(scene, boundary) for boundary in _BOUNDARIES),
+        obtain=lambda scene: tuple(jump_of_intervals(scene, boundary) for boundary in _BOUNDARIES),
         printed=False,
         why="The 15-day product steps by what the sensor aged from middle to middle.",
     ),

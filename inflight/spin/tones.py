@@ -23,7 +23,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, TooLittleError
 from inflight.spin.equation import CalibrationParameters
-from inflight.spin.intervals import WIDEST_STEP, BlockLayout, Bools
+from inflight.spin.intervals import BLOCKS, BlockLayout, Bools
 from inflight.spin.kernels import LINES, NEIGHBOURS, SERIES, TONES, M, U, V, Z, sum_blocks, sum_tones
 from inflight.time import Int64
 
@@ -84,7 +84,7 @@ def neighbours_without_lines(inner: Floats, neighbours: Floats, known: Bools) ->
 
 
 @dataclass(frozen=True, kw_only=True)
-class ToneSettings:
+class ToneLimits:
     """Limits of tones.
 
     Attributes
@@ -98,15 +98,18 @@ class ToneSettings:
         Above this part of the field an offset makes the modulus too nonlinear for one linear step. Assumed.
     low : float
         Part of the sub-intervals, those of least axial field, in which elevations matter least. Assumed.
+    covered : float
+        Part of a block that samples must cover for a line of its own. Assumed.
     """
 
     small: float = 0.01
     coherent: float = 0.5
     large: float = 0.2
     low: float = 0.25
+    covered: float = 0.1
 
 
-TONE_LIMITS = ToneSettings()
+TONE_LIMITS = ToneLimits()
 
 #: Why a sub-interval below that is left out.
 NOT_TURNING = "not turning with the phase"
@@ -198,7 +201,7 @@ def measure_tones(
     # The step from one block to the next is in neither.
     filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
     enough = filled >= settings.filled
-    known = covered > 0.1
+    known = covered > TONE_LIMITS.covered
     rest = without_lines(inner, known), neighbours_without_lines(inner, neighbours, known)
     windows = [layout.over_blocks(one) for one in rest]
     summed = windows[0].sum(axis=1)
@@ -341,7 +344,7 @@ def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
     turned = np.diff(angle)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     step = np.diff(phase[good])
-    use = (step > 0.0) & (step < WIDEST_STEP)
+    use = (step > 0.0) & (step < BLOCKS.widest_step)
     return float(np.median(turned[use] / step[use])) if use.any() else float("nan")
 
 
