@@ -12,17 +12,16 @@ This is the "processing" of the Venus Express paper (section 3), which takes the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import CHANGE_POINTS, Rows
 from inflight.dual.correction import TRANSIENT, UNKNOWN, Correction, no_correction
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SEGMENTS, DriftFilter, Segments, own_drift, segments_of
+from inflight.dual.segments import SEGMENTS, DriftFilter, Segments, segment_drift_covariance, segments_of
 from inflight.dual.training import Training
 from inflight.flags import Flag
 from inflight.time import SECOND
@@ -76,15 +75,7 @@ ASSIGNMENT = AssignmentSettings()
 
 
 def correction_by_states(
-    readings: Readings,
-    training: Training,
-    *,
-    fallback: Correction | None = None,
-    shortest: int = SEGMENTS.shortest,
-    false_alarms: float = CHANGE_POINTS.false_alarms,
-    longest: int = CHANGE_POINTS.longest,
-    jumps: Rows | None = None,
-    drift_sigma: float = 0.0,
+    readings: Readings, training: Training, *, fallback: Correction | None = None
 ) -> Correction:
     """Return the correction of the outboard sensor by the spacecraft's states.
 
@@ -97,10 +88,6 @@ def correction_by_states(
         states' corrections where either does not know the constant part, and its error is widened by how
         badly it reproduces those of known states. Without it unknown states have no correction, and
         transients that of their neighbours.
-    shortest, false_alarms, longest, jumps
-        See `segments.segments_of`.
-    drift_sigma : float
-        See `assignment.assign`.
 
     Returns
     -------
@@ -108,26 +95,36 @@ def correction_by_states(
         Of method ``states``. Ambiguous states have the mean of all likely ones, weighted by probability, and
         an error that holds their spread.
     """
-    if not readings.good.any():
+    good = readings.good
+    if not good.any():
         return no_correction(len(readings), "no sample has both sensors")
-    segments = segments_of(
-        readings, shortest=shortest, false_alarms=false_alarms, longest=longest, jumps=jumps
+    segments = segments_of(readings)
+    found = _correction_of_segments(segments, training, assign(segments, training))
+    samples = segments.last - segments.first
+    correction = replace(
+        found,
+        field=np.repeat(found.field, samples, axis=0),
+        covariance=np.repeat(found.covariance, samples, axis=0),
+        state=np.repeat(found.state, samples),
+        probability=np.repeat(found.probability, samples),
+        flag=np.repeat(found.flag, samples),
     )
-    assigned = assign(segments, training, drift_sigma)
-    found = _by_segment(segments, training, assigned)
-    spans = segments.last - segments.first
-    correction = Correction(
-        field=np.repeat(found.field, spans, axis=0),
-        covariance=np.repeat(found.covariance, spans, axis=0),
-        state=np.repeat(found.state, spans),
-        probability=np.repeat(found.probability, spans),
-        flag=np.repeat(found.flag, spans),
-        method="states",
-        reason="the spacecraft's states as trained",
-        constant_known=training.constant_known,
+    # A spike does not change the state: the error grows by as much as the sample stands out.
+    spikes = segments.spikes
+    beyond = (
+        readings.difference[spikes] - segments.level[np.searchsorted(segments.last, spikes, side="right")]
     )
-    _widen_at_spikes(correction, readings, segments)
-    _forget_in_long_gaps(correction, readings, shortest)
+    correction.covariance[spikes] += beyond[:, :, None] * beyond[:, None, :]
+    correction.flag[spikes] |= np.uint32(Flag.TRANSIENT)
+    # Far from any sample with both sensors the state may have changed.
+    rows, missing = np.flatnonzero(good), np.flatnonzero(~good)
+    after = np.searchsorted(rows, missing)
+    early = np.where(after > 0, missing - rows[np.maximum(after - 1, 0)], len(readings))
+    late = np.where(after < rows.size, rows[np.minimum(after, rows.size - 1)] - missing, len(readings))
+    lost = missing[np.minimum(early, late) > SEGMENTS.shortest]
+    correction.field[lost], correction.covariance[lost] = np.nan, np.nan
+    correction.state[lost], correction.probability[lost] = UNKNOWN, np.nan
+    correction.flag[lost] = np.uint32(Flag.UNKNOWN_STATE)
     if fallback is not None:
         _fill_unknown(correction, fallback)
     return correction
@@ -154,21 +151,28 @@ class Assignment:
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
 
-def assign(segments: Segments, training: Training, drift_sigma: float = 0.0) -> Assignment:
+def assign(segments: Segments, training: Training) -> Assignment:
     """Return the probabilities of the training's states for each segment.
 
-    Parameters
-    ----------
-    drift_sigma : float
-        How far the difference may have drifted since the training, beyond what the training observed, nT.
+    The drift at the start is the predicted one, or that by which a state fits the longest of the first
+    segments: whichever makes the first segments most likely.
     """
     chain = _StateChain(segments, training)
-    value, variance = _drift_since_training(segments, training, drift_sigma)
-    starts = _starting_drifts(chain, value, variance)
+    value, variance = _drift_since_training(segments, training)
+    starts = [value]
+    if chain.steady.size and variance.max() > 0:
+        first = int(chain.steady[np.argmax(segments.count[chain.steady[:5]])])
+        residual, total, _ = chain.residuals(first, value, np.zeros((3, 3)))
+        sigma = np.sqrt(variance + np.einsum("kii->ki", total))
+        near = (np.abs(residual) < ASSIGNMENT.start_sigmas * sigma).all(axis=1) & training.observed
+        starts += [value + one for one in residual[near]]
     if len(starts) > 1:
-        likelihood = [chain.follow(start, variance, ASSIGNMENT.compared_segments) for start in starts]
+        likelihood = [
+            chain.filter_drift(start, variance, chain.steady[: ASSIGNMENT.compared_segments])
+            for start in starts
+        ]
         starts = [starts[int(np.argmax(likelihood))]]
-    chain.follow(starts[0], variance, len(segments))
+    chain.filter_drift(starts[0], variance, chain.steady)
     probability = np.zeros((len(segments), len(training) + 1))
     probability[chain.steady] = _smoothed(chain.score[chain.steady], training, chain.prior)
     return Assignment(probability, chain.drift)
@@ -180,6 +184,7 @@ class _StateChain:
     Attributes
     ----------
     prior : ndarray, shape (state + 1,)
+        Probabilities of the states and, last, of the unknown one.
     score : ndarray, shape (segment, state + 1)
         Log likelihood; last of the unknown state.
     drift : ndarray, shape (segment, axis)
@@ -190,28 +195,35 @@ class _StateChain:
         self.segments, self.training = segments, training
         self.steady = np.flatnonzero(~segments.transient)
         self.limit = float(stats.chi2.isf(ASSIGNMENT.false_unknown / max(self.steady.size, 1), 3))
-        self.prior = _prior(training)
+        observed, unknown = training.observed, ASSIGNMENT.unknown_prior
+        predicted = ASSIGNMENT.predicted_prior if not observed.all() else 0.0
+        share = np.where(observed, (1.0 - predicted) / observed.sum(), predicted / max((~observed).sum(), 1))
+        self.prior = np.append((1.0 - unknown) * share, unknown)
         self.spread = training.scatter**2 * np.eye(3)
-        self.unknown = _density_anywhere(segments, training)
+        # The logarithm of the density of points of an unknown state, 1/nT^3.
+        noise = segments.noise.of_mean(1) + training.scatter**2 * np.eye(3)
+        points = np.concatenate([training.centre, segments.level[~segments.transient]])
+        wide = ASSIGNMENT.anywhere_points * np.cov(points.T) + ASSIGNMENT.anywhere_noise * noise
+        self.unknown = float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
         self.score = np.full((len(segments), len(training) + 1), -np.inf)
         self.drift = np.zeros((len(segments), 3))
 
     def residuals(self, one: int, value: Floats, spread: Floats) -> tuple[Floats, Floats, Floats]:
         """Return a segment's residuals from the states (state, axis), their covariances and squares."""
-        residual = self.segments.begin.mean[one] - value - self.training.centre
-        own = own_drift(self.segments, one, self.training.drift_rate)
+        residual = self.segments.head.mean[one] - value - self.training.centre
+        own = segment_drift_covariance(self.segments, one, self.training.drift_rate)
         total = self.segments.covariance[one] + own + self.spread + spread + self.training.centre_covariance
         return residual, total, np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
 
-    def follow(self, start: Floats, variance: Floats, most: int) -> float:
-        """Go through the first segments, the drift from a starting value on; return the log likelihood."""
+    def filter_drift(self, start: Floats, variance: Floats, steady: npt.NDArray[np.int64]) -> float:
+        """Filter the drift through steady segments from a starting value on; return the log likelihood."""
         track = DriftFilter.start(self.training.drift_rate)
         track.value = start.copy()
         track.covariance[:, 0, 0] = variance
-        likelihood, before = 0.0, self.segments.begin.middle[0]
-        for one in self.steady[:most].tolist():
-            track.predict(float(self.segments.begin.middle[one] - before) / SECOND)
-            track.observe_slope(self.segments.begin.slope[one], self.segments.slope_variance[one])
+        likelihood, before = 0.0, self.segments.head.middle[0]
+        for one in steady.tolist():
+            track.predict(float(self.segments.head.middle[one] - before) / SECOND)
+            track.observe_slope(self.segments.head.slope[one], self.segments.slope_variance[one])
             residual, total, distance = self.residuals(one, track.value, track.spread)
             density = -0.5 * (distance + np.linalg.slogdet(total)[1]) - 1.5 * np.log(2.0 * np.pi)
             self.score[one, :-1] = np.where(distance <= self.limit, density, -np.inf)
@@ -223,30 +235,12 @@ class _StateChain:
                 track.observe_value(residual[state], np.diag(total[state]))
             self.drift[one] = track.value
             track.cross_segment(self.segments, one)
-            before = self.segments.finish.middle[one]
+            before = self.segments.tail.middle[one]
         return likelihood
 
 
-def _prior(training: Training) -> Floats:
-    """Return the prior probabilities of the states and, last, of the unknown one."""
-    observed = training.observed
-    predicted = ASSIGNMENT.predicted_prior if not observed.all() else 0.0
-    share = np.where(observed, (1.0 - predicted) / observed.sum(), predicted / max((~observed).sum(), 1))
-    return np.append((1.0 - ASSIGNMENT.unknown_prior) * share, ASSIGNMENT.unknown_prior)
-
-
-def _density_anywhere(segments: Segments, training: Training) -> float:
-    """Return the logarithm of the density of points of an unknown state, 1/nT^3."""
-    noise = segments.noise.of_mean(1) + training.scatter**2 * np.eye(3)
-    points = np.concatenate([training.centre, segments.level[~segments.transient]])
-    wide = ASSIGNMENT.anywhere_points * np.cov(points.T) + ASSIGNMENT.anywhere_noise * noise
-    return float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
-
-
-def _drift_since_training(
-    segments: Segments, training: Training, drift_sigma: float
-) -> tuple[Floats, Floats]:
-    """Return the predicted drift at the start, and the variance of that; (axis,) each."""
+def _drift_since_training(segments: Segments, training: Training) -> tuple[Floats, Floats]:
+    """Return the predicted drift at the start, nT, and the variance of that, nT^2; (axis,) each."""
     span = max(training.end - training.start, 1)
     share = float(np.clip((segments.start[0] - training.start) / span, 0.0, 1.0))
     away = max(float(segments.start[0] - training.end), float(training.start - segments.start[0]), 0.0)
@@ -258,19 +252,7 @@ def _drift_since_training(
     variance = rate.level_walk * away / SECOND + seconds**2 * np.minimum(
         rate.slope, rate.slope_walk * seconds / 3.0
     )
-    return share * training.drift, variance + drift_sigma**2
-
-
-def _starting_drifts(chain: _StateChain, value: Floats, variance: Floats) -> list[Floats]:
-    """Return starting values of the drift: the predicted one, and those by which a state fits."""
-    starts = [value]
-    if not chain.steady.size or not variance.max() > 0:
-        return starts
-    first = int(chain.steady[np.argmax(chain.segments.count[chain.steady[:5]])])
-    residual, total, _ = chain.residuals(first, value, np.zeros((3, 3)))
-    sigma = np.sqrt(variance + np.einsum("kii->ki", total))
-    near = (np.abs(residual) < ASSIGNMENT.start_sigmas * sigma).all(axis=1) & chain.training.observed
-    return starts + [value + one for one in residual[near]]
+    return share * training.drift, variance
 
 
 def _smoothed(score: Floats, training: Training, prior: Floats) -> Floats:
@@ -303,19 +285,11 @@ def _smoothed(score: Floats, training: Training, prior: Floats) -> Floats:
     return np.asarray(both / both.sum(axis=1, keepdims=True))
 
 
-@dataclass(frozen=True)
-class _BySegment:
-    """Corrections of segments: one row each, as those of samples in `Correction`."""
+def _correction_of_segments(segments: Segments, training: Training, assigned: Assignment) -> Correction:
+    """Return the correction with one row a segment: the mean over its states, weighted by probability.
 
-    field: Floats
-    covariance: Floats
-    state: npt.NDArray[np.int64]
-    probability: Floats
-    flag: npt.NDArray[np.uint32]
-
-
-def _by_segment(segments: Segments, training: Training, assigned: Assignment) -> _BySegment:
-    """Return the correction of each segment: the mean over its states, weighted by probability."""
+    Transients have the mean of their neighbours' corrections, with an error that holds them both.
+    """
     count, known = len(segments), len(training)
     share = assigned.probability[:, :known]
     total = np.maximum(share.sum(axis=1), 1e-300)[:, None]
@@ -337,58 +311,31 @@ def _by_segment(segments: Segments, training: Training, assigned: Assignment) ->
         Flag.AMBIGUOUS_STATE
     )
     field[unknown], covariance[unknown] = np.nan, np.nan
-    found = _BySegment(field, covariance, state, probability, flag)
-    _bridge_transients(found, segments)
-    return found
-
-
-def _bridge_transients(found: _BySegment, segments: Segments) -> None:
-    """Give transients the mean of their neighbours' corrections, with an error that holds them both."""
-    short = np.flatnonzero(segments.transient)
-    steady = np.flatnonzero(~segments.transient)
-    found.state[short], found.flag[short] = TRANSIENT, np.uint32(Flag.TRANSIENT)
-    found.probability[short] = np.nan
-    found.field[short], found.covariance[short] = np.nan, np.nan
-    place = np.searchsorted(steady, short)
-    for one, after in zip(short, place, strict=True):
+    short, steady = np.flatnonzero(segments.transient), np.flatnonzero(~segments.transient)
+    state[short], flag[short], probability[short] = TRANSIENT, np.uint32(Flag.TRANSIENT), np.nan
+    field[short], covariance[short] = np.nan, np.nan
+    for one, after in zip(short, np.searchsorted(steady, short), strict=True):
         near = steady[max(after - 1, 0) : after + 1]
-        near = near[np.isfinite(found.field[near, 0])]
+        near = near[np.isfinite(field[near, 0])]
         if not near.size:
             continue
-        mean = found.field[near].mean(axis=0)
+        mean = field[near].mean(axis=0)
         # What the difference does beyond both neighbours, the outboard reading may do as well.
         beyond = np.abs(segments.level[one] - segments.level[near]).min(axis=0)
-        apart = found.field[near] - mean
-        found.field[one] = mean
-        found.covariance[one] = found.covariance[near].mean(axis=0) + np.diag(beyond**2)
-        found.covariance[one] += np.einsum("ni,nj->ij", apart, apart)
-
-
-def _widen_at_spikes(correction: Correction, readings: Readings, segments: Segments) -> None:
-    """Widen the error of single samples that stand out, by as much as they do: the state is unchanged."""
-    rows = segments.spikes
-    if not rows.size:
-        return
-    owner = np.searchsorted(segments.last, rows, side="right")
-    beyond = readings.difference[rows] - segments.level[owner]
-    correction.covariance[rows] += beyond[:, :, None] * beyond[:, None, :]
-    correction.flag[rows] |= np.uint32(Flag.TRANSIENT)
-
-
-def _forget_in_long_gaps(correction: Correction, readings: Readings, shortest: int) -> None:
-    """Make the state unknown in samples far from any with both sensors: it may have changed."""
-    good = readings.good
-    if good.all():
-        return
-    rows = np.flatnonzero(good)
-    missing = np.flatnonzero(~good)
-    after = np.searchsorted(rows, missing)
-    early = np.where(after > 0, missing - rows[np.maximum(after - 1, 0)], len(readings))
-    late = np.where(after < rows.size, rows[np.minimum(after, rows.size - 1)] - missing, len(readings))
-    lost = missing[np.minimum(early, late) > shortest]
-    correction.field[lost], correction.covariance[lost] = np.nan, np.nan
-    correction.state[lost], correction.probability[lost] = UNKNOWN, np.nan
-    correction.flag[lost] = np.uint32(Flag.UNKNOWN_STATE)
+        apart = field[near] - mean
+        field[one] = mean
+        covariance[one] = covariance[near].mean(axis=0) + np.diag(beyond**2)
+        covariance[one] += np.einsum("ni,nj->ij", apart, apart)
+    return Correction(
+        field=field,
+        covariance=covariance,
+        state=state,
+        probability=probability,
+        flag=flag,
+        method="states",
+        reason="the spacecraft's states as trained",
+        constant_known=training.constant_known,
+    )
 
 
 def _fill_unknown(correction: Correction, fallback: Correction) -> None:

@@ -38,7 +38,6 @@ from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
 from inflight.dual.states import States, Units, find_states, find_units
 from inflight.dual.training import (
-    Levels,
     OutboardSteps,
     Training,
     empty_training,
@@ -102,7 +101,7 @@ class Candidates:
         self.body, self.leak_sigma = body, leak_sigma
 
     def fit(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Corrector]:
-        """Fit to the rows in use; what cannot be fitted is left out.
+        """Fit to the rows in use (time,); what cannot be fitted is missing.
 
         Returns
         -------
@@ -114,7 +113,8 @@ class Candidates:
         if not gradiometers:
             return {}
         found: dict[str, Corrector] = {
-            name: partial(correction_by_gradiometer, one) for name, one in gradiometers.items()
+            form: partial(correction_by_gradiometer, gradiometer)
+            for form, gradiometer in gradiometers.items()
         }
         training = self.training if whole else self._training(use)
         if training is not None and len(training) > 1:
@@ -208,21 +208,17 @@ class Candidates:
         segments, states, units, steps = self._states
         unused = np.concatenate([[0], np.cumsum(~use)])
         whole = unused[segments.last[steps.after]] == unused[segments.first[steps.before]]
-        levels = self._levels(segments, use)
+        levels = None
+        if self.ambient is not None:
+            ambient = np.where(use[:, None], self.ambient, np.nan)
+            if (self.readings.good & np.isfinite(ambient).all(axis=1)).any():
+                levels = levels_of(self.readings, segments, ambient)
         if not whole.any() and levels is None and len(states) > 1:
             return None
         kept = OutboardSteps(
             steps.before[whole], steps.after[whole], steps.step[whole], steps.covariance[whole]
         )
         return training_from_steps(segments, states, units, kept, levels)
-
-    def _levels(self, segments: Segments, use: npt.NDArray[np.bool_]) -> Levels | None:
-        if self.ambient is None:
-            return None
-        known = np.where(use[:, None], self.ambient, np.nan)
-        if not (self.readings.good & np.isfinite(known).all(axis=1)).any():
-            return None
-        return levels_of(self.readings, segments, known)
 
 
 def correction_by_states_and_gradiometer(
@@ -281,7 +277,7 @@ def combined_correction(
 
 
 def state_fields(training: Training, gradiometer: Gradiometer) -> tuple[Floats, Floats]:
-    """Return the outboard field of each state by both methods together, and its covariance.
+    """Return the outboard field of each state, the mean of both methods by their covariances.
 
     Returns
     -------

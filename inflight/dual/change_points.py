@@ -180,22 +180,13 @@ class StepNoise:
         return np.asarray(0.5 * ((1 - share) * self.covariance[upper - 1] + share * self.covariance[upper]))
 
 
-def find_jumps(
-    values: Floats,
-    *,
-    false_alarms: float = CHANGE_POINTS.false_alarms,
-    longest: int = CHANGE_POINTS.longest,
-) -> tuple[Rows, StepNoise]:
+def find_jumps(values: Floats) -> tuple[Rows, StepNoise]:
     """Return where a series of three components jumps, and the noise of steps in it.
 
     Parameters
     ----------
     values : ndarray, shape (time, axis)
-        nT, finite, in the order of time; what is missing has been left out.
-    false_alarms : float
-        Expected number of false jumps in the whole record.
-    longest : int
-        Longest stretch before and after a jump, samples.
+        nT, finite, in the order of time, without the rows that are missing.
 
     Returns
     -------
@@ -207,26 +198,17 @@ def find_jumps(
     white = white_covariance(values)
     count = len(values)
     if count < 4 * CHANGE_POINTS.fewest_freedom or not white.max() > 0:
-        return np.empty(0, dtype=np.int64), _white_step_noise(white, longest)
+        return np.empty(0, dtype=np.int64), _white_step_noise(white)
     root = np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))
     unit = (values - values.mean(axis=0)) @ np.linalg.inv(root).T
     level = _local_levels(unit)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(unit, axis=0)])
-    found, noise = _search_all_lengths(unit, sums, level, false_alarms, longest)
-    length, covariance, freedom = noise
-    return found, StepNoise(length, root @ covariance @ root.T, freedom)
-
-
-def _search_all_lengths(
-    unit: Floats, sums: Floats, level: Floats, false_alarms: float, longest: int
-) -> tuple[Rows, tuple[Rows, Floats, Floats]]:
-    """Return the jumps and the noise of whitened values, from the shortest stretch to the longest."""
     # Steps of one length at less than about a quarter of it apart are hardly independent tests.
-    chance = false_alarms / (8.0 * len(unit))
+    chance = CHANGE_POINTS.false_alarms / (8.0 * count)
     found = np.empty(0, dtype=np.int64)
     noises: list[tuple[int, Floats, float]] = []
     length = 1
-    while length <= longest and 2 * length <= len(unit):
+    while length <= CHANGE_POINTS.longest and 2 * length <= count:
         measured = _noise_of_length(sums, level, found, length)
         if measured is None:
             break
@@ -248,12 +230,19 @@ def _search_all_lengths(
         free = _without_jump(at, found, length)
         order = np.argsort(-distance[free], kind="stable")
         taken = _best_apart(at[free][order], length)
-        if taken.size:
-            found = np.unique(np.concatenate([found, _placed(unit, taken, found, length)]))
+        if taken.size and length > 1:
+            # A jump is where the split of its surroundings into two levels fits best.
+            others = np.concatenate([[0], np.sort(np.concatenate([found, taken])), [count]])
+            where = np.searchsorted(others[1:-1], taken) + 1
+            first = np.maximum(others[where - 1], taken - 2 * length)
+            last = np.minimum(others[where + 1], taken + 2 * length)
+            taken = _best_splits(unit, taken, first, last)
+        found = np.unique(np.concatenate([found, taken]))
         length *= 2
     if not noises:
-        return found, (np.array([1]), 2.0 * np.eye(3)[None], np.array([1.0]))
-    return found, _stacked(noises)
+        noises = [(1, 2.0 * np.eye(3), 1.0)]
+    lengths, covariances, degrees = zip(*noises, strict=True)
+    return found, StepNoise(np.array(lengths), root @ np.array(covariances) @ root.T, np.array(degrees))
 
 
 def _noise_of_length(
@@ -273,25 +262,20 @@ def _noise_of_length(
     # Mean after less mean before each row.
     step = np.asarray((sums[at + length] - 2.0 * sums[at] + sums[at - length]) / length)
     block = max(CHANGE_POINTS.local_lengths * length, CHANGE_POINTS.local_samples)
-    drift = _local_medians(step, at, block, count)
-    middle = (np.arange(len(drift)) + 0.5) * block
+    # The median step of each block is the drift's.
+    blocks = -(-count // block)
+    edges = np.searchsorted(at, np.arange(blocks + 1) * block)
+    known = np.flatnonzero(np.diff(edges) >= CHANGE_POINTS.fewest_steps)
+    drift = np.zeros((blocks, 3))
+    if known.size:
+        median = np.array([np.median(step[edges[one] : edges[one + 1]], axis=0) for one in known])
+        drift = np.stack([np.interp(np.arange(blocks), known, axis) for axis in median.T], axis=1)
+    middle = (np.arange(blocks) + 0.5) * block
     step -= np.stack([np.interp(at, middle, axis) for axis in drift.T], axis=1)
     covariance = trimmed_covariance(step / np.sqrt(level[at // CHANGE_POINTS.level_samples])[:, None])
     # A covariance of few steps may come out too small; white noise is in all of them.
     least = 2.0 * white / length / max(float(covariance.diagonal().min()), 1e-300)
     return covariance * max(1.0, least), freedom, drift, block
-
-
-def _local_medians(step: Floats, at: Rows, block: int, count: int) -> Floats:
-    """Return the median step in each block of samples, which is the drift's part; (block, axis)."""
-    blocks = -(-count // block)
-    edges = np.searchsorted(at, np.arange(blocks + 1) * block)
-    known = np.flatnonzero(np.diff(edges) >= CHANGE_POINTS.fewest_steps)
-    if not known.size:
-        return np.zeros((blocks, 3))
-    median = np.array([np.median(step[edges[one] : edges[one + 1]], axis=0) for one in known])
-    every = np.arange(blocks)
-    return np.stack([np.interp(every, known, axis) for axis in median.T], axis=1)
 
 
 def _local_levels(unit: Floats) -> Floats:
@@ -323,14 +307,9 @@ def _without_jump(at: Rows, jumps: Rows, length: int) -> npt.NDArray[np.bool_]:
     return np.asarray(inside == 0)
 
 
-def _stacked(noises: list[tuple[int, Floats, float]]) -> tuple[Rows, Floats, Floats]:
-    length, covariance, freedom = zip(*noises, strict=True)
-    return np.array(length), np.array(covariance), np.array(freedom)
-
-
-def _white_step_noise(white: Floats, longest: int) -> StepNoise:
+def _white_step_noise(white: Floats) -> StepNoise:
     """Return the noise of steps in white noise of a covariance."""
-    lengths = 2 ** np.arange(int(np.log2(max(longest, 1))) + 1)
+    lengths = 2 ** np.arange(int(np.log2(CHANGE_POINTS.longest)) + 1)
     return StepNoise(lengths, 2.0 * white / lengths[:, None, None], np.full(lengths.size, 1.0))
 
 
@@ -388,20 +367,6 @@ def _best_apart(at: Rows, length: int) -> Rows:
             kept[number] = row
             number += 1
     return np.sort(kept[:number])
-
-
-def _placed(unit: Floats, taken: Rows, jumps: Rows, length: int) -> Rows:
-    """Return where exactly each jump is: the split of its surroundings into two levels that fits best."""
-    if length == 1:
-        return taken
-    others = np.concatenate([[0], np.sort(np.concatenate([jumps, taken])), [len(unit)]])
-    where = np.searchsorted(others[1:-1], taken) + 1
-    return _best_splits(
-        unit,
-        taken,
-        np.maximum(others[where - 1], taken - 2 * length),
-        np.minimum(others[where + 1], taken + 2 * length),
-    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -543,7 +508,7 @@ def _median_distance(values: Floats, jumps: list[int], one: int, weight: Floats)
     return highest
 
 
-def step_noise(values: Floats, jumps: Rows, *, longest: int = CHANGE_POINTS.longest) -> StepNoise:
+def step_noise(values: Floats, jumps: Rows) -> StepNoise:
     """Return the noise of steps of a series where known jumps are not; see `find_jumps`.
 
     Parameters
@@ -557,15 +522,16 @@ def step_noise(values: Floats, jumps: Rows, *, longest: int = CHANGE_POINTS.long
     level = np.ones(len(values) // CHANGE_POINTS.level_samples + 1)
     noises: list[tuple[int, Floats, float]] = []
     length = 1
-    while length <= longest and 2 * length <= len(values):
+    while length <= CHANGE_POINTS.longest and 2 * length <= len(values):
         measured = _noise_of_length(sums, level, jumps, length, white=0.0)
         if measured is None:
             break
         noises.append((length, measured[0], measured[1]))
         length *= 2
     if not noises:
-        return _white_step_noise(white_covariance(values), longest)
-    return StepNoise(*_stacked(noises))
+        return _white_step_noise(white_covariance(values))
+    lengths, covariances, degrees = zip(*noises, strict=True)
+    return StepNoise(np.array(lengths), np.array(covariances), np.array(degrees))
 
 
 def level_noise(values: Floats, jumps: Rows, steps: StepNoise) -> StepNoise:
@@ -590,10 +556,15 @@ def level_noise(values: Floats, jumps: Rows, steps: StepNoise) -> StepNoise:
     edges = np.concatenate([[0], jumps, [len(values)]])
     found = []
     for length in steps.length.tolist():
-        covariance = _noise_of_triples(sums, edges, length)
-        if covariance is None:
+        stride = max(1, length // LEVEL_NOISE.strides, len(values) // LEVEL_NOISE.positions)
+        at = np.arange(0, len(values) - 3 * length + 1, stride)
+        inside = np.searchsorted(edges, at + 3 * length) - np.searchsorted(edges, at, side="right")
+        at = at[inside == 0]
+        if at.size * stride < LEVEL_NOISE.fewest_triples * 3 * length:
             break
-        found.append(covariance)
+        second = sums[at + 3 * length] - 3.0 * sums[at + 2 * length] + 3.0 * sums[at + length] - sums[at]
+        # Six times the variance of one mean; a step has twice.
+        found.append(trimmed_covariance(second / length) / 3.0)
     if not found:
         return steps
     count = len(found)
@@ -601,17 +572,3 @@ def level_noise(values: Floats, jumps: Rows, steps: StepNoise) -> StepNoise:
     share = np.einsum("sii->s", own) / np.einsum("sii->s", steps.covariance[:count])
     kept = np.where((share < 1.0)[:, None, None], own, steps.covariance[:count])
     return StepNoise(steps.length[:count], kept, steps.freedom[:count])
-
-
-def _noise_of_triples(sums: Floats, edges: Rows, length: int) -> Floats | None:
-    """Return the covariance of a step of this length by three stretches in a row; None for too few."""
-    count = len(sums) - 1
-    stride = max(1, length // LEVEL_NOISE.strides, count // LEVEL_NOISE.positions)
-    at = np.arange(0, count - 3 * length + 1, stride)
-    inside = np.searchsorted(edges, at + 3 * length) - np.searchsorted(edges, at, side="right")
-    at = at[inside == 0]
-    if at.size * stride < LEVEL_NOISE.fewest_triples * 3 * length:
-        return None
-    second = sums[at + 3 * length] - 3.0 * sums[at + 2 * length] + 3.0 * sums[at + length] - sums[at]
-    # Six times the variance of one mean; a step has twice.
-    return np.asarray(trimmed_covariance(second / length) / 3.0)

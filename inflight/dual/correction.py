@@ -25,9 +25,22 @@ from inflight.dual.readings import Readings
 #: Numbers of samples that are in no known state.
 UNKNOWN, TRANSIENT = -1, -2
 
-#: Values of the slow part that are stored in one width of its means. Assumed: linear between them the slow
-#: part has an error far below its size.
-STORED_PER_WIDTH = 16
+
+@dataclass(frozen=True, kw_only=True)
+class SlowPartSettings:
+    """Numbers of the slow part of a correction.
+
+    Attributes
+    ----------
+    stored_per_width : int
+        Values of the slow part that are stored in one width of its means. Assumed: linear between them the
+        slow part has an error far below its size.
+    """
+
+    stored_per_width: int = 16
+
+
+SLOW_PART = SlowPartSettings()
 
 _SLOW, _SLOW_TIME, _MEDIANS, _CONSTANT = "left_alone", "left_time", "part_middle", "part_constant"
 
@@ -251,8 +264,8 @@ def applied_part_to_dataset(
     if not part.seconds:
         return found
     known = np.flatnonzero(correction.known)
-    every = max(readings.samples_in(part.seconds) // STORED_PER_WIDTH, 1)
-    rows = known[np.unique(np.append(np.arange(0, known.size, every), known.size - 1))]
+    stride = max(readings.samples_in(part.seconds) // SLOW_PART.stored_per_width, 1)
+    rows = known[np.unique(np.append(np.arange(0, known.size, stride), known.size - 1))]
     return found.assign({_SLOW: ((_SLOW_TIME, "axis"), slow[rows], units)}).assign_coords(
         {_SLOW_TIME: readings.stamps[rows]}
     )

@@ -72,15 +72,15 @@ class Body:
     centre: Floats
     half_size: Floats
 
-    def places(self, count: int = GEOMETRY.draws) -> Floats:
-        """Return places in the box, the same each time; (count, axis), m."""
-        drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 3))
-        return np.asarray(self.centre + drawn * self.half_size)
-
     @cached_property
     def matrices(self) -> Floats:
-        """Of dipoles all over the body, (place, 3, 3); those next to a sensor are left out."""
-        return _without_outliers(np.array([dipole_matrix(self.positions, place) for place in self.places()]))
+        """Of dipoles drawn all over the body, the same each time, without those next to a sensor.
+
+        Shape (place, 3, 3).
+        """
+        drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (GEOMETRY.draws, 3))
+        places = self.centre + drawn * self.half_size
+        return _without_outliers(np.array([dipole_matrix(self.positions, place) for place in places]))
 
     @property
     def spread(self) -> Floats:

@@ -208,9 +208,10 @@ def fit_forms(
             f"{good.sum()} samples with both sensors found, at least {GRADIOMETER.fewest_samples} needed",
             remedy="take a longer span",
         )
-    every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = difference_noise(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
-    cells = usable_cells(every, noise)
+    all_cells = cells_of(readings.outboard[good], readings.difference[good])
+    floor = noise_floor(all_cells, readings.difference[good], readings.noise)
+    noise = difference_noise(all_cells, floor, leak_sigma)
+    cells = usable_cells(all_cells, noise)
     prior = matrix_prior(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
     moments = second_moments(cells, mixing, noise)
@@ -224,9 +225,12 @@ def fit_forms(
         value_covariance=covariance,
         noise=noise.covariance,
     )
-    made = {form: full if form == full.form else as_form(full, moments, form, prior, body) for form in forms}
-    hidden = _hidden_spread(full, moments, body) + _between_scales(full, every, cells, noise, prior)
-    return {form: replace(one, covariance=one.covariance + hidden) for form, one in made.items()}
+    hidden = _hidden_spread(full, moments, body) + _between_scales(full, all_cells, cells, noise, prior)
+    found = {}
+    for form in forms:
+        fitted = full if form == full.form else as_form(full, moments, form, prior, body)
+        found[form] = replace(fitted, covariance=fitted.covariance + hidden)
+    return found
 
 
 def _hidden_spread(full: Gradiometer, moments: SecondMoments, body: Body | None) -> Floats:
@@ -243,7 +247,7 @@ def _hidden_spread(full: Gradiometer, moments: SecondMoments, body: Body | None)
 
 
 def _between_scales(
-    full: Gradiometer, every: Cells, cells: Cells, noise: DifferenceNoise, prior: tuple[Floats, Floats]
+    full: Gradiometer, all_cells: Cells, cells: Cells, noise: DifferenceNoise, prior: tuple[Floats, Floats]
 ) -> Floats:
     """Return the scatter of matrices of single bands of scale, as a covariance of its elements; (9, 9).
 
@@ -254,7 +258,7 @@ def _between_scales(
     scatter = total = 0.0
     scales = np.unique(cells.scale)
     for band in np.array_split(scales, max(len(scales) // GRADIOMETER.band_scales, 1)):
-        here = every.select(np.isin(every.scale, band))
+        here = all_cells.select(np.isin(all_cells.scale, band))
         share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
         power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
         own = second_moments(cells.select(np.isin(cells.scale, band)), full.mixing, noise)
@@ -274,10 +278,19 @@ def as_form(
     prior: tuple[Floats, Floats],
     body: Body | None = None,
 ) -> Gradiometer:
-    """Return another form of a fitted full matrix, from the moments it was fitted to."""
-    if form == "dipole" and body is not None:
-        return _as_dipole(full, moments, body)
+    """Return another form of a fitted full matrix, from the moments it was fitted to.
+
+    That of a dipole is the matrix at the place that fits best; its slope is linearised there.
+    """
     facts: dict[str, float | list[float]] = {}
+    if form == "dipole" and body is not None:
+        value, basis = fit_place(body, moments.whitened(full.matrix, moments.excess(full.matrix)))
+        matrix = dipole_matrix(body.positions, value)
+        at_place = moments.whitened(matrix, moments.excess(matrix))
+        design = np.einsum("kij,pkj->pki", at_place.design, basis).reshape(3, 9)
+        covariance = np.linalg.inv(design @ design.T + np.diag(body.spread**-2))
+        facts = {"place_m": value.tolist(), "sigma_m": np.sqrt(np.diag(covariance)).tolist()}
+        return _with_matrix(full, moments, form, matrix, (basis, value, covariance), facts)
     if form == "principal":
         directions = _held_directions(moments, full.noise)
         basis = np.einsum("ki,rj->krij", np.eye(3), directions).reshape(-1, 3, 3)
@@ -293,18 +306,6 @@ def as_form(
         facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
     matrix = np.einsum("p,pij->ij", value, basis)
     return _with_matrix(full, moments, form, matrix, (basis, value, covariance), facts)
-
-
-def _as_dipole(full: Gradiometer, moments: SecondMoments, body: Body) -> Gradiometer:
-    """Return the matrix of the dipole that fits best; its slope is linearised at the fitted place."""
-    place, slope = fit_place(body, moments.whitened(full.matrix, moments.excess(full.matrix)))
-    matrix = dipole_matrix(body.positions, place)
-    at_place = moments.whitened(matrix, moments.excess(matrix))
-    design = np.einsum("kij,pkj->pki", at_place.design, slope).reshape(3, 9)
-    covariance = np.linalg.inv(design @ design.T + np.diag(body.spread**-2))
-    sigma = np.sqrt(np.diag(covariance))
-    facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
-    return _with_matrix(full, moments, "dipole", matrix, (slope, place, covariance), facts)
 
 
 def _with_matrix(

@@ -24,9 +24,10 @@ may still be applied.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +90,7 @@ class HeldOutSettings:
         Blocks of time of each fold whose scatter widens the error of a slope. Assumed.
     slope_scatter : float
         Slopes of several units on one scale differ by so much from those of one. Assumed.
-    refuted : float
+    rejected : float
         Chance below which held-out readings are not of units in the body. Level of significance.
     least_signal : float
         Least part of a scale that passes as signal. Assumed: bounds a division.
@@ -120,7 +121,7 @@ class HeldOutSettings:
     own_contrasts: float = 1.0
     blocks: int = 6
     slope_scatter: float = 0.2
-    refuted: float = 1e-6
+    rejected: float = 1e-6
     least_signal: float = 0.01
     longest: int = 2
     quick: int = 64
@@ -246,62 +247,42 @@ def choose_correction(
     fit : callable
         From rows in use (time,) to correctors by name, such as `candidates.Candidates.fit`.
     priors : sequence of GeometryPrior
-        By geometry; the first that the readings do not refute is used.
+        By geometry; the first that the readings do not reject is used.
     folds : int
     """
-    held = _held_out(readings, fit, folds)
+    edges = np.linspace(0, len(readings), folds + 1).astype(np.int64)
+    held: dict[str, Held] = {}
+    for fold in (slice(first, last) for first, last in pairwise(edges.tolist())):
+        use = np.ones(len(readings), dtype=bool)
+        use[fold] = False
+        for name, corrector in fit(use).items():
+            held.setdefault(name, []).append((fold, corrector(readings.select(fold))))
     whole = fit(np.ones(len(readings), dtype=bool))
     scores = {
         name: held_out_score(name, readings, (parts, whole[name](readings)), priors)
         for name, parts in held.items()
         if name in whole
     }
-    scores = _refuted_with_general_form(scores)
-    helping = [one for one in scores.values() if one.helps]
+    general = scores.get(_GENERAL)
+    if general is not None and not np.isfinite(general.risk):
+        # The full matrix follows the readings wherever they lead. Where that is no field of units, the
+        # difference holds something else, such as the ambient field that a dead sensor does not measure; a
+        # form that is too stiff to show it is no better.
+        scores = {name: replace(score, risk=float("nan")) for name, score in scores.items()}
+    helping = [score for score in scores.values() if score.helps]
     if not helping:
-        reason = readings.defect or _objections(scores.values())
+        objections: dict[str, list[str]] = {}
+        for score in scores.values():
+            objections.setdefault(score.objection, []).append(f"{score.name} ({score.summary})")
+        sentences = (f"{objection}: {', '.join(names)}" for objection, names in objections.items())
+        reason = readings.defect or "; ".join(sentences) or "no candidate could be fitted"
         return HeldOutDecision(no_correction(len(readings), reason), "none", scores)
     # Benefits are those of what changes; a known constant comes on top.
-    best = max(helping, key=lambda one: (one.constant_known, one.fast_benefit))
+    best = max(helping, key=lambda score: (score.constant_known, score.fast_benefit))
     correction = whole[best.name](readings)
     slow = slow_part_of(correction, readings, best.part.seconds)
     correction = partial_correction(correction, best.part, best.slope_error, slow)
     return HeldOutDecision(replace(correction, reason=best.reason), best.name, scores)
-
-
-def _held_out(readings: Readings, fit: Fit, folds: int) -> dict[str, Held]:
-    """Return corrections of each fold by candidates that were fitted to the others."""
-    edges = np.linspace(0, len(readings), folds + 1).astype(np.int64)
-    found: dict[str, Held] = {}
-    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        use = np.ones(len(readings), dtype=bool)
-        use[first:last] = False
-        fold = slice(first, last)
-        for name, corrector in fit(use).items():
-            found.setdefault(name, []).append((fold, corrector(readings.select(fold))))
-    return found
-
-
-def _objections(scores: Iterable[HeldOutScore]) -> str:
-    """Return why no correction is applied, candidates of the same objection together."""
-    found: dict[str, list[str]] = {}
-    for one in scores:
-        found.setdefault(one.objection, []).append(f"{one.name} ({one.summary})")
-    sentences = (f"{objection}: {', '.join(names)}" for objection, names in found.items())
-    return "; ".join(sentences) or "no candidate could be fitted"
-
-
-def _refuted_with_general_form(scores: Mapping[str, HeldOutScore]) -> dict[str, HeldOutScore]:
-    """Return the scores, all of them refuted where that of the full matrix is.
-
-    The full matrix follows the readings wherever they lead. Where that is no field of units, the difference
-    holds something else, such as the ambient field that a dead sensor does not measure; a form that is too
-    stiff to show it is no better.
-    """
-    general = scores.get(_GENERAL)
-    if general is None or np.isfinite(general.risk):
-        return dict(scores)
-    return {name: replace(one, risk=float("nan")) for name, one in scores.items()}
 
 
 def held_out_score(
@@ -317,8 +298,8 @@ def held_out_score(
     parts, correction = made
     slope, sigma, observation = held_out_slopes(readings, parts)
     for prior in priors:
-        posterior = prior.of(correction).posterior(observation)
-        if posterior.refuted:
+        posterior = prior.slope_prior(correction).posterior(observation)
+        if posterior.rejected:
             continue
         noise = prior.noise.share * float(np.trace(prior.noise.covariance))
         part = best_part(posterior, correction.constant_known)
@@ -387,7 +368,15 @@ class SlopeObservation:
 
 def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, SlopeObservation]:
     """Return the slope of held-out outboard readings on a correction, its sigma, and that on each scale."""
-    cells, block = _cells_with(readings, parts)
+    cells_of_folds, blocks = [], []
+    for number, (rows, correction) in enumerate(parts):
+        # Where a correction is not known nothing is taken off.
+        known = readings.good[rows]
+        fold = cells_of(readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0))
+        cells_of_folds.append(fold)
+        start = number * HELD_OUT.blocks
+        blocks.append(start + fold.row * HELD_OUT.blocks // max(int(known.sum()), 1))
+    cells, block = concatenate_cells(cells_of_folds), np.concatenate(blocks)
     square = np.einsum("cii->ci", cells.covariance[:, 3:, 3:])
     cross = np.einsum("cii->ci", cells.covariance[:, :3, 3:])
     both = np.einsum("cii->ci", cells.covariance[:, :3, :3])
@@ -416,19 +405,6 @@ def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, Slop
         ambient=ambient / own[:, None, None],
     )
     return slope, float(np.sqrt(wider / total)), observation
-
-
-def _cells_with(readings: Readings, parts: Held) -> tuple[Cells, np.ndarray]:
-    """Return cells of [B_out, c] of every fold, and the block of time that each is in."""
-    blocks = HELD_OUT.blocks
-    cells, block = [], []
-    for number, (rows, correction) in enumerate(parts):
-        # Where a correction is not known nothing is taken off.
-        known = readings.good[rows]
-        here = cells_of(readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0))
-        cells.append(here)
-        block.append(number * blocks + here.row * blocks // max(int(known.sum()), 1))
-    return concatenate_cells(cells), np.concatenate(block)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -504,10 +480,10 @@ class SlopePosterior:
         return np.asarray(weight / weight.sum())
 
     @property
-    def refuted(self) -> bool:
+    def rejected(self) -> bool:
         """Whether no draw of the prior agrees with the observation (chi-square test)."""
         count = self.observation.scale.size
-        return bool(count) and float(chi2.sf(self.misfit.min(), count)) < HELD_OUT.refuted
+        return bool(count) and float(chi2.sf(self.misfit.min(), count)) < HELD_OUT.rejected
 
     @cached_property
     def effective_draws(self) -> float:
@@ -602,7 +578,7 @@ class GeometryPrior:
     units: str = "all units in the body"
     drift: float = SLOW_NOISE.drift_in_hour
 
-    def of(self, correction: Correction) -> SlopePrior:
+    def slope_prior(self, correction: Correction) -> SlopePrior:
         """Return the prior of the slopes of a correction of the readings.
 
         What comes and goes with the states has the slope of the switchings on all scales: of the sensors'
@@ -626,10 +602,15 @@ class GeometryPrior:
         power, slope = np.zeros(scales.size), []
         for place, scale in enumerate(scales.tolist()):
             here = cells.select(cells.scale == scale)
-            total, *parts = _powers(here)
+            # Of the correction in contrasts, and of its parts with states and without.
+            products = here.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
+            total, with_states, without = (
+                max(float(np.einsum("c,cii->", here.count, one) / here.count.sum()), 1e-300)
+                for one in (products.sum(axis=(1, 3)), products[:, 0, :, 0], products[:, 1, :, 1])
+            )
             power[place] = total / (2.0 * float(scale))
             rest = other[scale].reduced(self._slopes(here, slice(9, 12))[:, None])
-            slope.append((other_stepped[scale].reduced(switched) * parts[0] + rest * parts[1]) / total)
+            slope.append((other_stepped[scale].reduced(switched) * with_states + rest * without) / total)
         # What changes more slowly than any contrast.
         power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         return SlopePrior(
@@ -779,13 +760,6 @@ def means_by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:
     count = np.bincount(place)
     mean = [np.bincount(place, column[known]) / count for column in values.T]
     return np.asarray(np.stack(mean, axis=1)[place[last]])
-
-
-def _powers(cells: Cells) -> list[float]:
-    """Return the power of a correction in contrasts, and of its parts with states and without, nT^2."""
-    taken = cells.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
-    parts = taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1]
-    return [max(float(np.einsum("c,cii->", cells.count, one) / cells.count.sum()), 1e-300) for one in parts]
 
 
 def _filtered(

@@ -289,39 +289,29 @@ def _information(cells: Cells, matrix: Floats, leak: Floats) -> Floats:
     return out
 
 
-def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
-    """Return the covariance of the leak's elements, the matrix known by its prior only.
+def _leak_covariance(cells: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
+    """Return the covariance of the leak's elements (9, 9), the matrix known by its prior only.
 
-    It is widened by what long parts of the record disagree: slow noise is in many cells at once.
+    It is widened by the variance of the leak's score between long parts of the record over the stated one:
+    slow noise is in many cells at once.
     """
     matrix = prior[0].reshape(3, 3)
-    information = _information(restful, matrix, leak)
-    information /= _leak_excess(restful, matrix, leak, information[9:, 9:])
+    information = _information(cells, matrix, leak)
+    unmix = _unmixing(matrix, leak)
+    unmixed = unmix @ cells.covariance @ unmix.T
+    variance = np.maximum(np.einsum("cii->ci", unmixed)[:, 3:], 1e-300)
+    score = (cells.count[:, None] / variance)[:, :, None] * unmixed[:, 3:, :3]
+    parts = MIXING.leak_parts
+    sums = np.zeros((parts, 9))
+    np.add.at(sums, cells.blocks(parts), score.reshape(-1, 9))
+    sums -= sums.mean(axis=0)
+    stated = np.linalg.pinv(information[9:, 9:], hermitian=True)
+    scatter = float(np.einsum("pi,ij,pj->", sums, stated, sums)) / 9.0 * parts / (parts - 1)
+    information /= max(scatter, 1.0)
     information[:9, :9] += np.linalg.inv(prior[1])
     information[9:, 9:] += np.eye(9) / sigma**2
     value, vector = np.linalg.eigh(information)
     return np.asarray((vector / np.maximum(value, 1e-3 / sigma**2)) @ vector.T)[9:, 9:]
-
-
-def _leak_excess(cells: Cells, matrix: Floats, leak: Floats, information: Floats) -> float:
-    """Return the variance of the leak's score between parts of the record over the stated one; at least 1.
-
-    Parameters
-    ----------
-    information : ndarray, shape (9, 9)
-        On the elements of the leak.
-    """
-    parts = MIXING.leak_parts
-    unmix = _unmixing(matrix, leak)
-    own = unmix @ cells.covariance @ unmix.T
-    variance = np.maximum(np.einsum("cii->ci", own)[:, 3:], 1e-300)
-    score = (cells.count[:, None] / variance)[:, :, None] * own[:, 3:, :3]
-    sums = np.zeros((parts, 9))
-    np.add.at(sums, cells.blocks(parts), score.reshape(-1, 9))
-    sums -= sums.mean(axis=0)
-    stated = np.linalg.pinv(information, hermitian=True)
-    scatter = float(np.einsum("pi,ij,pj->", sums, stated, sums)) / 9.0 * parts / (parts - 1)
-    return max(scatter, 1.0)
 
 
 class WhitenedRows(NamedTuple):
@@ -384,29 +374,25 @@ class SecondMoments:
         return covariance @ right, covariance
 
     def whitened(self, matrix: Floats, excess: float) -> WhitenedRows:
-        """Return the regression of all rows with errors of size one about a matrix; `excess` widens them."""
-        clear = self._without_noise()
+        """Return the regression of all rows with errors of size one about a matrix; `excess` widens them.
+
+        The squares are those less their noise: none is below zero, or above the whole.
+        """
         design, target = np.empty((3, 3, 3)), np.empty((3, 3))
         for axis in range(3):
-            of_noise = MIXING.noise_uncertainty * self.noise[:, axis].sum(axis=0) @ matrix[axis]
-            spread = self.square[:, axis].sum(axis=0) + self.error[axis] + np.outer(of_noise, of_noise)
-            value, vector = np.linalg.eigh(excess * spread)
-            inverse = (vector / np.sqrt(np.maximum(value, 1e-12))).T
-            design[axis] = inverse @ clear[axis]
-            target[axis] = inverse @ self.cross[:, axis].sum(axis=0)
-        return WhitenedRows(design, target)
-
-    def _without_noise(self) -> Floats:
-        """Return the sums of squares less their noise, (axis, 3, 3): none is below zero, or above the sum."""
-        out = np.empty((3, 3, 3))
-        for axis in range(3):
-            whole = self.square[:, axis].sum(axis=0)
+            whole, noise = self.square[:, axis].sum(axis=0), self.noise[:, axis].sum(axis=0)
             value, vector = np.linalg.eigh(whole)
             root = vector * np.sqrt(np.maximum(value, 1e-12))
             inverse = vector / np.sqrt(np.maximum(value, 1e-12))
-            share, rotation = np.linalg.eigh(inverse.T @ (whole - self.noise[:, axis].sum(axis=0)) @ inverse)
-            out[axis] = root @ (rotation * np.clip(share, 0.0, 1.0)) @ rotation.T @ root.T
-        return out
+            share, rotation = np.linalg.eigh(inverse.T @ (whole - noise) @ inverse)
+            without_noise = root @ (rotation * np.clip(share, 0.0, 1.0)) @ rotation.T @ root.T
+            of_noise = MIXING.noise_uncertainty * noise @ matrix[axis]
+            spread = whole + self.error[axis] + np.outer(of_noise, of_noise)
+            value, vector = np.linalg.eigh(excess * spread)
+            whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T
+            design[axis] = whiten @ without_noise
+            target[axis] = whiten @ self.cross[:, axis].sum(axis=0)
+        return WhitenedRows(design, target)
 
     def scatter(self, matrix: Floats) -> float:
         """Return the variance of an element of the matrix between blocks of time, beyond chance.
@@ -455,7 +441,14 @@ def second_moments(cells: Cells, mixing: Mixing, noise: DifferenceNoise) -> Seco
     # The noise that both series share is out of the cells, but it is in the residual of the reading.
     both = np.diag(ambient[:, :3] @ (noise.share * noise.covariance) @ ambient[:, 3:].T)
     variance = np.maximum(np.einsum("ckk->ck", field) - 2.0 * both, noise.floor)
-    weight = cells.count[:, None] / _with_neighbours(variance, cells)
+    # Half a cell's own variance, half that around it on the same scale: by its own alone a cell in which
+    # ambient and stray field cancel by chance would count for many.
+    smooth = variance.copy()
+    for scale in np.unique(cells.scale):
+        here = np.flatnonzero(cells.scale == scale)
+        around = ndimage.uniform_filter1d(variance[here], MIXING.neighbours, axis=0, mode="nearest")
+        smooth[here] = 0.5 * variance[here] + 0.5 * around
+    weight = cells.count[:, None] / smooth
     blocks = MIXING.blocks
     block = cells.blocks(blocks)
     sums, crosses = np.zeros((blocks, 3, 3, 3)), np.zeros((blocks, 3, 3))
@@ -470,16 +463,3 @@ def second_moments(cells: Cells, mixing: Mixing, noise: DifferenceNoise) -> Seco
     shared = noise.share_sigma * np.einsum("k,ki->ki", weight.sum(axis=0), noise.covariance)
     error = error + np.einsum("ki,kj->kij", shared, shared)
     return SecondMoments(sums, crosses, weights[:, :, None, None] * noise.covariance, error)
-
-
-def _with_neighbours(variance: Floats, cells: Cells) -> Floats:
-    """Return variances (cell, axis) half their own, half those around them on the same scale.
-
-    By its own alone a cell in which ambient and stray field cancel by chance would count for many.
-    """
-    out = variance.copy()
-    for scale in np.unique(cells.scale):
-        here = np.flatnonzero(cells.scale == scale)
-        around = ndimage.uniform_filter1d(variance[here], MIXING.neighbours, axis=0, mode="nearest")
-        out[here] = 0.5 * variance[here] + 0.5 * around
-    return out

@@ -138,7 +138,7 @@ def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
     Parameters
     ----------
     series : ndarray, shape (time, axis)
-        Finite.
+        nT, finite.
 
     Returns
     -------
@@ -147,34 +147,10 @@ def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
     bool
         The highest frequencies are a filter's: so are the shortest times.
     """
-    bands = _bands(series)
-    quiet = NOISE_FLOOR.quiet_bands
-    first: int | None = None
-    for place in range(NOISE_FLOOR.first_band, len(bands) - quiet + 1):
-        if _size(bands[place + quiet - 1]) <= NOISE_FLOOR.agreement * _size(bands[place]):
-            first = place
-            break
-    found = None if first is None else np.asarray(np.mean(bands[first : first + quiet], axis=0))
-    return found, bool(bands) and first != NOISE_FLOOR.first_band
-
-
-def _size(covariance: Floats) -> float:
-    """Return the geometric mean of the axes' variances, nT^2."""
-    return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), 1e-300)))))
-
-
-def _bands(series: Floats) -> list[Floats]:
-    """Return the covariance of white noise as each band of frequency has it, the quietest first; or nothing.
-
-    Parameters
-    ----------
-    series : ndarray, shape (time, axis)
-        nT, finite. Too short for bands where it has fewer than some thousand samples.
-    """
     length = NOISE_FLOOR.segment
     starts = np.arange(0, len(series) - length + 1, length // 2)
     if starts.size < 2 * NOISE_FLOOR.fewest_segments:
-        return []
+        return None, False
     most = NOISE_FLOOR.most_segments
     if starts.size > most:
         starts = starts[np.linspace(0, starts.size - 1, most).astype(np.int64)]
@@ -183,11 +159,24 @@ def _bands(series: Floats) -> list[Floats]:
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
     unit = np.sqrt(2.0 / np.sum(window**2))
     spectrum = unit * np.fft.rfft(segments * window[:, None], axis=1)[:, NOISE_FLOOR.trend_frequencies : -1]
-    found = [
+    bands = [
         robust_covariance(np.concatenate([band.real, band.imag], axis=1).reshape(-1, series.shape[1]))
         for band in np.array_split(spectrum, NOISE_FLOOR.bands, axis=1)
     ]
-    return sorted(found, key=_size)
+    bands.sort(key=_size)
+    quiet = NOISE_FLOOR.quiet_bands
+    first: int | None = None
+    for place in range(NOISE_FLOOR.first_band, len(bands) - quiet + 1):
+        if _size(bands[place + quiet - 1]) <= NOISE_FLOOR.agreement * _size(bands[place]):
+            first = place
+            break
+    found = None if first is None else np.asarray(np.mean(bands[first : first + quiet], axis=0))
+    return found, first != NOISE_FLOOR.first_band
+
+
+def _size(covariance: Floats) -> float:
+    """Return the geometric mean of the axes' variances, nT^2."""
+    return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), 1e-300)))))
 
 
 def expected_drift(seconds: float, hourly: float = SLOW_NOISE.drift_in_hour) -> float:

@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.lsq import MAD_TO_SIGMA
-from inflight.time import GAP, SECOND, Int64, usual_step
+from inflight.time import SECOND, Int64, usual_step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +61,7 @@ class WhiteNoiseSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class DefectSettings:
-    """Numbers that tell an axis that stands still.
+    """Numbers that show that an axis stands still.
 
     Attributes
     ----------
@@ -183,14 +182,6 @@ class Readings:
         """Return some of the readings, in their order."""
         return Readings(self.stamps[rows], self.inboard[rows], self.outboard[rows])
 
-    def pieces(self) -> list[slice]:
-        """Return the rows of stretches without a gap in the stamps; missing readings do not end one."""
-        if not len(self):
-            return []
-        breaks = np.flatnonzero(np.diff(self.stamps) > GAP * self.step) + 1
-        edges = [0, *breaks.tolist(), len(self)]
-        return [slice(first, last) for first, last in pairwise(edges)]
-
 
 def white_covariance(values: Floats) -> Floats:
     """Return the covariance of the white noise of a series, whatever its steps and slow part; nT^2.
@@ -208,17 +199,14 @@ def white_covariance(values: Floats) -> Floats:
     """
     if len(values) < 3:
         return np.zeros((values.shape[1], values.shape[1]))
-    return robust_covariance(_second_differences(values)) / 6.0
-
-
-def _second_differences(values: Floats) -> Floats:
-    """Return second differences, of stretches spread over a long record."""
     if len(values) <= WHITE_NOISE.most_samples:
-        return np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])
+        return robust_covariance(np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])) / 6.0
+    # Of a long record, stretches spread over it.
     stretch = WHITE_NOISE.stretch
     starts = np.linspace(0, len(values) - stretch, WHITE_NOISE.most_samples // stretch).astype(np.int64)
     parts = np.stack([values[first : first + stretch] for first in starts])
-    return np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
+    second = np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
+    return robust_covariance(second) / 6.0
 
 
 def robust_covariance(values: Floats) -> Floats:

@@ -1,8 +1,8 @@
 """Segments of the difference between two jumps, and the drift that all of them share.
 
 Takes readings; makes *segments*: the stretches between neighbouring change points of the difference, with
-their levels, and the mean and slope at both *ends*. A segment shorter
-than the minimum dwell is a *transient*, in no state.
+their levels, and the mean and slope at both *ends*, head and tail. A segment shorter than the minimum dwell
+is a *transient*, in no state.
 
 The drift of the difference, of the sensors' offsets or of units that warm up, is common to all segments: a
 value and a slope for each axis, a random walk each, at the rates of `DriftRate`. `DriftFilter` is the Kalman
@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dual.change_points import (
-    CHANGE_POINTS,
     Rows,
     StepNoise,
     confirm_jumps,
@@ -100,7 +99,7 @@ class Segments:
         Good samples.
     level : ndarray, shape (segment, axis)
         Mean of d.
-    begin, finish : Ends
+    head, tail : Ends
         The first and the last samples, at most `end_length`; both are all of a segment shorter than twice
         that.
     covariance : ndarray, shape (segment, axis, axis)
@@ -123,8 +122,8 @@ class Segments:
     end: Int64
     count: Rows
     level: Floats
-    begin: Ends
-    finish: Ends
+    head: Ends
+    tail: Ends
     covariance: Floats
     slope_variance: Floats
     transient: npt.NDArray[np.bool_]
@@ -138,29 +137,13 @@ class Segments:
     @property
     def seconds(self) -> Floats:
         """Time between the middles of both ends; (segment,), s, 0 where they are one."""
-        return np.asarray((self.finish.middle - self.begin.middle) / SECOND)
+        return np.asarray((self.tail.middle - self.head.middle) / SECOND)
 
 
-def segments_of(
-    readings: Readings,
-    *,
-    shortest: int = SEGMENTS.shortest,
-    false_alarms: float = CHANGE_POINTS.false_alarms,
-    longest: int = CHANGE_POINTS.longest,
-    jumps: Rows | None = None,
-) -> Segments:
+def segments_of(readings: Readings) -> Segments:
     """Divide readings into segments where their difference jumps.
 
-    Parameters
-    ----------
-    readings : Readings
-    shortest : int
-        Minimum dwell, samples; neighbouring stretches that are shorter become one transient segment.
-    false_alarms, longest
-        See `find_jumps`.
-    jumps : ndarray of int64, optional
-        Rows of the readings where jumps are known to be, such as those of `published_jumps`; searched when
-        absent.
+    Neighbouring stretches below the minimum dwell become one transient segment.
 
     Raises
     ------
@@ -177,13 +160,10 @@ def segments_of(
         d = d.copy()
         d[spikes] = 0.5 * (d[spikes - 1] + d[spikes + 1])
     d = winsorise(d)
-    found, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
-    found = confirm_jumps(d, found)
-    if jumps is not None:
-        found = np.unique(np.searchsorted(rows, jumps))
-    edges = np.concatenate([[0], found[(found > 0) & (found < rows.size)], [rows.size]]).astype(np.int64)
-    # Neighbouring stretches below the minimum dwell are one transient.
-    short = np.diff(edges) < shortest
+    jumps, noise = find_jumps(d)
+    jumps = confirm_jumps(d, jumps)
+    edges = np.concatenate([[0], jumps, [rows.size]]).astype(np.int64)
+    short = np.diff(edges) < SEGMENTS.shortest
     kept = np.ones(edges.size, dtype=bool)
     kept[1:-1] = ~(short[:-1] & short[1:])
     edges, transient = edges[kept], short[kept[:-1]]
@@ -191,26 +171,12 @@ def segments_of(
     # Where the drift is a random walk the means of longer stretches are less precise than of shorter ones.
     best = int(np.argmin(np.einsum("sii->s", level.covariance)))
     end_length = int(level.length[best] if best + 1 < level.length.size else noise.length[-1])
-    return _measured(readings, rows, d, edges, transient, (level, end_length), rows[spikes])
-
-
-def _measured(
-    readings: Readings,
-    rows: Rows,
-    d: Floats,
-    edges: Rows,
-    transient: npt.NDArray[np.bool_],
-    measured: tuple[StepNoise, int],
-    spikes: Rows,
-) -> Segments:
-    """Return the segments between edges (rows of d) with their levels, ends and errors."""
     count = np.diff(edges)
-    noise, end_length = measured
     width = np.where(count >= 2 * end_length, end_length, count)
     good = readings.stamps if rows.size == len(readings) else readings.stamps[rows]
     half = np.maximum(width // 2, 1)
     apart = np.maximum(good[edges[:-1] + width - 1] - good[edges[:-1]], 1) / SECOND / 2.0
-    slope_noise = 2.0 * np.einsum("sii->si", noise.of_mean(half)) / apart[:, None] ** 2
+    slope_noise = 2.0 * np.einsum("sii->si", level.of_mean(half)) / apart[:, None] ** 2
     last = np.append(rows[edges[1:-1]], len(readings)).astype(np.int64)
     return Segments(
         first=np.concatenate([[0], last[:-1]]).astype(np.int64),
@@ -219,18 +185,18 @@ def _measured(
         end=good[edges[1:] - 1],
         count=count,
         level=_means(d, edges[:-1], edges[1:]),
-        begin=_end(d, good, edges[:-1], edges[:-1] + width),
-        finish=_end(d, good, edges[1:] - width, edges[1:]),
-        covariance=noise.of_mean(width),
+        head=_ends(d, good, edges[:-1], edges[:-1] + width),
+        tail=_ends(d, good, edges[1:] - width, edges[1:]),
+        covariance=level.of_mean(width),
         slope_variance=np.where(width[:, None] > 1, slope_noise, np.inf),
         transient=transient,
-        noise=noise,
+        noise=level,
         end_length=end_length,
-        spikes=spikes,
+        spikes=rows[spikes],
     )
 
 
-def _end(d: Floats, stamps: Int64, first: Rows, last: Rows) -> Ends:
+def _ends(d: Floats, stamps: Int64, first: Rows, last: Rows) -> Ends:
     """Return mean and slope of ranges of rows; the slope by the means of both halves."""
     middle = first + np.maximum((last - first) // 2, 1)
     both = np.minimum(middle, last - 1)
@@ -346,11 +312,11 @@ class DriftFilter:
         predicted = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
         noise = 2.0 * np.diag(segments.covariance[one])
         gain = predicted / np.maximum(predicted + noise, 1e-300)
-        change = segments.finish.mean[one] - segments.begin.mean[one]
+        change = segments.tail.mean[one] - segments.head.mean[one]
         self.value = self.value + gain * (change - (self.value - value))
         self.covariance[:, 0, 0] = known + gain * noise
         self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
-        self.observe_slope(segments.finish.slope[one], segments.slope_variance[one])
+        self.observe_slope(segments.tail.slope[one], segments.slope_variance[one])
 
 
 def drift_rate(segments: Segments) -> DriftRate:
@@ -361,14 +327,14 @@ def drift_rate(segments: Segments) -> DriftRate:
     steady = np.flatnonzero(sloped)
     if steady.size < 3:
         return DriftRate(zero, zero, zero)
-    noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
-    usual, slope_walk = _slope_rates(slope, noise, segments.begin.middle[steady] / SECOND)
+    noise, slope = segments.slope_variance[steady], segments.head.slope[steady]
+    usual, slope_walk = _slope_rates(slope, noise, segments.head.middle[steady] / SECOND)
     long = np.flatnonzero(~segments.transient & (segments.seconds > 0))
     if not long.size:
         return DriftRate(usual, slope_walk, zero)
     span = segments.seconds[long]
-    mean = 0.5 * (segments.begin.slope[long] + segments.finish.slope[long])
-    change = segments.finish.mean[long] - segments.begin.mean[long]
+    mean = 0.5 * (segments.head.slope[long] + segments.tail.slope[long])
+    change = segments.tail.mean[long] - segments.head.mean[long]
     error = 2.0 * np.einsum("sii->si", segments.covariance[long])
     error += 0.5 * span[:, None] ** 2 * segments.slope_variance[long]
     level_walk = _excess_variance(change - mean * span[:, None], error, span)
@@ -407,8 +373,8 @@ def _excess_variance(values: Floats, noise: Floats, unit: Floats) -> Floats:
     return np.asarray(np.where(significant, np.maximum(size, 0.0), 0.0))
 
 
-def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
-    """Return the covariance (axis, axis) that allows a state's own drift: what changed within the segment.
+def segment_drift_covariance(segments: Segments, one: int, rate: DriftRate) -> Floats:
+    """Return the covariance (axis, axis), nT^2, that allows for a state's own drift within a segment.
 
     Where all segments drift alike the common drift takes the change; where only this one does, its unit
     warms up, and the next time the level is another.
@@ -416,10 +382,10 @@ def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
     seconds = float(segments.end[one] - segments.start[one]) / SECOND
     if not seconds > 0:
         return np.zeros((3, 3))
-    whole = segments.finish.mean[one] - segments.begin.mean[one]
+    whole = segments.tail.mean[one] - segments.head.mean[one]
     noise = 2.0 * np.diag(segments.covariance[one])
     if not segments.seconds[one] > 0:
-        whole = segments.begin.slope[one] * seconds
+        whole = segments.head.slope[one] * seconds
         noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
     allowed = SEGMENTS.own_drift_bound * noise + seconds * rate.level_walk + seconds**2 * rate.slope
     return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))

@@ -19,7 +19,7 @@ that always switch together, and whether a step common to all later segments is 
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, product
@@ -31,7 +31,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.segments import DriftFilter, DriftRate, Segments, drift_rate, own_drift
+from inflight.dual.segments import DriftFilter, DriftRate, Segments, drift_rate, segment_drift_covariance
 from inflight.time import SECOND
 
 Occupancy = npt.NDArray[np.int64]
@@ -169,22 +169,27 @@ def find_states(segments: Segments) -> States:
         walk = np.maximum(rate.level_walk, (size * sample) ** 2 / length)
         rates.append(rate._replace(level_walk=walk))
     proven = labels_by_steps(segments, rates, [size * sample for size in STATES.scatters])
-    tried = []
-    for one in rates:
-        for size in STATES.scatters:
-            if proven is None:
-                tried.append(_cluster(segments, one, size * sample))
-            else:
-                tried.append(_with_labels(segments, one, size * sample, proven))
+    tried = [_cluster(segments, rate, size * sample, proven) for rate in rates for size in STATES.scatters]
     return min(tried, key=lambda found: found[0])[1]
 
 
-def _cluster(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float, States]:
-    """Return criterion and states of segments for one walk of the drift and one scatter."""
-    found = _Clustering(segments, rate, scatter)
+def _cluster(
+    segments: Segments, rate: DriftRate, scatter: float, proven: ProvenStates | None
+) -> tuple[float, States]:
+    """Return criterion and states of segments for one walk of the drift and one scatter.
+
+    States that the steps prove keep their labels; else labels are found in rounds until they stay.
+    """
+    found = _Clustering(segments, rate, scatter, None if proven is None else proven.label)
     if not found.steady.size:
         return 0.0, found.states()
     found.assign_all(may_add=True)
+    if proven is not None:
+        for _ in range(2):
+            found.update_centres()
+            found.assign_all(may_add=False)
+        found.update_centres()
+        return found.criterion(), replace(found.states(), occupancy=proven.occupancy)
     for _ in range(STATES.rounds):
         found.update_centres()
         while found.merge():
@@ -198,35 +203,27 @@ def _cluster(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float
     return found.criterion(), replace(found.states(), confidence=confidence)
 
 
-def _with_labels(
-    segments: Segments, rate: DriftRate, scatter: float, proven: ProvenStates
-) -> tuple[float, States]:
-    """Return criterion and states of known labels, which are numbered as they appear."""
-    found = _Clustering(segments, rate, scatter)
-    found.given = proven.label
-    found.assign_all(may_add=True)
-    for _ in range(2):
-        found.update_centres()
-        found.assign_all(may_add=False)
-    found.update_centres()
-    return found.criterion(), replace(found.states(), occupancy=proven.occupancy)
-
-
 class _Clustering:
     """Segments assigned one after the other, with a new state where none fits.
 
     Attributes
     ----------
+    given : ndarray of int64, shape (segment,), optional
+        Labels that are known.
     centre, covariance : ndarray, shape (state, axis) and (state, axis, axis)
     label : ndarray of int64, shape (segment,)
     drift, drift_end, drift_covariance : ndarray
         Of the common drift at each segment.
     confusion : ndarray, shape (segment,)
         Probability that the choice was wrong and moved the drift.
+    anywhere : float
+        Log determinant of the covariance of states' places before any is observed.
     """
 
-    def __init__(self, segments: Segments, rate: DriftRate, scatter: float) -> None:
-        self.segments, self.rate, self.scatter = segments, rate, scatter
+    def __init__(
+        self, segments: Segments, rate: DriftRate, scatter: float, given: Labels | None = None
+    ) -> None:
+        self.segments, self.rate, self.scatter, self.given = segments, rate, scatter, given
         self.steady = np.flatnonzero(~segments.transient)
         self.spread = scatter**2 * np.eye(3)
         self.limit = float(stats.chi2.isf(STATES.false_states / max(self.steady.size, 1), 3))
@@ -235,35 +232,30 @@ class _Clustering:
         self.label = np.full(count, TRANSIENT, dtype=np.int64)
         self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
         self.drift_covariance = np.zeros((count, 3, 3))
-        self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
+        self.own = np.array(
+            [self.spread + segment_drift_covariance(segments, one, rate) for one in range(count)]
+        )
         self.cost = 0.0
-        self.given: Labels | None = None
         self.confusion = np.zeros(count)
-        self.anywhere = self._log_volume()
-
-    def _log_volume(self) -> float:
-        """Return the log determinant of the covariance of states' places before any is observed."""
-        noise = self.segments.noise.of_mean(1) + self.scatter**2 * np.eye(3)
-        points = self.segments.level[self.steady]
-        wide = STATES.anywhere_noise * noise
-        if len(points) >= 2:
-            wide = STATES.anywhere_points * np.cov(points.T) + wide
-        return float(np.linalg.slogdet(wide)[1])
+        wide = STATES.anywhere_noise * (segments.noise.of_mean(1) + scatter**2 * np.eye(3))
+        if self.steady.size >= 2:
+            wide = STATES.anywhere_points * np.cov(segments.level[self.steady].T) + wide
+        self.anywhere = float(np.linalg.slogdet(wide)[1])
 
     def assign_all(self, *, may_add: bool) -> None:
         """Assign all segments once; without `may_add` to the nearest state, however far."""
         track = DriftFilter.start(self.rate)
         self.cost = 0.0
-        before = self.segments.begin.middle[0] if len(self.segments) else 0
+        before = self.segments.head.middle[0] if len(self.segments) else 0
         for one in self.steady.tolist():
-            track.predict(float(self.segments.begin.middle[one] - before) / SECOND)
-            track.observe_slope(self.segments.begin.slope[one], self.segments.slope_variance[one])
+            track.predict(float(self.segments.head.middle[one] - before) / SECOND)
+            track.observe_slope(self.segments.head.slope[one], self.segments.slope_variance[one])
             spread = self.segments.covariance[one] + self.own[one]
             self._assign(one, spread, track, may_add)
             self.drift[one], self.drift_covariance[one] = track.value, track.spread
             track.cross_segment(self.segments, one)
             self.drift_end[one] = track.value
-            before = self.segments.finish.middle[one]
+            before = self.segments.tail.middle[one]
         if self.steady.size:
             # Transients have the drift of the segment before them.
             last = np.searchsorted(self.steady, np.arange(len(self.segments)), side="right") - 1
@@ -273,23 +265,33 @@ class _Clustering:
 
     def _assign(self, one: int, spread: Floats, track: DriftFilter, may_add: bool) -> None:
         """Assign one segment, and update its state and the drift by it."""
-        residual = self.segments.begin.mean[one] - track.value - self.centre
+        residual = self.segments.head.mean[one] - track.value - self.centre
         total = spread + track.spread + self.covariance
         distance = (
             np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
             if len(residual)
             else np.empty(0)
         )
-        if self._is_new(one, distance, may_add):
+        if self.given is None:
+            is_new = not distance.size or bool(may_add and distance.min() > self.limit)
+        else:
+            is_new = int(self.given[one]) == len(distance)
+        if is_new:
             self.label[one] = len(self.centre)
-            self.centre = np.append(self.centre, [self.segments.begin.mean[one] - track.value], axis=0)
+            self.centre = np.append(self.centre, [self.segments.head.mean[one] - track.value], axis=0)
             self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
             return
-        state = self._likeliest(distance, total) if self.given is None else int(self.given[one])
+        cost = distance + np.linalg.slogdet(total)[1]
+        if self.given is None:
+            # Far beyond its noise a wide state must not win by its width alone.
+            state = int(np.argmin(np.where(distance <= max(self.limit, distance.min()), cost, np.inf)))
+        else:
+            state = int(self.given[one])
         self.label[one] = state
-        self.confusion[one] = self._doubt(distance, total, state) * float(
-            (track.spread @ np.linalg.inv(total[state])).diagonal().max()
-        )
+        # The probability that another state is right, or a new one, which could lie anywhere.
+        likelihood = -0.5 * np.append(cost, self.anywhere)
+        doubt = float(1.0 - np.exp(likelihood[state] - np.logaddexp.reduce(likelihood)))
+        self.confusion[one] = doubt * float((track.spread @ np.linalg.inv(total[state])).diagonal().max())
         self.cost += distance[state] + float(np.linalg.slogdet(spread + track.spread)[1])
         if may_add:
             gain = self.covariance[state] @ np.linalg.inv(total[state])
@@ -297,27 +299,12 @@ class _Clustering:
             self.covariance[state] -= gain @ self.covariance[state]
         track.observe_value(residual[state], np.diag(total[state]))
 
-    def _is_new(self, one: int, distance: Floats, may_add: bool) -> bool:
-        if self.given is not None:
-            return int(self.given[one]) == len(distance)
-        return not distance.size or bool(may_add and distance.min() > self.limit)
-
-    def _likeliest(self, distance: Floats, total: Floats) -> int:
-        cost = distance + np.linalg.slogdet(total)[1]
-        # Far beyond its noise a wide state must not win by its width alone.
-        return int(np.argmin(np.where(distance <= max(self.limit, distance.min()), cost, np.inf)))
-
-    def _doubt(self, distance: Floats, total: Floats, state: int) -> float:
-        """Return the probability that another state is right, or a new one, which could lie anywhere."""
-        likelihood = -0.5 * np.append(distance + np.linalg.slogdet(total)[1], self.anywhere)
-        return float(1.0 - np.exp(likelihood[state] - np.logaddexp.reduce(likelihood)))
-
     def update_centres(self) -> None:
         """Estimate the states' centres anew from the segments assigned to them; empty states go."""
         used, label = np.unique(self.label[self.steady], return_inverse=True)
         self.label[self.steady] = label
         weight = np.linalg.inv(self.segments.covariance + self.own + self.drift_covariance)
-        point = self.segments.begin.mean - self.drift
+        point = self.segments.head.mean - self.drift
         centre, covariance = np.empty((used.size, 3)), np.empty((used.size, 3, 3))
         for state in range(used.size):
             own = np.flatnonzero(self.label == state)
@@ -415,15 +402,15 @@ def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
     steady = np.flatnonzero(~segments.transient)
     track = DriftFilter.start(rate)
     step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
-    track.observe_slope(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
+    track.observe_slope(segments.head.slope[steady[0]], segments.slope_variance[steady[0]])
     for place, (one, after) in enumerate(pairwise(steady.tolist())):
         track.cross_segment(segments, one)
-        seconds = float(segments.begin.middle[after] - segments.finish.middle[one]) / SECOND
+        seconds = float(segments.head.middle[after] - segments.tail.middle[one]) / SECOND
         value = track.value.copy()
         track.covariance[:, 0, :] = track.covariance[:, :, 0] = 0.0
         track.predict(seconds)
-        track.observe_slope(segments.begin.slope[after], segments.slope_variance[after])
-        step[place] = segments.begin.mean[after] - segments.finish.mean[one] - (track.value - value)
+        track.observe_slope(segments.head.slope[after], segments.slope_variance[after])
+        step[place] = segments.head.mean[after] - segments.tail.mean[one] - (track.value - value)
         covariance[place] = segments.covariance[one] + segments.covariance[after] + track.spread
     return step, covariance
 
@@ -444,7 +431,14 @@ def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> Prove
             return None
     kept, parts = reduce_to_units(changes)
     vectors = np.array([changes[one].vector for one in kept])
-    if len(real) - len(kept) < UNITS.proof_steps or _nearly_equal(vectors):
+    if len(real) - len(kept) < UNITS.proof_steps:
+        return None
+    # Two of the vectors that hardly differ, up to their sign, may be one.
+    length = np.linalg.norm(vectors, axis=1)
+    sums = np.stack([vectors[:, None] - vectors, vectors[:, None] + vectors])
+    apart = np.linalg.norm(sums, axis=3).min(axis=0)
+    np.fill_diagonal(apart, np.inf)
+    if np.any(apart < UNITS.least_difference * np.minimum(length[:, None], length[None])):
         return None
     toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
     for one, (change, sign) in which.items():
@@ -460,17 +454,6 @@ def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> Prove
     label = np.full(len(segments), TRANSIENT, dtype=np.int64)
     label[steady] = np.argsort(np.argsort(first))[found.ravel()]
     return ProvenStates(label, table[np.sort(first)])
-
-
-def _nearly_equal(vectors: Floats) -> bool:
-    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
-    size = np.linalg.norm(vectors, axis=1)
-    apart = np.minimum(
-        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
-        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
-    )
-    np.fill_diagonal(apart, np.inf)
-    return bool(np.any(apart < UNITS.least_difference * np.minimum(size[:, None], size[None])))
 
 
 @dataclass(frozen=True)
@@ -651,56 +634,38 @@ class Units:
         count = len(self)
         observed = {tuple(row) for row in self.occupancy.tolist()}
         if count <= UNITS.most_predicted:
-            every = set(product((0, 1), repeat=count))
+            possible = set(product((0, 1), repeat=count))
         else:
-            every = set()
+            possible = set()
             for row in observed:
                 for number in range(1, UNITS.near_switchings + 1):
                     for toggled in combinations(range(count), number):
-                        every.add(tuple(1 - min(v, 1) if i in toggled else v for i, v in enumerate(row)))
-        rows = sorted(every - observed)
+                        possible.add(tuple(1 - min(v, 1) if i in toggled else v for i, v in enumerate(row)))
+        rows = sorted(possible - observed)
         return np.array(rows, dtype=np.int64).reshape(len(rows), count)
 
 
 def find_units(states: States) -> Units:
     """Return the units that make the states, from the changes between states that follow each other."""
     label = states.label[states.label >= 0]
-    edges = _transitions(label)
+    # How often two states, the lower number first, follow each other.
+    edges = Counter((min(pair), max(pair)) for pair in pairwise(label.tolist()) if pair[0] != pair[1])
     if len(states) < 2 or not edges:
-        return _no_units(states, "one state only")
+        return no_units(states, "one state only")
     if states.occupancy is not None:
         return _fit_units(states, states.occupancy)
-    changes, which = _distinct_changes(states, edges)
-    kept, parts = reduce_to_units(changes)
-    occupancy = _occupancy(len(states), edges, which, parts, len(kept))
-    if occupancy is None:
-        return _no_units(states, "the changes between states contradict each other as sums of units")
-    return _fit_units(states, occupancy)
-
-
-def _transitions(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
-    """Return how often two states, the lower number first, follow each other."""
-    found: dict[tuple[int, int], int] = {}
-    for one, other in zip(label[:-1].tolist(), label[1:].tolist(), strict=True):
-        if one != other:
-            pair = (min(one, other), max(one, other))
-            found[pair] = found.get(pair, 0) + 1
-    return found
-
-
-def _distinct_changes(
-    states: States, edges: dict[tuple[int, int], int]
-) -> tuple[list[Change], dict[tuple[int, int], tuple[int, int]]]:
-    """Return the distinct changes, and for each pair of states its change and sign."""
     changes: list[Change] = []
     which = {}
-    limit = chi2_limit(len(edges))
-    scatter = 2.0 * states.scatter**2 * np.eye(3)
-    for (one, other), count in sorted(edges.items(), key=lambda item: -item[1]):
+    limit, scatter = chi2_limit(len(edges)), 2.0 * states.scatter**2 * np.eye(3)
+    for (one, other), count in edges.most_common():
         vector = states.centre[other] - states.centre[one]
         spread = states.covariance[other] + states.covariance[one] + scatter
         which[one, other] = match_or_add(changes, Change(vector, spread, count), limit)
-    return changes, which
+    kept, parts = reduce_to_units(changes)
+    occupancy = _occupancy(len(states), edges, which, parts, len(kept))
+    if occupancy is None:
+        return no_units(states, "the changes between states contradict each other as sums of units")
+    return _fit_units(states, occupancy)
 
 
 def _occupancy(
@@ -720,14 +685,14 @@ def _occupancy(
         near[one].append((other, step))
         near[other].append((one, -step))
     found: dict[int, npt.NDArray[np.int64]] = {0: np.zeros(units, dtype=np.int64)}
-    waiting = deque([0])
-    while waiting:
-        state = waiting.popleft()
+    queue = deque([0])
+    while queue:
+        state = queue.popleft()
         for other, step in near[state]:
             implied = found[state] + step
             if other not in found:
                 found[other] = implied
-                waiting.append(other)
+                queue.append(other)
             elif not np.array_equal(found[other], implied):
                 return None
     if len(found) < states:
@@ -740,7 +705,7 @@ def _fit_units(states: States, occupancy: Occupancy) -> Units:
     count, units = occupancy.shape
     design = np.column_stack([occupancy, np.ones(count)])
     if np.linalg.matrix_rank(design) < units + 1:
-        return _no_units(states, "some units never switch without others: they cannot be separated")
+        return no_units(states, "some units never switch without others: they cannot be separated")
     spread = states.covariance + states.scatter**2 * np.eye(3) / np.maximum(states.count, 1)[:, None, None]
     weight = np.linalg.inv(spread)
     width = 3 * (units + 1)
@@ -772,7 +737,8 @@ def _fit_units(states: States, occupancy: Occupancy) -> Units:
     )
 
 
-def _no_units(states: States, reason: str) -> Units:
+def no_units(states: States, reason: str) -> Units:
+    """Return that states are no sums of units, and why."""
     return Units(
         vector=np.empty((0, 3)),
         base=states.centre[0] if len(states) else np.full(3, np.nan),

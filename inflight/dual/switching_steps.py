@@ -334,19 +334,19 @@ class JumpAttribution:
         A unit switches on and off by the same vector; its sign is that which makes the largest component
         positive.
         """
-        open_rows = np.flatnonzero(~self.follows)
+        remaining = np.flatnonzero(~self.follows)
         out = []
-        while open_rows.size:
-            near = [_sign_of_same(self.step[open_rows], self.step[one], self.scatter) for one in open_rows]
+        while remaining.size:
+            near = [_sign_of_same(self.step[remaining], self.step[one], self.scatter) for one in remaining]
             signs = max(near, key=lambda sign: int(np.count_nonzero(sign)))
-            own = (self.step[open_rows] * signs[:, None])[signs != 0]
+            own = (self.step[remaining] * signs[:, None])[signs != 0]
             mean = np.median(own, axis=0)
             mean = mean * np.sign(mean[np.argmax(np.abs(mean))])
             spread = MAD_TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
             # A median is a little less precise than a mean.
             sigma = np.maximum(spread, self.scatter) * np.sqrt(np.pi / 2.0 / len(own))
             out.append((mean, sigma, len(own)))
-            open_rows = open_rows[signs == 0]
+            remaining = remaining[signs == 0]
         return out
 
 
@@ -380,8 +380,8 @@ def attribute_jumps(
     edges = np.flatnonzero(np.diff(jumps) > ATTRIBUTION.one_jump) + 1
     first = jumps[np.concatenate([[0], edges])]
     last = jumps[np.concatenate([edges - 1, [jumps.size - 1]])]
-    step, rows = _steps(difference, first, last)
-    changes = {name: _changes(channels[name], first, last, reach[name]) for name in sorted(channels)}
+    step, rows = _steps_at_jumps(difference, first, last)
+    changes = {name: _channel_changes(channels[name], first, last, reach[name]) for name in sorted(channels)}
     names = [name for name, one in changes.items() if np.count_nonzero(one[0]) >= ATTRIBUTION.fewest_jumps]
     used = [changes[name] for name in names]
     change = np.stack([one[0] for one in used], axis=1) if used else np.zeros((first.size, 0))
@@ -395,7 +395,7 @@ def attribute_jumps(
     return JumpAttribution(stamps[before], stamps[after], follows, residual, float(np.median(scatter)))
 
 
-def _steps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Floats]:
+def _steps_at_jumps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Floats]:
     """Return mean after less mean before, the rows next to a jump left out, and the rows of the shorter."""
     ends = np.concatenate([[0], last + 1])[:-1]
     begins = np.concatenate([first, [len(values)]])[1:]
@@ -411,7 +411,7 @@ def _steps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Floats]:
     return step, rows
 
 
-def _changes(values: Floats, first: Rows, last: Rows, reach: int) -> tuple[Floats, float]:
+def _channel_changes(values: Floats, first: Rows, last: Rows, reach: int) -> tuple[Floats, float]:
     """Return the change of a channel across each jump, 0 where it is no more than elsewhere or unknown.
 
     With it comes the size of its usual change, one sigma.
@@ -507,7 +507,7 @@ def match_channels_to_units(
 
     Returns
     -------
-    list of NamedUnit
+    list of UnitChannels
         A channel is named when it explains at least half of a unit's switchings and hardly any
         rearrangement of its changes among the switchings does as well; the level is shared by all pairs
         of unit and channel (Bonferroni).
@@ -527,8 +527,8 @@ def _named(
     count = int(np.count_nonzero(sign))
     nameless = UnitChannels(unit=unit, switchings=count, channels=(), agreement=(), per_unit=())
     if count < NAMING.fewest:
-        seldom = f"it was seen to switch {count} times, at least {NAMING.fewest} needed"
-        return replace(nameless, reason=seldom)
+        too_few = f"it was seen to switch {count} times, at least {NAMING.fewest} needed"
+        return replace(nameless, reason=too_few)
     if not changes:
         return replace(nameless, reason="there is no housekeeping at its switchings")
     found = []
@@ -542,7 +542,10 @@ def _named(
         agreement = product**2 / squares if squares > 0 else 0.0
         if agreement < NAMING.agreement:
             continue
-        if _chance(on, by, agreement, random) <= level:
+        # The chance that the same changes, at the switchings in another order, agree as well.
+        rearranged = random.permuted(np.broadcast_to(by, (NAMING.rearrangements, by.size)), axis=1)
+        better = np.count_nonzero((rearranged @ on) ** 2 / squares >= agreement * (1.0 - 1e-9))
+        if (better + 1) / (NAMING.rearrangements + 1) <= level:
             found.append((agreement, name, product / float(on @ on)))
     if not found:
         return replace(nameless, reason="no channel changes when it switches")
@@ -550,11 +553,3 @@ def _named(
     near = [one for one in found if one[0] >= NAMING.rival * found[0][0]]
     agreements, names, per_units = zip(*near, strict=True)
     return replace(nameless, channels=names, agreement=agreements, per_unit=per_units)
-
-
-def _chance(sign: Floats, change: Floats, agreement: float, random: np.random.Generator) -> float:
-    """Return the probability that the same changes, at the switchings in another order, agree as well."""
-    rearranged = random.permuted(np.broadcast_to(change, (NAMING.rearrangements, change.size)), axis=1)
-    squares = float(change @ change) * float(sign @ sign)
-    better = int(np.count_nonzero((rearranged @ sign) ** 2 / squares >= agreement * (1.0 - 1e-9)))
-    return (better + 1) / (NAMING.rearrangements + 1)

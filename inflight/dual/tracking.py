@@ -22,7 +22,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.segments import DriftRate
-from inflight.dual.states import Occupancy, squared_distance
+from inflight.dual.states import squared_distance
 from inflight.dual.training import Training, relative_to
 from inflight.errors import CalibrationError
 
@@ -96,7 +96,12 @@ def continue_training(earlier: Training, later: Training) -> ContinuedTraining:
     number, next_number = _numbered(matched, earlier.number, len(later), earlier.next_number)
     old, own = earlier.correction[matched[:, 0]], later.correction[matched[:, 1]]
     total = earlier.covariance[matched[:, 0]] + later.covariance[matched[:, 1]] + 1e-12 * np.eye(3)
-    change = own - (old + _common_constant(earlier, later, old, own, total))
+    common = np.zeros(3)
+    if len(old) and not (earlier.constant_known and later.constant_known):
+        # Both may be relative to different states.
+        weight = np.linalg.inv(total + 1e-6 * np.trace(total.mean(axis=0)) * np.eye(3) + 1e-12 * np.eye(3))
+        common = np.linalg.solve(weight.sum(axis=0), np.einsum("pij,pj->i", weight, own - old))
+    change = own - (old + common)
     distance = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
     aged = np.asarray(distance > stats.chi2.isf(CONTINUATION.missed / max(len(matched), 1), 3))
     reference = -1 if later.reference < 0 else int(number[later.number == later.reference][0])
@@ -145,39 +150,35 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
     Two units are the same when they are switched in the same of the states that both know, or in the other
     ones: which of its two states is "on" is a convention.
     """
-    pairs, inverted = _same_units(earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]])
+    before, after = earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]]
+    same, inverted = [], np.zeros(after.shape[1], dtype=bool)
+    switching = [one for one in range(before.shape[1]) if len(before) and np.ptp(before[:, one])]
+    for one, other, sign in product(switching, range(after.shape[1]), (1, -1)):
+        if not np.ptp(before[:, one] - sign * after[:, other]):
+            same.append((one, other))
+            inverted[other] = sign < 0
+    pairs = np.array(same, dtype=np.int64).reshape(-1, 2)
+    # Two that always switched together cannot be distinguished: either may be the same as before.
+    first, second = (np.bincount(column)[column] if column.size else column for column in pairs.T)
+    single = (first == 1) & (second == 1)
+    inverted[pairs[~single, 1]] = False
+    pairs = pairs[single]
     number, free = _numbered(pairs, earlier.unit_number, len(later.unit), earlier.next_unit)
-    sign = np.where(inverted, -1, 1)
+    signs = np.where(inverted, -1, 1)
     occupancy = np.where(inverted, later.occupancy.max(axis=0, initial=0) - later.occupancy, later.occupancy)
     known = replace(
         later,
         unit_number=number,
         next_unit=free,
         occupancy=occupancy,
-        unit=later.unit * sign[:, None],
-        unit_correction=later.unit_correction * sign[:, None],
+        unit=later.unit * signs[:, None],
+        unit_correction=later.unit_correction * signs[:, None],
     )
-    if not len(sign):
+    if not len(signs):
         return known
-    value = later.value * sign[:, None]
-    joint = later.joint * sign[:, None, None, None] * sign[None, None, :, None]
+    value = later.value * signs[:, None]
+    joint = later.joint * signs[:, None, None, None] * signs[None, None, :, None]
     return replace(known, design=occupancy.astype(np.float64), value=value, joint=joint)
-
-
-def _same_units(before: Occupancy, after: Occupancy) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return pairs of units that switch in the same states (state, unit), and which are inverted."""
-    pairs, inverted = [], np.zeros(after.shape[1], dtype=bool)
-    switching = [one for one in range(before.shape[1]) if len(before) and np.ptp(before[:, one])]
-    for one, other, sign in product(switching, range(after.shape[1]), (1, -1)):
-        if not np.ptp(before[:, one] - sign * after[:, other]):
-            pairs.append((one, other))
-            inverted[other] = sign < 0
-    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    # Two that always switched together cannot be distinguished: either may be the same as before.
-    first, second = (np.bincount(column)[column] if column.size else column for column in found.T)
-    single = (first == 1) & (second == 1)
-    inverted[found[~single, 1]] = False
-    return found[single], inverted
 
 
 def _with_constant(
@@ -264,15 +265,6 @@ def _nearest_pairs(distance: Floats, limit: float) -> npt.NDArray[np.int64]:
     own = np.arange(len(distance))
     mutual = (back[to] == own) & (distance[own, to] < limit)
     return np.stack([own[mutual], to[mutual]], axis=1)
-
-
-def _common_constant(earlier: Training, later: Training, old: Floats, own: Floats, spread: Floats) -> Floats:
-    """Return what is to be added to the earlier corrections: both may be relative to different states."""
-    if (earlier.constant_known and later.constant_known) or not len(old):
-        return np.zeros(3)
-    weight = np.linalg.inv(spread + 1e-6 * np.trace(spread.mean(axis=0)) * np.eye(3) + 1e-12 * np.eye(3))
-    right = np.einsum("pij,pj->i", weight, own - old)
-    return np.asarray(np.linalg.solve(weight.sum(axis=0), right))
 
 
 _VERSION = 2

@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import CHANGE_POINTS, Rows, StepNoise, step_noise
+from inflight.dual.change_points import Rows, StepNoise, step_noise
 from inflight.dual.readings import Readings
 from inflight.dual.segments import SEGMENTS, DriftRate, Segments, segments_of
-from inflight.dual.states import Occupancy, States, Units, find_states, find_units
+from inflight.dual.states import Occupancy, States, Units, find_states, find_units, no_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
 
@@ -154,15 +154,7 @@ class Training:
         return np.asarray(self.segments > 0)
 
 
-def train(
-    readings: Readings,
-    *,
-    ambient: Floats | None = None,
-    shortest: int = SEGMENTS.shortest,
-    false_alarms: float = CHANGE_POINTS.false_alarms,
-    longest: int = CHANGE_POINTS.longest,
-    jumps: Rows | None = None,
-) -> Training:
+def train(readings: Readings, *, ambient: Floats | None = None) -> Training:
     """Learn states, units and outboard corrections.
 
     Parameters
@@ -172,21 +164,17 @@ def train(
     ambient : ndarray, shape (time, axis), optional
         Known ambient field in the axes of the readings, nT; NaN where it is not known. The outboard sensor's
         offset becomes part of the corrections.
-    shortest, false_alarms, longest, jumps
-        See `segments.segments_of`.
 
     Raises
     ------
     CalibrationError
         No steady segment: the span is too short or switches all the time.
     """
-    segments = segments_of(
-        readings, shortest=shortest, false_alarms=false_alarms, longest=longest, jumps=jumps
-    )
+    segments = segments_of(readings)
     states = find_states(segments)
     if not len(states):
         raise CalibrationError(
-            f"no stretch of {shortest} samples without a jump in {len(readings)} samples",
+            f"no stretch of {SEGMENTS.shortest} samples without a jump in {len(readings)} samples",
             remedy="take a longer span, or a shorter minimum dwell",
         )
     units = find_units(states)
@@ -206,41 +194,35 @@ def training_from_steps(
     spent = (segments.end - segments.start)[steady] / SECOND
     seconds = np.bincount(states.label[steady], weights=spent, minlength=len(states)).astype(np.float64)
     reference = int(np.argmax(seconds))
-    of_units = units.consistent and len(units) > 0
-    occupancy = units.occupancy if of_units else np.zeros((len(states), 0), dtype=np.int64)
-    unobserved = units.unobserved() if of_units else np.zeros((0, 0), dtype=np.int64)
-    every = np.concatenate([occupancy, unobserved]) if of_units else occupancy
-    design = occupancy.astype(np.float64) if of_units else np.eye(len(states))
-    predicted = np.concatenate([design, unobserved.astype(np.float64)]) if of_units else design
+    if not units.consistent:
+        units = no_units(states, units.reason)
+    shown = len(units)
+    unobserved = units.unobserved()
+    occupancy = np.concatenate([units.occupancy, unobserved])
+    design = occupancy.astype(np.float64) if shown else np.eye(len(states))
     known = levels is not None
-    size = np.linalg.norm(units.vector if of_units else states.centre - states.centre[reference], axis=1)
-    fit = _fit_outboard(states, design, steps, levels, size)
-    if known:
-        predicted = np.column_stack([predicted, np.ones(len(predicted))])
-    else:
-        predicted = predicted - predicted[reference]
-    more, more_spread = (
-        units.centre(unobserved) if len(unobserved) else (np.empty((0, 3)), np.empty((0, 3, 3)))
-    )
-    count = len(predicted)
-    new = count - len(states)
+    size = np.linalg.norm(units.vector if shown else states.centre - states.centre[reference], axis=1)
+    fit = _fit_outboard(states, design[: len(states)], steps, levels, size)
+    # Of all states, observed and predicted: with the constant, or relative to the reference.
+    of_fit = np.column_stack([design, np.ones(len(design))]) if known else design - design[reference]
+    centre, spread = units.centre(unobserved)
+    count, new = len(design), len(design) - len(states)
     label = states.label[steady]
     transitions = np.zeros((count, count))
     np.add.at(transitions, (label[:-1], label[1:]), 1.0)
-    shown = len(units) if of_units else 0
     unit_covariance = np.array([fit.covariance[one, :, one] for one in range(shown)]).reshape(shown, 3, 3)
     return Training(
         number=np.arange(count),
-        centre=np.concatenate([states.centre, more]),
-        centre_covariance=np.concatenate([states.covariance, more_spread]),
-        correction=predicted @ fit.value,
-        covariance=np.einsum("sp,piqj,sq->sij", predicted, fit.covariance, predicted),
+        centre=np.concatenate([states.centre, centre]),
+        centre_covariance=np.concatenate([states.covariance, spread]),
+        correction=of_fit @ fit.value,
+        covariance=np.einsum("sp,piqj,sq->sij", of_fit, fit.covariance, of_fit),
         segments=np.append(states.count, np.zeros(new, dtype=np.int64)),
         seconds=np.append(seconds, np.zeros(new)),
         transitions=transitions,
-        occupancy=every,
-        unit=units.vector if of_units else np.empty((0, 3)),
-        unit_correction=fit.value[: len(units)] if of_units else np.empty((0, 3)),
+        occupancy=occupancy,
+        unit=units.vector,
+        unit_correction=fit.value[:shown],
         unit_covariance=unit_covariance,
         scatter=states.scatter,
         drift=states.drift_end[-1],
@@ -251,7 +233,7 @@ def training_from_steps(
         reference=-1 if known else reference,
         excess=fit.excess,
         reason=units.reason,
-        design=every.astype(np.float64) if of_units else design,
+        design=design,
         value=fit.value[: design.shape[1]],
         joint=fit.covariance[: design.shape[1], :, : design.shape[1]],
         unit_number=np.arange(shown),

@@ -1,4 +1,8 @@
-"""A published figure, what the software obtains for it, and the verdict that follows from the two."""
+"""A published figure, what the software obtains for it, and the verdict that follows from the two.
+
+Each module of the scorecard has its entries in `FIGURES`. They are made by three shorthands for ``Figure``,
+by what the obtained value rests on: ``derived``, ``recovered`` and ``needs_data``.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,8 @@ from inflight.scorecard.scene import Scene
 
 Basis = Literal["derived", "recovered_from_injection", "measured", "needs_mission_data"]
 Verdict = Literal["reproduced", "contradicted", "not reproducible", "needs data"]
+#: Why a figure is reproduced that was put into simulated data and given back.
+RECOVERED = "The estimator returns what was put in: this proves it, not the figure."
 #: A number, or several that belong together.
 Value = float | tuple[float, ...]
 
@@ -27,7 +33,7 @@ class Within:
 Tolerance = float | tuple[float, ...] | Within
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """One figure of the literature; nothing of it is an obtained value.
 
@@ -73,9 +79,9 @@ class Figure:
             raise SettingsError(
                 f"figure '{self.id}' is {self.basis} but nothing obtains it", remedy="give 'obtain'"
             )
-        if isinstance(self.tolerance, tuple) and len(self.tolerance) != len(_several(self.published)):
+        if isinstance(self.tolerance, tuple) and len(self.tolerance) != len(_as_tuple(self.published)):
             raise SettingsError(
-                f"figure '{self.id}' has {len(_several(self.published))} numbers and "
+                f"figure '{self.id}' has {len(_as_tuple(self.published))} numbers and "
                 f"{len(self.tolerance)} tolerances",
                 remedy="give one, or as many",
             )
@@ -106,10 +112,10 @@ class Report:
         """
         if self.obtained is None:
             return "needs data" if self.figure.basis == "needs_mission_data" else "not reproducible"
-        return "reproduced" if self._agrees(_several(self.obtained)) else "contradicted"
+        return "reproduced" if self._agrees(_as_tuple(self.obtained)) else "contradicted"
 
     def _agrees(self, obtained: tuple[float, ...]) -> bool:
-        published, tolerance = _several(self.figure.published), self.figure.tolerance
+        published, tolerance = _as_tuple(self.figure.published), self.figure.tolerance
         if isinstance(tolerance, Within):
             return all(tolerance.low <= one <= tolerance.high for one in obtained)
         if len(obtained) != len(published):
@@ -124,9 +130,9 @@ class Report:
         """Return the fields by name; an interval of tolerance is an object with ``low`` and ``high``."""
         figure, tolerance = self.figure, self.figure.tolerance
         if isinstance(tolerance, Within):
-            told: Any = {"low": tolerance.low, "high": tolerance.high}
+            within: Any = {"low": tolerance.low, "high": tolerance.high}
         else:
-            told = tolerance
+            within = tolerance
         return {
             "id": figure.id,
             "section": figure.section,
@@ -136,41 +142,12 @@ class Report:
             "printed": figure.printed,
             "published": figure.published,
             "obtained": self.obtained,
-            "tolerance": told,
+            "tolerance": within,
             "basis": figure.basis,
             "verdict": self.verdict,
             "why": figure.why,
         }
 
 
-def _several(value: Value) -> tuple[float, ...]:
+def _as_tuple(value: Value) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
-
-
-def recovered(
-    name: str,
-    section: str,
-    what: str,
-    unit: str,
-    source: str,
-    published: Value,
-    tolerance: Tolerance,
-    obtain: Callable[[Scene], Value],
-    *,
-    printed: bool = True,
-    why: str = "The estimator returns what was put in: this proves it, not the figure.",
-) -> Figure:
-    """Return a figure of basis *recovered from injection*: see `Figure` for what each argument is."""
-    return Figure(
-        name,
-        section,
-        what,
-        unit,
-        source,
-        published,
-        tolerance,
-        "recovered_from_injection",
-        why,
-        obtain,
-        printed,
-    )

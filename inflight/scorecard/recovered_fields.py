@@ -7,6 +7,7 @@ the directions of the field and the noise put in make one expect, written down b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -30,7 +31,7 @@ from inflight.mission_fit import (
 )
 from inflight.residual import find_steps
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import recovered
+from inflight.scorecard.figure import RECOVERED, Figure
 from inflight.scorecard.scene import DAYS, MJD_ZERO, Scene
 from inflight.scorecard.spacecraft_fields import CAMERA, CHANGE, CHANGE_ERROR, PANELS, SCALAR, VECTOR
 from inflight.simulate import Parameters, Sampling, mean_current, torquer_currents
@@ -115,7 +116,7 @@ def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
     """Return epochs of the solar current and the local time of each, `both` panels in turn or the first."""
     parts, hours = [], []
     for mjd in DAYS:
-        day = scene.once(fast_day, mjd)
+        day = scene.cached(fast_day, mjd)
         share = panel_weights_at(np.array([day.local_time])) if both else np.array([[1.0, 0.0]])
         coefficient = (share @ np.reshape(PANELS, (2, 3)))[0] / _SPLIT[0]
         for repeat in range(_REPEATS):
@@ -145,7 +146,7 @@ def field_of_camera(scene: Scene) -> float:
     """Return the change of dB along z of the camera's current, nT/mA."""
     parts = []
     for mjd in DAYS:
-        day, random = scene.once(fast_day, mjd), np.random.default_rng([22, mjd])
+        day, random = scene.cached(fast_day, mjd), np.random.default_rng([22, mjd])
         current = _DAZZLED * _switched(day, random)
         field = current[:, None] * np.array([0.0, 0.0, 1e3 * CAMERA])
         parts.append(_epochs(day, _disturbed(day, field, random), current, "camera_current"))
@@ -156,7 +157,7 @@ def change_of_matrix(scene: Scene) -> tuple[float, ...]:
     """Return what the scalar sensor's torquer matrix lacks: robust mean of daily fits, row by row, nT/A."""
     parts = []
     for mjd in DAYS:
-        day = scene.once(fast_day, mjd)
+        day = scene.cached(fast_day, mjd)
         times = Sampling.of_span(int(day.stamps[0]), int(day.stamps[-1]) + SECOND, SECOND)
         for seed in range(_BAND_REPEATS):
             current = torquer_currents(times, Parameters(), 10 + seed, mjd)
@@ -173,23 +174,22 @@ def eta(scene: Scene) -> float:
     over = _SPLIT[0] / _SPLIT[1]
     grams = np.array([scene.day(mjd).direction.T @ scene.day(mjd).direction for mjd in DAYS])
     count = float(len(scene.day(DAYS[0]).direction))
-    return float(np.mean([_eta_of(grams, count, over, seed) for seed in range(_ETA_SEEDS)])) / 1e3
-
-
-def _eta_of(grams: Floats, count: float, over: float, seed: int) -> float:
-    random = np.random.default_rng([14, seed])
-    first = int((MJD_ZERO + 204).astype(np.int64))
-    day = first + np.arange(_ETA_DAYS)
-    seconds = (204.5 + np.arange(_ETA_DAYS) - mjd_of_seconds(np.zeros(1))[0]) * 86_400.0
+    days = np.arange(_ETA_DAYS)
+    day = int((MJD_ZERO + 204).astype(np.int64)) + days
+    seconds = (204.5 + days - mjd_of_seconds(np.zeros(1))[0]) * 86_400.0
     current = mean_current(seconds, Parameters())
-    turn = 2.0 * np.pi * np.arange(_ETA_DAYS) / 260.5
-    daily = current + _ETA_TURN * np.column_stack([np.sin(turn), np.cos(turn), np.sin(2 * turn)])
-    daily = daily + _ETA_SCATTER * random.standard_normal(daily.shape)
-    slow = _ETA_SLOW * random.standard_normal((_ETA_DAYS // 20 + 1, 3))[np.arange(_ETA_DAYS) // 20]
-    field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
-    gram = _grams_with(grams[np.arange(_ETA_DAYS) % len(grams)], field, count, random)
-    mean = filled_running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
-    return fit_eta(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0]
+    turn = 2.0 * np.pi * days / 260.5
+    turning = current + _ETA_TURN * np.column_stack([np.sin(turn), np.cos(turn), np.sin(2 * turn)])
+    found = []
+    for seed in range(_ETA_SEEDS):
+        random = np.random.default_rng([14, seed])
+        daily = turning + _ETA_SCATTER * random.standard_normal(turning.shape)
+        slow = _ETA_SLOW * random.standard_normal((_ETA_DAYS // 20 + 1, 3))[days // 20]
+        field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
+        gram = _grams_with(grams[days % len(grams)], field, count, random)
+        mean = filled_running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
+        found.append(fit_eta(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0])
+    return float(np.mean(found)) / 1e3
 
 
 def _grams_with(own: Floats, field: Floats, count: float, random: np.random.Generator) -> Floats:
@@ -206,7 +206,7 @@ def _grams_with(own: Floats, field: Floats, count: float, random: np.random.Gene
 
 def half_passed(scene: Scene) -> float:
     """Return the period that the distribution of the residual passes by half, from tones with noise, s."""
-    day = scene.once(fast_day, DAYS[0])
+    day = scene.cached(fast_day, DAYS[0])
     field, passed = 40_000.0 * day.direction, []
     for period in _TONES:
         wave = np.exp(2j * np.pi * day.seconds / period)
@@ -218,92 +218,89 @@ def half_passed(scene: Scene) -> float:
 
 def distributed(scene: Scene) -> tuple[float, float]:
     """Return the rms of what is distributed of slow residual and noise, and of what is left, nT."""
-    day = scene.once(fast_day, DAYS[0])
+    day = scene.cached(fast_day, DAYS[0])
     residual = _disturbed(day, np.zeros_like(day.direction), np.random.default_rng(16))
     found = distribute_residual(40_000.0 * day.direction, residual, day.stamps)
     return found.rms, found.rms_remaining
 
 
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+
 FIGURES = (
     recovered(
-        "solar.difference-recovered",
-        SECTION,
-        "A_fg - A_ov of the first panel from steps of the current between 10.5 and 3 A, x, y, z",
-        "nT/A",
-        "Fig. 3.6 over the split of section 3.4.1, Yin 2010; the thesis prints none",
-        tuple(one / _SPLIT[0] for one in PANELS[:3]),
+        id="solar.difference-recovered",
+        what="A_fg - A_ov of the first panel from steps of the current between 10.5 and 3 A, x, y, z",
+        unit="nT/A",
+        source="Fig. 3.6 over the split of section 3.4.1, Yin 2010; the thesis prints none",
+        published=tuple(one / _SPLIT[0] for one in PANELS[:3]),
         # Three times the inverse of the columns' information, 0.042 nT a step, 476 steps; e_y is 0.15 rms.
-        (0.0014, 0.0051, 0.0010),
-        difference_of_array,
+        tolerance=(0.0014, 0.0051, 0.0010),
+        obtain=difference_of_array,
         printed=False,
     ),
     recovered(
-        "panels.recovered",
-        SECTION,
-        "fields of both side panels at the vector sensor, from such steps at seven local times",
-        "nT/A",
-        "Yin 2010, Fig. 3.6, read off",
-        PANELS,
+        id="panels.recovered",
+        what="fields of both side panels at the vector sensor, from such steps at seven local times",
+        unit="nT/A",
+        source="Yin 2010, Fig. 3.6, read off",
+        published=PANELS,
         # The same with both panels, times the split's 1.64.
-        (0.0035, 0.0136, 0.0024, 0.0038, 0.0145, 0.0026),
-        both_panels,
+        tolerance=(0.0035, 0.0136, 0.0024, 0.0038, 0.0145, 0.0026),
+        obtain=both_panels,
         why="The estimator returns what was put in; along y, which e hardly has, steps tell little.",
     ),
     recovered(
-        "camera.recovered",
-        SECTION,
-        "change of dB along z per current of the star camera, from steps of 400 mA",
-        "nT/mA",
-        "Yin 2010, section 3.4.2, printed without an axis",
-        CAMERA,
+        id="camera.recovered",
+        what="change of dB along z per current of the star camera, from steps of 400 mA",
+        unit="nT/mA",
+        source="Yin 2010, section 3.4.2, printed without an axis",
+        published=CAMERA,
         # Three times the inverse of the column's information, 238 steps.
-        2.4e-5,
-        field_of_camera,
+        tolerance=2.4e-5,
+        obtain=field_of_camera,
     ),
     recovered(
-        "torquer.recovered",
-        SECTION,
-        "change of the torquer matrix of the scalar sensor, row by row, from 21 days' band of 0.05 Hz",
-        "nT/A",
-        "Yin 2010, section 3.4.3",
-        tuple(CHANGE.ravel().tolist()),
+        id="torquer.recovered",
+        what="change of the torquer matrix of the scalar sensor, row by row, from 21 days' band of 0.05 Hz",
+        unit="nT/A",
+        source="Yin 2010, section 3.4.3",
+        published=tuple(CHANGE.ravel().tolist()),
         # The printed errors, or the scatter of these days where it is larger.
-        tuple(max(pair) for pair in zip(CHANGE_ERROR, _BAND_SCATTER, strict=True)),
-        change_of_matrix,
+        tolerance=tuple(max(pair) for pair in zip(CHANGE_ERROR, _BAND_SCATTER, strict=True)),
+        obtain=change_of_matrix,
         why="The estimator returns what was put in, sign included: this proves it, not the matrix.",
     ),
     recovered(
-        "remanent.eta-recovered",
-        SECTION,
-        "eta from dB of 2500 days on the 260-day means of the torquer currents",
-        "nT/mA",
-        "Yin 2010, section 3.4.4",
-        _ETA / 1e3,
+        id="remanent.eta-recovered",
+        what="eta from dB of 2500 days on the 260-day means of the torquer currents",
+        unit="nT/mA",
+        source="Yin 2010, section 3.4.4",
+        published=_ETA / 1e3,
         # Days scatter by 2 mA, the mean current changes by 2.5 mA rms: 2 % of a mission, 1 % of four.
-        0.0002,
-        eta,
+        tolerance=0.0002,
+        obtain=eta,
     ),
     recovered(
-        "distribution.period",
-        continuous_parameters.SECTION,
-        "period that the distribution of the residual passes by half, from tones with noise",
-        "s",
-        "Yin 2010, eq. 3.7",
-        FILTER_PERIOD_S,
+        id="distribution.period",
+        section=continuous_parameters.SECTION,
+        what="period that the distribution of the residual passes by half, from tones with noise",
+        unit="s",
+        source="Yin 2010, eq. 3.7",
+        published=FILTER_PERIOD_S,
         # Noise 0.02 s, and both ends of the day.
-        0.2,
-        half_passed,
+        tolerance=0.2,
+        obtain=half_passed,
         why="A filter of zero phase whose name the thesis does not print.",
     ),
     recovered(
-        "distribution.size",
-        continuous_parameters.SECTION,
-        "rms distributed of a residual of 0.224 nT that follows the orbit, and rms of the noise left",
-        "nT",
-        "theory of a low-pass 1/(1 + (f/fc)^6) on 0.09 nT of noise; the thesis prints none",
-        (0.2240, 0.0886),
-        (0.002, 0.0007),
-        distributed,
+        id="distribution.size",
+        section=continuous_parameters.SECTION,
+        what="rms distributed of a residual of 0.224 nT that follows the orbit, and rms of the noise left",
+        unit="nT",
+        source="theory of a low-pass 1/(1 + (f/fc)^6) on 0.09 nT of noise; the thesis prints none",
+        published=(0.2240, 0.0886),
+        tolerance=(0.002, 0.0007),
+        obtain=distributed,
         printed=False,
         why="It takes what is slow, whatever the cause, and 3 % of the noise's power.",
     ),

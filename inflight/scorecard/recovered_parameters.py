@@ -6,6 +6,7 @@ Tolerances are three times the scatter that geometry and the noise put in make o
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +34,7 @@ from inflight.mission_fit import (
     make_trend,
 )
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import recovered
+from inflight.scorecard.figure import RECOVERED, Figure
 from inflight.scorecard.scalar_calibration import (
     ANGLES,
     OFFSETS,
@@ -53,9 +54,9 @@ _MISSION = np.linspace(204.5, 3204.5, 101)
 _PRIOR = np.array([0.005] * 3 + [0.5] * 3 + [100.0] * 3)
 #: Where a logarithm's origin is sought from, MJD.
 _WRONG_ORIGIN = 100.0
-#: Boundaries of 15-day intervals at which jumps are told, MJD.
+#: Boundaries of 15-day intervals at which jumps are measured, MJD.
 _BOUNDARIES = (500, 3000)
-#: Noise^2 of eq. 3.6, and rms and error of the daily offsets that it is told from, nT.
+#: Noise^2 of eq. 3.6, and rms and error of the daily offsets that it is fitted to, nT.
 _REGRESSION_NOISE, _OFFSET_RMS, _OFFSET_ERROR, _OFFSET_DAYS = 0.0390, 0.5, 0.01, 60
 #: Coil: linear (ppm/K) and quadratic (1/K^2) coefficients, lag (s) and reference (degC, chosen).
 _COIL, _QUADRATIC, _LAG, _REFERENCE = (29.6, 30.37, 30.46), 4e-8, 100.0, 10.0
@@ -86,7 +87,7 @@ def _mission(scene: Scene, seed: int) -> NormalEquations:
 
 def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
     """Fit the logarithm to the summed equations of a mission's days, angles and offsets constant."""
-    equations = scene.once(_mission, seed)
+    equations = scene.cached(_mission, seed)
     t0 = int(from_mjd2000(np.array([origin]))[0])
     times = from_mjd2000(_MISSION)
     trends = {name: make_trend("log", times, t0) for name in equations.columns[:3]}
@@ -95,7 +96,7 @@ def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
 
 def law(scene: Scene) -> Floats:
     """Return the mean over seeds of la, lb of x, y, z in turn, then angles and offsets."""
-    fits = [scene.once(_trend, seed, float(SCALE_ORIGIN), False) for seed in range(SEEDS)]
+    fits = [scene.cached(_trend, seed, float(SCALE_ORIGIN), False) for seed in range(SEEDS)]
     return np.asarray(np.mean([fit.value for fit in fits], axis=0))
 
 
@@ -105,7 +106,7 @@ def ageing_between_middles(boundary: int) -> float:
 
 
 def _of_law(scene: Scene, part: slice) -> tuple[float, ...]:
-    return tuple(scene.once(law)[part])
+    return tuple(scene.cached(law)[part])
 
 
 def origin_of_law(scene: Scene) -> float:
@@ -114,7 +115,7 @@ def origin_of_law(scene: Scene) -> float:
     return float(np.mean([one.mjd if one and one.determined else np.nan for one in found]))
 
 
-def _jump_of_intervals(scene: Scene, boundary: int) -> float:
+def jump_of_intervals(scene: Scene, boundary: int) -> float:
     """Return the mean step of |B| between two calibrations of 15 days, mean over seeds, nT."""
     steps = []
     edges = from_mjd2000(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
@@ -133,14 +134,11 @@ def _jump_of_intervals(scene: Scene, boundary: int) -> float:
     return float(np.mean(steps))
 
 
-def _jump_of_law(scene: Scene) -> tuple[float, ...]:
-    fit = scene.once(_trend, 0, float(SCALE_ORIGIN), False)
+def jump_of_law(scene: Scene) -> tuple[float, ...]:
+    """Return the rms step of |B| of the continuous parameters at the boundaries, nT."""
+    fit = scene.cached(_trend, 0, float(SCALE_ORIGIN), False)
     found = trend_jumps(lambda times: fit.at(times)[0], from_mjd2000(np.array(_BOUNDARIES, dtype=np.float64)))
     return tuple(found.rms)
-
-
-def _interval_ageing(scene: Scene) -> tuple[float, ...]:
-    return tuple(scene.once(_jump_of_intervals, boundary) for boundary in _BOUNDARIES)
 
 
 def regression(scene: Scene) -> tuple[float, float]:
@@ -155,9 +153,9 @@ def regression(scene: Scene) -> tuple[float, float]:
             noise = generator.normal(0.0, np.sqrt(_REGRESSION_NOISE), day.strength.size)
             start = int(from_mjd2000(np.array([1000.0 + number]))[0])
             parts.append(day_statistics(one * day.direction[:, 2] + noise, day.direction, start, start + 1))
-        told = offset + generator.normal(0.0, _OFFSET_ERROR, offset.size)
+        measured = offset + generator.normal(0.0, _OFFSET_ERROR, offset.size)
         statistics = xr.concat(parts, "interval", join="exact")
-        fit = fit_spread_law(statistics, told, np.full(offset.size, _OFFSET_ERROR))
+        fit = fit_spread_law(statistics, measured, np.full(offset.size, _OFFSET_ERROR))
         found.append((fit.factor, fit.noise))
     factor, noise = np.mean(found, axis=0)
     return float(factor), float(noise)
@@ -206,124 +204,122 @@ def coil(scene: Scene) -> tuple[float, ...]:
 SECTION = continuous_parameters.SECTION
 _SOURCE = "Yin 2010, section 3.3"
 
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+
 FIGURES = (
     recovered(
-        "temperature.recovered",
-        "scalar-calibration",
-        "linear temperature coefficients of a coil that swings by 10 K with the orbit, nine parameters free",
-        "ppm/K",
-        "Yin 2010, section 2.4",
-        _COIL,
-        _COIL_SCATTER[:3],
-        lambda scene: scene.once(coil)[:3],
+        id="temperature.recovered",
+        section="scalar-calibration",
+        what=(
+            "linear temperature coefficients of a coil that swings by 10 K with the orbit, nine parameters "
+            "free"
+        ),
+        unit="ppm/K",
+        source="Yin 2010, section 2.4",
+        published=_COIL,
+        tolerance=_COIL_SCATTER[:3],
+        obtain=lambda scene: scene.cached(coil)[:3],
     ),
     recovered(
-        "temperature.lag-recovered",
-        "scalar-calibration",
-        "lag of the temperature of the same fits",
-        "s",
-        _SOURCE,
-        _LAG,
-        _COIL_SCATTER[3],
-        lambda scene: scene.once(coil)[3],
+        id="temperature.lag-recovered",
+        section="scalar-calibration",
+        what="lag of the temperature of the same fits",
+        unit="s",
+        source=_SOURCE,
+        published=_LAG,
+        tolerance=_COIL_SCATTER[3],
+        obtain=lambda scene: scene.cached(coil)[3],
     ),
     recovered(
-        "scale-factors.constant-recovered",
-        SECTION,
-        "la of the logarithm put into 101 days of a mission and fitted to their summed normal equations",
-        "1",
-        _SOURCE,
-        tuple(SCALE_CONSTANT.tolist()),
-        (1.9e-7, 2.3e-6, 8.5e-8),
-        lambda scene: _of_law(scene, slice(0, 6, 2)),
+        id="scale-factors.constant-recovered",
+        what="la of the logarithm put into 101 days of a mission and fitted to their summed normal equations",
+        unit="1",
+        source=_SOURCE,
+        published=tuple(SCALE_CONSTANT.tolist()),
+        tolerance=(1.9e-7, 2.3e-6, 8.5e-8),
+        obtain=lambda scene: _of_law(scene, slice(0, 6, 2)),
     ),
     recovered(
-        "scale-factors.logarithm-recovered",
-        SECTION,
-        "lb of the same fits",
-        "1",
-        _SOURCE,
-        tuple(SCALE_LOG.tolist()),
-        (2.6e-8, 3.3e-7, 1.2e-8),
-        lambda scene: _of_law(scene, slice(1, 6, 2)),
+        id="scale-factors.logarithm-recovered",
+        what="lb of the same fits",
+        unit="1",
+        source=_SOURCE,
+        published=tuple(SCALE_LOG.tolist()),
+        tolerance=(2.6e-8, 3.3e-7, 1.2e-8),
+        obtain=lambda scene: _of_law(scene, slice(1, 6, 2)),
     ),
     recovered(
-        "scale-factors.origin-recovered",
-        SECTION,
-        "MJD0 of the logarithm, fitted with it from 50 days off",
-        "d",
-        "Yin 2010, section 3.2",
-        float(SCALE_ORIGIN),
-        0.02,
-        origin_of_law,
+        id="scale-factors.origin-recovered",
+        what="MJD0 of the logarithm, fitted with it from 50 days off",
+        unit="d",
+        source="Yin 2010, section 3.2",
+        published=float(SCALE_ORIGIN),
+        tolerance=0.02,
+        obtain=origin_of_law,
     ),
     recovered(
-        "offsets.recovered",
-        SECTION,
-        "constant offsets x, y, z of the same fits",
-        "nT",
-        _SOURCE,
-        tuple(OFFSETS.tolist()),
-        (5.0e-4, 2.8e-3, 4.3e-4),
-        lambda scene: _of_law(scene, slice(9, 12)),
+        id="offsets.recovered",
+        what="constant offsets x, y, z of the same fits",
+        unit="nT",
+        source=_SOURCE,
+        published=tuple(OFFSETS.tolist()),
+        tolerance=(5.0e-4, 2.8e-3, 4.3e-4),
+        obtain=lambda scene: _of_law(scene, slice(9, 12)),
     ),
     recovered(
-        "angles.recovered",
-        SECTION,
-        "constant misalignment angles xy, xz, yz of the same fits",
-        "deg",
-        _SOURCE,
-        tuple(ANGLES.tolist()),
-        (7.3e-6, 1.4e-6, 4.9e-6),
-        lambda scene: _of_law(scene, slice(6, 9)),
+        id="angles.recovered",
+        what="constant misalignment angles xy, xz, yz of the same fits",
+        unit="deg",
+        source=_SOURCE,
+        published=tuple(ANGLES.tolist()),
+        tolerance=(7.3e-6, 1.4e-6, 4.9e-6),
+        obtain=lambda scene: _of_law(scene, slice(6, 9)),
     ),
     recovered(
-        "time-shift.recovered",
-        SECTION,
-        "shift of the scalar stamps put into seven days and fitted beside the nine parameters",
-        "s",
-        _SOURCE,
-        0.015,
+        id="time-shift.recovered",
+        what="shift of the scalar stamps put into seven days and fitted beside the nine parameters",
+        unit="s",
+        source=_SOURCE,
+        published=0.015,
         # The last printed digit; 0.1 nT over a day tell 0.2 ms.
-        0.0005,
-        time_shift,
+        tolerance=0.0005,
+        obtain=time_shift,
     ),
     recovered(
-        "jump.intervals",
-        SECTION,
-        "step of |B| at 50 000 nT between calibrations of 15 days, at days 500 and 3000",
-        "nT",
-        "the logarithm of section 3.3 between the middles of both intervals; the thesis shows Fig. 3.4",
-        tuple(ageing_between_middles(day) for day in _BOUNDARIES),
+        id="jump.intervals",
+        what="step of |B| at 50 000 nT between calibrations of 15 days, at days 500 and 3000",
+        unit="nT",
+        source=(
+            "the logarithm of section 3.3 between the middles of both intervals; the thesis shows Fig. 3.4"
+        ),
+        published=tuple(ageing_between_middles(day) for day in _BOUNDARIES),
         # Three times what the noise of 15 days leaves of the mean scale, mostly of the weak y.
-        0.03,
-        _interval_ageing,
+        tolerance=0.03,
+        obtain=lambda scene: tuple(jump_of_intervals(scene, boundary) for boundary in _BOUNDARIES),
         printed=False,
         why="The 15-day product steps by what the sensor aged from middle to middle.",
     ),
     recovered(
-        "jump.continuous",
-        SECTION,
-        "step of |B|, rms over directions, of the continuous parameters at the same days",
-        "nT",
-        "theory: a function of time without a step; the thesis shows Fig. 3.4",
-        (0.0, 0.0),
+        id="jump.continuous",
+        what="step of |B|, rms over directions, of the continuous parameters at the same days",
+        unit="nT",
+        source="theory: a function of time without a step; the thesis shows Fig. 3.4",
+        published=(0.0, 0.0),
         # A nanosecond of ageing, and rounding of 50 000 nT.
-        1e-9,
-        _jump_of_law,
+        tolerance=1e-9,
+        obtain=jump_of_law,
         printed=False,
         why="One fit for all days has no boundary to step at.",
     ),
     recovered(
-        "z-offset.regression",
-        SECTION,
-        "a and noise^2 of std^2(dB) = a Z0^2 + noise^2 over 60 days with offsets of 0.5 nT rms",
-        "1, nT^2",
-        "Yin 2010, eq. 3.6",
-        (0.6655, _REGRESSION_NOISE),
+        id="z-offset.regression",
+        what="a and noise^2 of std^2(dB) = a Z0^2 + noise^2 over 60 days with offsets of 0.5 nT rms",
+        unit="1, nT^2",
+        source="Yin 2010, eq. 3.6",
+        published=(0.6655, _REGRESSION_NOISE),
         # Geometry scatters by days (0.655 to 0.68); noise of 0.0390 nT^2 tells itself to 0.00025 nT^2.
-        (0.0105, 0.0007),
-        lambda scene: scene.once(regression),
+        tolerance=(0.0105, 0.0007),
+        obtain=regression,
         why="The noise was put in and is returned; the slope is geometry's own, see z-offset.slope.",
     ),
 )

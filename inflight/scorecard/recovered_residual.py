@@ -1,14 +1,16 @@
-"""What the residual is said to tell, put into daily values and given back (Yin 2010, chapter 4).
+"""What the thesis finds in the residual, put into daily values and given back (Yin 2010, chapter 4).
 
 Tolerances as in `inflight.scorecard.recovered_parameters`.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from inflight.mission_fit import WEEKDAYS, day_statistics, find_clock_faults, find_week_pattern, fit_slope
-from inflight.scorecard.figure import recovered
+from inflight.scorecard.figure import RECOVERED, Figure
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION
 from inflight.scorecard.scene import DAYS, Scene
@@ -73,60 +75,58 @@ def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
             day = scene.day(mjd)
             field = _SLOPES[0] * day.sunlit + _SLOPES[1] * (1.0 - day.sunlit)
             noise = np.random.default_rng([27, seed, mjd]).normal(0.0, NOISE, day.sunlit.size)
-            left = field * day.direction[:, 2] + noise
+            residual = field * day.direction[:, 2] + noise
             for index, side in enumerate((day.sunlit == 1.0, day.sunlit == 0.0)):
                 # Orbits in full sun have no night to take a slope of.
                 if side.sum() >= _SIDE:
-                    one = day_statistics(left, day.direction, *day.span, good=side)
+                    one = day_statistics(residual, day.direction, *day.span, good=side)
                     # A short night sees few directions: its slope says little.
                     weight = float((one["count"] * one["geometry"]).item())
                     sums[index] += weight * np.array([float(one["slope"].item()), 1.0])
     return float(sums[0, 0] / sums[0, 1]), float(sums[1, 0] / sums[1, 1])
 
 
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+
 FIGURES = (
     recovered(
-        "offset.drift-recovered",
-        SECTION,
-        "drift of daily z offsets that scatter by 0.2 nT beside a wave of 260.5 d, 3000 days",
-        "nT/d",
-        "Yin 2010, section 4.1.2",
-        _DRIFT,
+        id="offset.drift-recovered",
+        what="drift of daily z offsets that scatter by 0.2 nT beside a wave of 260.5 d, 3000 days",
+        unit="nT/d",
+        source="Yin 2010, section 4.1.2",
+        published=_DRIFT,
         # Three times 2.1e-6, and the last printed digit is 1e-5.
-        0.000006,
-        drift,
+        tolerance=0.000006,
+        obtain=drift,
     ),
     recovered(
-        "resets.recovered",
-        SECTION,
-        "MJD mod 7 of the weekday on which an offset is found to step, least and largest over seeds",
-        "1",
-        "Yin 2010, section 4.1.2: Wednesdays",
-        (float(WEDNESDAY), float(WEDNESDAY)),
-        0.0,
-        weekday_of_resets,
+        id="resets.recovered",
+        what="MJD mod 7 of the weekday on which an offset is found to step, least and largest over seeds",
+        unit="1",
+        source="Yin 2010, section 4.1.2: Wednesdays",
+        published=(float(WEDNESDAY), float(WEDNESDAY)),
+        tolerance=0.0,
+        obtain=weekday_of_resets,
     ),
     recovered(
-        "clock-fault.recovered",
-        SECTION,
-        "first and last day, and size, of the only fault found in 700 daily time shifts",
-        "d, d, s",
-        "Yin 2010, section 4.2.2, Fig. 4.18",
-        tuple(float(one) for one in _FAULT),
+        id="clock-fault.recovered",
+        what="first and last day, and size, of the only fault found in 700 daily time shifts",
+        unit="d, d, s",
+        source="Yin 2010, section 4.2.2, Fig. 4.18",
+        published=tuple(float(one) for one in _FAULT),
         # The days exactly, the shift to its last printed digit.
-        (0.0, 0.0, 0.0005),
-        lambda scene: scene.once(fault_of_clock),
+        tolerance=(0.0, 0.0, 0.0005),
+        obtain=fault_of_clock,
         why="Found without being told where: this proves the estimator, not the fault.",
     ),
     recovered(
-        "day-night.slopes",
-        SECTION,
-        "slopes of dB on Bz/F by day and by night of a field put into days that have a night",
-        "nT",
-        "Yin 2010, Fig. 4.21; which is by day follows from the sign of the angles of section 4.3",
-        _SLOPES,
+        id="day-night.slopes",
+        what="slopes of dB on Bz/F by day and by night of a field put into days that have a night",
+        unit="nT",
+        source="Yin 2010, Fig. 4.21; which is by day follows from the sign of the angles of section 4.3",
+        published=_SLOPES,
         # Three times 0.7 pT, and the penumbra belongs to neither; half of the last printed digit.
-        0.005,
-        slopes_by_day_and_night,
+        tolerance=0.005,
+        obtain=slopes_by_day_and_night,
     ),
 )

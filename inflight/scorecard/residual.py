@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from inflight.calibration import concat_equations
@@ -33,7 +35,7 @@ def ignored_causes(scene: Scene, *days: int) -> CrossTalkTable:
 
 
 def _mission(scene: Scene) -> CrossTalkTable:
-    return scene.once(ignored_causes, *DAYS)
+    return scene.cached(ignored_causes, *DAYS)
 
 
 def _rms(scene: Scene, cause: str) -> tuple[float, float]:
@@ -70,172 +72,151 @@ def common_scale(scene: Scene) -> float:
     return float(BIAS * strength.sum() / (strength @ strength) * 1e6)
 
 
-def _weekdays(scene: Scene) -> tuple[float, ...]:
+def weekdays_of_resets(scene: Scene) -> tuple[float, ...]:
     """Return MJD mod 7 of the named days, as far as the calendar makes them Wednesdays."""
     wednesday = [(MJD_ZERO + mjd).item().isoweekday() == 3 for mjd in _RESETS]
     return tuple(float(mjd % 7) if is_one else np.nan for mjd, is_one in zip(_RESETS, wednesday, strict=True))
 
 
+derived = partial(Figure, section=SECTION, basis="derived")
+needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+
 FIGURES = (
-    Figure(
-        "lag.correlation",
-        SECTION,
-        "correlation of Bx Bz with dF/dt",
-        "1",
-        "Yin 2010, section 4.2.2",
-        0.8868,
-        Within(0.87, 0.91),
-        "derived",
-        "Geometry of the main field along a polar orbit; days scatter by 0.005.",
-        lag_correlation,
+    derived(
+        id="lag.correlation",
+        what="correlation of Bx Bz with dF/dt",
+        unit="1",
+        source="Yin 2010, section 4.2.2",
+        published=0.8868,
+        tolerance=Within(0.87, 0.91),
+        why="Geometry of the main field along a polar orbit; days scatter by 0.005.",
+        obtain=lag_correlation,
     ),
-    Figure(
-        "lag.rate",
-        SECTION,
-        "change of k3 per time shift",
-        "1/s",
-        "Yin 2010, section 4.2.2, where the ratio is printed upside down",
-        _ROUNDED_RATE,
-        0.0005,
-        "derived",
-        "0.00156 1/s rounds to the printed digit, which carries an error of a quarter.",
-        lag_rate,
+    derived(
+        id="lag.rate",
+        what="change of k3 per time shift",
+        unit="1/s",
+        source="Yin 2010, section 4.2.2, where the ratio is printed upside down",
+        published=_ROUNDED_RATE,
+        tolerance=0.0005,
+        why="0.00156 1/s rounds to the printed digit, which carries an error of a quarter.",
+        obtain=lag_rate,
     ),
-    Figure(
-        "lag.xz",
-        SECTION,
-        "shift of the angle xz by a time shift of 10 ms",
-        "arcsec",
-        "Yin 2010, section 4.2.2",
-        -4.1,
-        0.05,
-        "derived",
-        "The sign is right; the size is the rounded rate's, the unrounded one gives -3.2.",
-        lambda scene: _mission(scene).of("lag", XZ),
+    derived(
+        id="lag.xz",
+        what="shift of the angle xz by a time shift of 10 ms",
+        unit="arcsec",
+        source="Yin 2010, section 4.2.2",
+        published=-4.1,
+        tolerance=0.05,
+        why="The sign is right; the size is the rounded rate's, the unrounded one gives -3.2.",
+        obtain=lambda scene: _mission(scene).of("lag", XZ),
     ),
-    Figure(
-        "lag.xz-rounded",
-        SECTION,
-        "the same from the rate as it is printed",
-        "arcsec",
-        "Yin 2010, section 4.2.2",
-        -4.1,
-        0.05,
-        "derived",
-        "This is how the thesis came to -4.1.",
-        lambda scene: -_ROUNDED_RATE * LAG * _ARCSEC,
+    derived(
+        id="lag.xz-rounded",
+        what="the same from the rate as it is printed",
+        unit="arcsec",
+        source="Yin 2010, section 4.2.2",
+        published=-4.1,
+        tolerance=0.05,
+        why="This is how the thesis came to -4.1.",
+        obtain=lambda scene: -_ROUNDED_RATE * LAG * _ARCSEC,
     ),
-    Figure(
-        "lag.xz-exact",
-        SECTION,
-        "the same by least squares of all nine parameters in the IGRF",
-        "arcsec",
-        "theory of section 4.2.2; the thesis prints the rounded one",
-        -3.2,
-        0.1,
-        "derived",
-        "Days lie between -3.16 and -3.28.",
-        lambda scene: _mission(scene).of("lag", XZ),
+    derived(
+        id="lag.xz-exact",
+        what="the same by least squares of all nine parameters in the IGRF",
+        unit="arcsec",
+        source="theory of section 4.2.2; the thesis prints the rounded one",
+        published=-3.2,
+        tolerance=0.1,
+        why="Days lie between -3.16 and -3.28.",
+        obtain=lambda scene: _mission(scene).of("lag", XZ),
         printed=False,
     ),
-    Figure(
-        "lag.xz-dipole",
-        SECTION,
-        "the same over the poles of a dipole",
-        "arcsec",
-        "theory of section 4.2.2: 1.5 times the mean motion times the time shift; the thesis prints none",
-        -3.5,
-        0.05,
-        "derived",
-        "In a dipole the two signals are one.",
-        lag_shift_of_dipole,
+    derived(
+        id="lag.xz-dipole",
+        what="the same over the poles of a dipole",
+        unit="arcsec",
+        source=(
+            "theory of section 4.2.2: 1.5 times the mean motion times the time shift; the thesis prints none"
+        ),
+        published=-3.5,
+        tolerance=0.05,
+        why="In a dipole the two signals are one.",
+        obtain=lag_shift_of_dipole,
         printed=False,
     ),
-    Figure(
-        "lag.rms",
-        SECTION,
-        "rms residual of a time shift of 10 ms, and what the nine parameters leave of it",
-        "nT",
-        "theory of section 4.2.2 in the IGRF; the thesis prints none",
-        (0.20, 0.08),
-        (0.01, 0.01),
-        "derived",
-        "A calibration hides four fifths of the square of a clock error, and gives it to the angle.",
-        lambda scene: _rms(scene, "lag"),
+    derived(
+        id="lag.rms",
+        what="rms residual of a time shift of 10 ms, and what the nine parameters leave of it",
+        unit="nT",
+        source="theory of section 4.2.2 in the IGRF; the thesis prints none",
+        published=(0.20, 0.08),
+        tolerance=(0.01, 0.01),
+        why="A calibration hides four fifths of the square of a clock error, and gives it to the angle.",
+        obtain=lambda scene: _rms(scene, "lag"),
         printed=False,
     ),
-    Figure(
-        "bias.scale-factors",
-        SECTION,
-        "growth of the scale factors x, y, z by 0.4 nT added to the scalar reading",
-        "ppm",
-        "theory of section 4.2.1 in the IGRF; the thesis shows it in Fig. 4.16 and prints none",
-        (15.0, 29.0, 8.0),
-        (1.0, 3.0, 0.5),
-        "derived",
-        "The weak y component answers most.",
-        lambda scene: tuple(_mission(scene).of("bias", name) for name in _SCALES),
+    derived(
+        id="bias.scale-factors",
+        what="growth of the scale factors x, y, z by 0.4 nT added to the scalar reading",
+        unit="ppm",
+        source="theory of section 4.2.1 in the IGRF; the thesis shows it in Fig. 4.16 and prints none",
+        published=(15.0, 29.0, 8.0),
+        tolerance=(1.0, 3.0, 0.5),
+        why="The weak y component answers most.",
+        obtain=lambda scene: tuple(_mission(scene).of("bias", name) for name in _SCALES),
         printed=False,
     ),
-    Figure(
-        "bias.common",
-        SECTION,
-        "the same when all three grow alike",
-        "ppm",
-        "theory of section 4.2.1 in the IGRF; the thesis prints none",
-        10.0,
-        0.5,
-        "derived",
-        "The bias over the field's strength.",
-        common_scale,
+    derived(
+        id="bias.common",
+        what="the same when all three grow alike",
+        unit="ppm",
+        source="theory of section 4.2.1 in the IGRF; the thesis prints none",
+        published=10.0,
+        tolerance=0.5,
+        why="The bias over the field's strength.",
+        obtain=common_scale,
         printed=False,
     ),
-    Figure(
-        "bias.rms",
-        SECTION,
-        "rms residual of a bias of 0.4 nT, and what the nine parameters leave of it",
-        "nT",
-        "theory of section 4.2.1 in the IGRF; the thesis prints none",
-        (0.4, 0.05),
-        (0.005, 0.005),
-        "derived",
-        "What is left, 1/8, is all that tells a bias from the scale factors.",
-        lambda scene: _rms(scene, "bias"),
+    derived(
+        id="bias.rms",
+        what="rms residual of a bias of 0.4 nT, and what the nine parameters leave of it",
+        unit="nT",
+        source="theory of section 4.2.1 in the IGRF; the thesis prints none",
+        published=(0.4, 0.05),
+        tolerance=(0.005, 0.005),
+        why="What is left, 1/8, is all that tells a bias from the scale factors.",
+        obtain=lambda scene: _rms(scene, "bias"),
         printed=False,
     ),
-    Figure(
-        "resets.weekday",
-        SECTION,
-        "day number modulo 7 of the resets on Wednesdays, days 2517 and 3168",
-        "1",
-        "calendar; Yin 2010, sections 4.1.2 and 4.2.2 name the days",
-        (4.0, 4.0),
-        0.0,
-        "derived",
-        "Day 0 is Saturday, 2000-01-01; both named days are Wednesdays.",
-        _weekdays,
+    derived(
+        id="resets.weekday",
+        what="day number modulo 7 of the resets on Wednesdays, days 2517 and 3168",
+        unit="1",
+        source="calendar; Yin 2010, sections 4.1.2 and 4.2.2 name the days",
+        published=(4.0, 4.0),
+        tolerance=0.0,
+        why="Day 0 is Saturday, 2000-01-01; both named days are Wednesdays.",
+        obtain=weekdays_of_resets,
         printed=False,
     ),
-    Figure(
-        "clock-fault",
-        SECTION,
-        "time shift of the clock fault of days 3164 to 3167",
-        "s",
-        "Yin 2010, section 4.2.2, Fig. 4.18",
-        0.012,
-        0.0005,
-        "needs_mission_data",
-        "A fault of CHAMP's clocks; tried: put in and found, see clock-fault.recovered.",
+    needs_data(
+        id="clock-fault",
+        what="time shift of the clock fault of days 3164 to 3167",
+        unit="s",
+        source="Yin 2010, section 4.2.2, Fig. 4.18",
+        published=0.012,
+        tolerance=0.0005,
+        why="A fault of CHAMP's clocks; tried: put in and found, see clock-fault.recovered.",
     ),
-    Figure(
-        "offset.drift",
-        SECTION,
-        "drift of the z offset over the mission",
-        "nT/d",
-        "Yin 2010, section 4.1.2",
-        -0.00024,
-        0.000005,
-        "needs_mission_data",
-        "CHAMP's sensor or body; tried: put in, see offset.drift-recovered.",
+    needs_data(
+        id="offset.drift",
+        what="drift of the z offset over the mission",
+        unit="nT/d",
+        source="Yin 2010, section 4.1.2",
+        published=-0.00024,
+        tolerance=0.000005,
+        why="CHAMP's sensor or body; tried: put in, see offset.drift-recovered.",
     ),
 )

@@ -56,7 +56,7 @@ def _k_of(value: Floats) -> Floats:
 
 
 def _passes(scene: Scene, fit: Callable[..., Floats], passes: int) -> tuple[float, float]:
-    """Largest residual (nT) and error of a scale factor (ppm) after some passes from raw readings."""
+    """Return the largest residual, nT, and error of a scale factor, ppm, after passes from raw readings."""
     day, truth = scene.day(LATE), champ_parameters(LATE)
     reading = np.linalg.solve(_k_of(truth), day.field.T).T + truth[6:]
     found = fit(reading, day.strength, passes)
@@ -65,22 +65,22 @@ def _passes(scene: Scene, fit: Callable[..., Floats], passes: int) -> tuple[floa
 
 
 def _worst_residual(scene: Scene, fit: Callable[..., Floats], passes: int) -> float:
-    return scene.once(_passes, fit, passes)[0]
+    return scene.cached(_passes, fit, passes)[0]
 
 
-def _apart(scene: Scene) -> tuple[float, float]:
-    """Largest distance of the two iterated linear forms from exact least squares: ppm, nT."""
+def distance_of_forms(scene: Scene) -> tuple[float, float]:
+    """Return the largest distance of the two iterated linear forms from exact least squares: ppm, nT."""
     day, truth = scene.day(LATE), champ_parameters(LATE)
     reading = np.linalg.solve(_k_of(truth), day.field.T).T + truth[6:]
     scalar = day.strength + np.random.default_rng(_SEED).normal(0.0, _NOISE, day.strength.size)
     forms = [fit(reading, scalar, _TURNS) for fit in (fit_difference, fit_squares)]
-    exact = _exact(reading, scalar, forms[0])
+    exact = _least_squares(reading, scalar, forms[0])
     off = np.array([form - exact for form in forms])
     return float(np.abs(off[:, :3]).max() * 1e6), float(np.abs(off[:, 6:]).max())
 
 
-def _exact(reading: Floats, scalar: Floats, start: Floats) -> Floats:
-    """Least squares by the product's own Gauss-Newton rows, without its robust weights and priors."""
+def _least_squares(reading: Floats, scalar: Floats, start: Floats) -> Floats:
+    """Return the least squares (9,) by the product's Gauss-Newton rows, without robust weights and priors."""
     value, edges = start.copy(), np.array([0, scalar.size], dtype=np.int64)
     still = np.zeros((1, 3))
     for _ in range(_TURNS):
@@ -97,99 +97,94 @@ def _exact(reading: Floats, scalar: Floats, start: Floats) -> Floats:
     return value
 
 
-def _between_axes(scene: Scene) -> tuple[float, ...]:
+def between_axes(scene: Scene) -> tuple[float, ...]:
+    """Return the angles between the axes that belong to the printed misalignment angles, deg."""
     return tuple(to_sensor_angles(scale_factors(LATE), ANGLES).between_axes)
 
 
+derived = partial(Figure, section=SECTION, basis="derived")
+needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+
 FIGURES = (
-    Figure(
-        "angles.between-axes",
-        SECTION,
-        "angles between the sensor's axes xy, xz, yz that belong to the printed misalignment angles",
-        "deg",
-        "geometry of eq. 2.2; Yin 2010, section 3.3 prints 90.02613, 90.05986, 90.03873",
-        (89.97387, 89.94014, 89.96127),
+    derived(
+        id="angles.between-axes",
+        what="angles between the sensor's axes xy, xz, yz that belong to the printed misalignment angles",
+        unit="deg",
+        source="geometry of eq. 2.2; Yin 2010, section 3.3 prints 90.02613, 90.05986, 90.03873",
+        published=(89.97387, 89.94014, 89.96127),
         # Scale factors of 1.0025 take the second order to 0.0002 deg.
-        0.0003,
-        "derived",
-        "The printed angles are arccosines of entries of K: the axes stand on the other side of 90 degrees.",
-        _between_axes,
+        tolerance=0.0003,
+        why=(
+            "The printed angles are arccosines of entries of K: the axes stand on the other side of 90 "
+            "degrees."
+        ),
+        obtain=between_axes,
         printed=False,
     ),
-    Figure(
-        "difference-form.one-pass",
-        SECTION,
-        "largest residual, and error of a scale factor, after one pass of eq. 2.7 from raw readings",
-        "nT, ppm",
-        "theory of eq. 2.7 on the IGRF, day 3000; the thesis prints none",
-        (0.8, 17.0),
-        (0.05, 0.5),
-        "derived",
-        "The form is linear in products of parameters that are 0.25 % and 0.06 degrees from nominal.",
-        lambda scene: scene.once(_passes, fit_difference, 1),
+    derived(
+        id="difference-form.one-pass",
+        what="largest residual, and error of a scale factor, after one pass of eq. 2.7 from raw readings",
+        unit="nT, ppm",
+        source="theory of eq. 2.7 on the IGRF, day 3000; the thesis prints none",
+        published=(0.8, 17.0),
+        tolerance=(0.05, 0.5),
+        why="The form is linear in products of parameters that are 0.25 % and 0.06 degrees from nominal.",
+        obtain=lambda scene: scene.cached(_passes, fit_difference, 1),
         printed=False,
     ),
-    Figure(
-        "difference-form.second-pass",
-        SECTION,
-        "largest residual after a second pass of eq. 2.7",
-        "nT",
-        "theory of eq. 2.7 on the IGRF, day 3000; the thesis prints none",
-        1e-4,
-        Within(0.0, 1e-4),
-        "derived",
-        "Repeated on its own result the form loses nothing.",
-        partial(_worst_residual, fit=fit_difference, passes=2),
+    derived(
+        id="difference-form.second-pass",
+        what="largest residual after a second pass of eq. 2.7",
+        unit="nT",
+        source="theory of eq. 2.7 on the IGRF, day 3000; the thesis prints none",
+        published=1e-4,
+        tolerance=Within(0.0, 1e-4),
+        why="Repeated on its own result the form loses nothing.",
+        obtain=partial(_worst_residual, fit=fit_difference, passes=2),
         printed=False,
     ),
-    Figure(
-        "squares-form.one-pass",
-        SECTION,
-        "largest residual of F^2 = P.M + Q with Q left out",
-        "nT",
-        "theory of section 2.2 on the IGRF, day 3000; the thesis prints none",
-        0.1,
-        0.05,
-        "derived",
-        "Q holds the squares of offsets and angles.",
-        partial(_worst_residual, fit=fit_squares, passes=1),
+    derived(
+        id="squares-form.one-pass",
+        what="largest residual of F^2 = P.M + Q with Q left out",
+        unit="nT",
+        source="theory of section 2.2 on the IGRF, day 3000; the thesis prints none",
+        published=0.1,
+        tolerance=0.05,
+        why="Q holds the squares of offsets and angles.",
+        obtain=partial(_worst_residual, fit=fit_squares, passes=1),
         printed=False,
     ),
-    Figure(
-        "squares-form.second-pass",
-        SECTION,
-        "largest residual of F^2 = P.M + Q with the Q of the first pass",
-        "nT",
-        "theory of section 2.2 on the IGRF, day 3000; the thesis prints none",
-        1e-4,
-        Within(0.0, 1e-4),
-        "derived",
-        "One turn of Q is enough, and Q is right as printed.",
-        partial(_worst_residual, fit=fit_squares, passes=2),
+    derived(
+        id="squares-form.second-pass",
+        what="largest residual of F^2 = P.M + Q with the Q of the first pass",
+        unit="nT",
+        source="theory of section 2.2 on the IGRF, day 3000; the thesis prints none",
+        published=1e-4,
+        tolerance=Within(0.0, 1e-4),
+        why="One turn of Q is enough, and Q is right as printed.",
+        obtain=partial(_worst_residual, fit=fit_squares, passes=2),
         printed=False,
     ),
-    Figure(
-        "forms.agreement",
-        SECTION,
-        "largest distance of both iterated linear forms from exact least squares: scale factors, offsets",
-        "ppm, nT",
-        "theory: all three minimise the same sum; 0.1 nT of noise, day 3000",
-        (0.0, 0.0),
-        (0.001, 1e-4),
-        "derived",
-        "Iterated, the two published forms and Gauss-Newton on dB are one estimator.",
-        lambda scene: scene.once(_apart),
+    derived(
+        id="forms.agreement",
+        what=(
+            "largest distance of both iterated linear forms from exact least squares: scale factors, offsets"
+        ),
+        unit="ppm, nT",
+        source="theory: all three minimise the same sum; 0.1 nT of noise, day 3000",
+        published=(0.0, 0.0),
+        tolerance=(0.001, 1e-4),
+        why="Iterated, the two published forms and Gauss-Newton on dB are one estimator.",
+        obtain=distance_of_forms,
         printed=False,
     ),
-    Figure(
-        "temperature.linear",
-        SECTION,
-        "linear temperature coefficients of the coil",
-        "ppm/K",
-        "Yin 2010, section 2.4",
-        (29.6, 30.37, 30.46),
-        (0.05, 0.005, 0.005),
-        "needs_mission_data",
-        "Measured on CHAMP's coil on the ground; tried: put in, see temperature.recovered.",
+    needs_data(
+        id="temperature.linear",
+        what="linear temperature coefficients of the coil",
+        unit="ppm/K",
+        source="Yin 2010, section 2.4",
+        published=(29.6, 30.37, 30.46),
+        tolerance=(0.05, 0.005, 0.005),
+        why="Measured on CHAMP's coil on the ground; tried: put in, see temperature.recovered.",
     ),
 )

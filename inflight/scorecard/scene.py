@@ -74,26 +74,26 @@ class OrbitDay:
 
 
 class Scene:
-    """One run of the scorecard: it keeps what is costly, and is thrown away at the end."""
+    """Simulated days that the figures of one run share, and a cache of what is costly."""
 
     def __init__(self) -> None:
-        self._kept: dict[Hashable, Any] = {}
+        self._cache: dict[Hashable, Any] = {}
 
-    def once(self, work: Callable[..., Result], *arguments: Hashable) -> Result:
-        """Return ``work(scene, *arguments)``, worked out the first time it is asked for."""
+    def cached(self, work: Callable[..., Result], *arguments: Hashable) -> Result:
+        """Return ``work(scene, *arguments)``, computed the first time only."""
         key = (work, arguments)
-        if key not in self._kept:
-            self._kept[key] = work(self, *arguments)
-        found: Result = self._kept[key]
+        if key not in self._cache:
+            self._cache[key] = work(self, *arguments)
+        found: Result = self._cache[key]
         return found
 
     def day(self, mjd: int) -> OrbitDay:
         """Return the day with this number of the thesis."""
-        return self.once(_orbit_day, mjd)
+        return self.cached(_orbit_day, mjd)
 
     def equations(self, mjd: int) -> NormalEquations:
         """Return the day's normal equations: the nine, ``time_shift``, ``bias``, the switched field."""
-        return self.once(_equations, mjd)
+        return self.cached(_equations, mjd)
 
 
 def _orbit_day(scene: Scene, mjd: int) -> OrbitDay:

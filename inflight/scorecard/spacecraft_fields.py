@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from inflight.dipole import dipole_split
@@ -64,139 +66,129 @@ def cycle_of_two_days(scene: Scene) -> float:
     return (late - early) * 24.0 / ((first - second) % 24.0)
 
 
+derived = partial(Figure, section=SECTION, basis="derived")
+needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+
 FIGURES = (
-    Figure(
-        "dipole.split",
-        SECTION,
-        "field at the vector, at the scalar sensor over their difference, dipole on the boom axis",
-        "1",
-        "Yin 2010, section 3.4.1",
-        (1.64, 0.64),
-        0.005,
-        "derived",
-        "From the sensors' distances of 4.75 and 6.5 m alone; the next digits are 1.64001 and 0.64001.",
-        split_of_boom,
+    derived(
+        id="dipole.split",
+        what="field at the vector, at the scalar sensor over their difference, dipole on the boom axis",
+        unit="1",
+        source="Yin 2010, section 3.4.1",
+        published=(1.64, 0.64),
+        tolerance=0.005,
+        why="From the sensors' distances of 4.75 and 6.5 m alone; the next digits are 1.64001 and 0.64001.",
+        obtain=split_of_boom,
     ),
-    Figure(
-        "local-time.cycle",
-        SECTION,
-        "days in which local time turns by 24 h, from the printed orbit",
-        "d",
-        "Yin 2010, section 1.3",
-        _CYCLE,
+    derived(
+        id="local-time.cycle",
+        what="days in which local time turns by 24 h, from the printed orbit",
+        unit="d",
+        source="Yin 2010, section 1.3",
+        published=_CYCLE,
         # 0.05 deg of inclination are 1.4 d, 340 to 450 km are 1.9 d.
-        3.3,
-        "derived",
-        "Oblateness turns the node: as far as inclination and altitude are printed, 260.5 d is within reach.",
-        local_time_cycle,
+        tolerance=3.3,
+        why=(
+            "Oblateness turns the node: as far as inclination and altitude are printed, 260.5 d is within "
+            "reach."
+        ),
+        obtain=local_time_cycle,
     ),
-    Figure(
-        "local-time.two-days",
-        SECTION,
-        "the same cycle from the local times printed for days 2852 and 2979",
-        "d",
-        "Yin 2010, sections 1.3 and 4.3",
-        _CYCLE,
+    derived(
+        id="local-time.two-days",
+        what="the same cycle from the local times printed for days 2852 and 2979",
+        unit="d",
+        source="Yin 2010, sections 1.3 and 4.3",
+        published=_CYCLE,
         # The hour of the day is not printed: a day at either end.
-        2.1,
-        "derived",
-        "10:54 and 23:10 are 127 days apart.",
-        cycle_of_two_days,
+        tolerance=2.1,
+        why="10:54 and 23:10 are 127 days apart.",
+        obtain=cycle_of_two_days,
     ),
-    Figure(
-        "local-time.quarter",
-        SECTION,
-        "length of one phase of the two-panel model, a quarter of the cycle",
-        "d",
-        "Yin 2010, section 3.4.1",
-        65.0,
-        0.5,
-        "derived",
-        "65.125 d; the printed phases of 65 d leave half a day of each cycle without a panel.",
-        lambda scene: _CYCLE / 4.0,
+    derived(
+        id="local-time.quarter",
+        what="length of one phase of the two-panel model, a quarter of the cycle",
+        unit="d",
+        source="Yin 2010, section 3.4.1",
+        published=65.0,
+        tolerance=0.5,
+        why="65.125 d; the printed phases of 65 d leave half a day of each cycle without a panel.",
+        obtain=lambda scene: _CYCLE / 4.0,
     ),
-    Figure(
-        "remanent.ratio",
-        SECTION,
-        "field of the remanent moment over that of the torquers, y and z, at the scalar sensor",
-        "1",
-        "follows from eta and the torquer matrix, Yin 2010, sections 3.4.4 and 2.3; the thesis prints none",
-        (0.66, 0.61),
-        0.005,
-        "derived",
-        "Moments cancel on average, so B = -g alpha I; its sign is that of +eta on y and z.",
-        remanent_ratios,
+    derived(
+        id="remanent.ratio",
+        what="field of the remanent moment over that of the torquers, y and z, at the scalar sensor",
+        unit="1",
+        source=(
+            "follows from eta and the torquer matrix, Yin 2010, sections 3.4.4 and 2.3; the thesis prints "
+            "none"
+        ),
+        published=(0.66, 0.61),
+        tolerance=0.005,
+        why="Moments cancel on average, so B = -g alpha I; its sign is that of +eta on y and z.",
+        obtain=remanent_ratios,
         printed=False,
     ),
-    Figure(
-        "remanent.distance",
-        SECTION,
-        "distance of the remanent moment from the scalar sensor over that of the coils",
-        "1",
-        "follows from the ratios by the cube of the distance; the thesis prints none",
-        1.16,
-        0.02,
-        "derived",
-        "Both axes agree on one place within 0.02, which no fit has asked of them.",
-        remanent_distance,
+    derived(
+        id="remanent.distance",
+        what="distance of the remanent moment from the scalar sensor over that of the coils",
+        unit="1",
+        source="follows from the ratios by the cube of the distance; the thesis prints none",
+        published=1.16,
+        tolerance=0.02,
+        why="Both axes agree on one place within 0.02, which no fit has asked of them.",
+        obtain=remanent_distance,
         printed=False,
     ),
-    Figure(
-        "remanent.eta",
-        SECTION,
-        "eta: remanent field at the scalar sensor per mean torquer current, both axes from one distance",
-        "nT/mA",
-        "Yin 2010, section 3.4.4",
-        0.0071,
-        0.00005,
-        "derived",
-        "One distance serves both axes of the torquer matrix; it is eta's own, that the axes agree is not.",
-        lambda scene: float(-_TORQUER.mean() * remanent_distance(scene) ** -3.0 / 1e3),
+    derived(
+        id="remanent.eta",
+        what="eta: remanent field at the scalar sensor per mean torquer current, both axes from one distance",
+        unit="nT/mA",
+        source="Yin 2010, section 3.4.4",
+        published=0.0071,
+        tolerance=0.00005,
+        why=(
+            "One distance serves both axes of the torquer matrix; it is eta's own, that the axes agree is "
+            "not."
+        ),
+        obtain=lambda scene: float(-_TORQUER.mean() * remanent_distance(scene) ** -3.0 / 1e3),
     ),
-    Figure(
-        "panels.fields",
-        SECTION,
-        "fields of the two side panels at the vector sensor, x, y, z each",
-        "nT/A",
-        "Yin 2010, Fig. 3.6, read off",
-        PANELS,
-        0.005,
-        "needs_mission_data",
-        "Properties of CHAMP's wiring; tried: put in, see panels.recovered.",
+    needs_data(
+        id="panels.fields",
+        what="fields of the two side panels at the vector sensor, x, y, z each",
+        unit="nT/A",
+        source="Yin 2010, Fig. 3.6, read off",
+        published=PANELS,
+        tolerance=0.005,
+        why="Properties of CHAMP's wiring; tried: put in, see panels.recovered.",
     ),
-    Figure(
-        "camera.field",
-        SECTION,
-        "change of dB per current of the star camera",
-        "nT/mA",
-        "Yin 2010, section 3.4.2",
-        CAMERA,
-        0.0005,
-        "needs_mission_data",
-        "CHAMP's wiring, printed without an axis; tried: put in, see camera.recovered.",
+    needs_data(
+        id="camera.field",
+        what="change of dB per current of the star camera",
+        unit="nT/mA",
+        source="Yin 2010, section 3.4.2",
+        published=CAMERA,
+        tolerance=0.0005,
+        why="CHAMP's wiring, printed without an axis; tried: put in, see camera.recovered.",
     ),
-    Figure(
-        "torquer.new",
-        SECTION,
-        "new torquer matrix of the scalar sensor, row by row, from the old one and the change",
-        "nT/A",
-        "Yin 2010, section 3.4.3",
-        tuple(_NEW.ravel().tolist()),
+    derived(
+        id="torquer.new",
+        what="new torquer matrix of the scalar sensor, row by row, from the old one and the change",
+        unit="nT/A",
+        source="Yin 2010, section 3.4.3",
+        published=tuple(_NEW.ravel().tolist()),
         # A sum of decimals: rounding only.
-        1e-9,
-        "derived",
-        "The printed sums are right.",
-        lambda scene: tuple((_MATRIX + CHANGE).ravel()),
+        tolerance=1e-9,
+        why="The printed sums are right.",
+        obtain=lambda scene: tuple((_MATRIX + CHANGE).ravel()),
     ),
-    Figure(
-        "torquer.change",
-        SECTION,
-        "change of the torquer matrix of the scalar sensor, row by row",
-        "nT/A",
-        "Yin 2010, section 3.4.3",
-        tuple(CHANGE.ravel().tolist()),
-        CHANGE_ERROR,
-        "needs_mission_data",
-        "Medians of daily fits to CHAMP; tried: put in, see torquer.recovered.",
+    needs_data(
+        id="torquer.change",
+        what="change of the torquer matrix of the scalar sensor, row by row",
+        unit="nT/A",
+        source="Yin 2010, section 3.4.3",
+        published=tuple(CHANGE.ravel().tolist()),
+        tolerance=CHANGE_ERROR,
+        why="Medians of daily fits to CHAMP; tried: put in, see torquer.recovered.",
     ),
 )

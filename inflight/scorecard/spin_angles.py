@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.scorecard.figure import Figure, Within, recovered
+from inflight.scorecard.figure import RECOVERED, Figure, Within
 from inflight.scorecard.scene import Scene
 from inflight.spin import SensorAngles, azimuth_between, calibrate_farrell, fit_spins, respin
 from inflight.time import SECOND
@@ -109,79 +110,74 @@ def angles_of_fits(scene: Scene) -> tuple[float, ...]:
 
 
 _SOURCE = "Farrell et al. 1995"
+derived = partial(Figure, section=SECTION, basis="derived")
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+
 FIGURES = (
-    Figure(
-        "signs.azimuth",
-        SECTION,
-        "signs of dph2 Bsp cos wt in reading 2, and of dph B2, dph B1 added to B1, B2",
-        "1",
-        f"{_SOURCE}, eqs. 13, 32, 33",
-        (1.0, 1.0, 1.0),
-        0.01,
-        "derived",
-        "An axis turned from X to Y sees less of X: (13) and (32) have the wrong sign, (33) the right one.",
-        signs_of_azimuths,
+    derived(
+        id="signs.azimuth",
+        what="signs of dph2 Bsp cos wt in reading 2, and of dph B2, dph B1 added to B1, B2",
+        unit="1",
+        source=f"{_SOURCE}, eqs. 13, 32, 33",
+        published=(1.0, 1.0, 1.0),
+        tolerance=0.01,
+        why=(
+            "An axis turned from X to Y sees less of X: (13) and (32) have the wrong sign, (33) the right "
+            "one."
+        ),
+        obtain=signs_of_azimuths,
     ),
-    Figure(
-        "signs.phase",
-        SECTION,
-        "phases of eqs. 24 and 31 over the angles there are, and by arg(Z3/Z1)",
-        "1",
-        f"{_SOURCE}, eqs. 24 and 31",
-        (1.0, 1.0, 1.0),
-        0.01,
-        "derived",
-        "With B = C0 + C1 sin + C2 cos the printed differences are the angles reversed.",
-        signs_of_phases,
+    derived(
+        id="signs.phase",
+        what="phases of eqs. 24 and 31 over the angles there are, and by arg(Z3/Z1)",
+        unit="1",
+        source=f"{_SOURCE}, eqs. 24 and 31",
+        published=(1.0, 1.0, 1.0),
+        tolerance=0.01,
+        why="With B = C0 + C1 sin + C2 cos the printed differences are the angles reversed.",
+        obtain=signs_of_phases,
     ),
-    Figure(
-        "removal.inverse",
-        SECTION,
-        "left in a spin plane of 10^4 nT by the exact inverse",
-        "nT",
-        f"{_SOURCE}, eqs. 10 to 20, made exact",
-        0.0,
-        1e-9,
-        "derived",
-        "What sensors see is linear in the field: its inverse leaves nothing.",
-        left_by_inverse,
-        False,
+    derived(
+        id="removal.inverse",
+        what="left in a spin plane of 10^4 nT by the exact inverse",
+        unit="nT",
+        source=f"{_SOURCE}, eqs. 10 to 20, made exact",
+        published=0.0,
+        tolerance=1e-9,
+        why="What sensors see is linear in the field: its inverse leaves nothing.",
+        obtain=left_by_inverse,
+        printed=False,
     ),
-    Figure(
-        "removal.first-order",
-        SECTION,
-        "left in a spin plane of 10^4 nT by first-order steps, angles of 0.25 to 0.5 deg",
-        "nT",
-        f"{_SOURCE}, eqs. 26 to 33 with their signs corrected",
-        1.7,
-        Within(0.1, 1.7),
-        "derived",
-        "Second-order terms are left: half the angle squared times the field, up to 1.7 nT at a degree.",
-        left_by_steps,
-        False,
+    derived(
+        id="removal.first-order",
+        what="left in a spin plane of 10^4 nT by first-order steps, angles of 0.25 to 0.5 deg",
+        unit="nT",
+        source=f"{_SOURCE}, eqs. 26 to 33 with their signs corrected",
+        published=1.7,
+        tolerance=Within(0.1, 1.7),
+        why="Second-order terms are left: half the angle squared times the field, up to 1.7 nT at a degree.",
+        obtain=left_by_steps,
+        printed=False,
     ),
-    Figure(
-        "removal.printed-signs",
-        SECTION,
-        "left in a spin plane of 10^4 nT by the steps with the printed signs, sensors 1 and 2",
-        "nT",
-        f"{_SOURCE}, eqs. 13 and 32",
-        (83.0, 116.0),
-        Within(83.0, 116.0),
-        "derived",
-        "A wrong sign doubles the error instead of removing it: 2 dph Bsp.",
-        left_as_printed,
-        False,
+    derived(
+        id="removal.printed-signs",
+        what="left in a spin plane of 10^4 nT by the steps with the printed signs, sensors 1 and 2",
+        unit="nT",
+        source=f"{_SOURCE}, eqs. 13 and 32",
+        published=(83.0, 116.0),
+        tolerance=Within(83.0, 116.0),
+        why="A wrong sign doubles the error instead of removing it: 2 dph Bsp.",
+        obtain=left_as_printed,
+        printed=False,
     ),
     recovered(
-        "spin-angles.recovered",
-        SECTION,
-        "elevations, tilt along and across sensor 1, difference of azimuths",
-        "rad",
-        "angles put in, of IMP-8's size",
-        ANGLES,
-        1e-5,
-        angles_of_fits,
+        id="spin-angles.recovered",
+        what="elevations, tilt along and across sensor 1, difference of azimuths",
+        unit="rad",
+        source="angles put in, of IMP-8's size",
+        published=ANGLES,
+        tolerance=1e-5,
+        obtain=angles_of_fits,
         printed=False,
     ),
 )

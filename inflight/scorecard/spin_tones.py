@@ -1,13 +1,21 @@
-"""Figures of the eight parameters from the spin (Plaschke et al. 2019)."""
+"""Figures of the eight parameters from the spin (Plaschke et al. 2019).
+
+Their fields are pieces of an orbit like THEMIS-C's in July 2007 (`piece`): solar wind, magnetosheath, and the
+way past perigee. Fluctuations have a power of -5/3 and by region the strength at the spin that the paper's
+uncertainties imply: some pT in the wind and in the magnetosphere, tenths of a nT in the sheath (Plaschke et
+al. 2019, Figs. 2 and 3). They show estimators at work in such fields; THEMIS-C's own readings they are not.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.scorecard.figure import Figure, Within, recovered
+from inflight.scorecard.figure import RECOVERED, Figure, Within
 from inflight.scorecard.scene import Scene
-from inflight.scorecard.themis_orbit import CADENCE, HOURS, SPIN, piece
 from inflight.spin import (
     SPIN_RELATED,
     CalibrationParameters,
@@ -16,8 +24,9 @@ from inflight.spin import (
     estimate_jointly,
     estimate_pairs,
     measure_tones,
+    respin,
 )
-from inflight.time import SECOND
+from inflight.time import SECOND, Int64
 
 SECTION = "spin"
 #: What the paper prints for THEMIS-C, in the order of `SPIN_RELATED`, and its errors; put in here.
@@ -25,7 +34,7 @@ THEMIS_C = (0.99998, 5e-4, 3e-4, -3e-5, -7e-5, -1.7e-4, -0.007, 0.036)
 ERRORS = (4e-5, 4e-4, 7e-4, 6e-5, 6e-5, 4e-5, 0.023, 0.025)
 #: Uncertainties of spin axis, elevations (rad) and offsets (nT) held, as in the paper.
 _HELD = {"spin axis": 6e-5, "elevations": 7e-4, "offsets": 0.025}
-#: The best of the estimates of a region that are looked at.
+#: The best of the estimates of a region whose uncertainty is taken.
 _BEST = 0.1
 #: Near perigee is below this distance, Earth radii.
 _NEAR = 3.0
@@ -35,6 +44,89 @@ _WHITE, _STEADY, _LONG = 0.1, (200.0, 0.0, 300.0), 12.0
 _AXIAL, _RANGE = 1000.0, 500.0
 #: Spin-plane field beside it, nT: strong, so that the spin axis is known and the two are alone.
 _PLANE = 1e4
+
+#: Spin period and cadence, s; hours of each piece.
+SPIN, CADENCE, HOURS = 3.0, 0.25, 3.0
+#: Mean field, nT, and root of the power density at 1 Hz, nT/sqrt(Hz), of wind and sheath.
+WIND, SHEATH = ((3.5, -3.0, 1.0), 0.02), ((17.5, -15.0, 17.0), 0.8)
+_QUIET = 0.012
+#: Part of the fluctuations that changes the size.
+_COMPRESSED = 0.4
+#: Dipole at the equator, Earth's radius (km), the dipole's tilt from the spin axis (rad).
+_DIPOLE, _RADIUS, _TILT = 30_000.0, 6371.2, 0.5
+#: Earth radii, and the Earth's gravitational parameter, km^3/s^2.
+_PERIGEE, _APOGEE = 1.4, 14.4
+_MU = 398_600.4
+#: Below this frequency, Hz, the spectrum is flat.
+_SLOWEST = 2e-4
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Samples of one region.
+
+    Attributes
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    phase : ndarray, shape (time,)
+        Spin phase, rad.
+    field : ndarray, shape (time, 3)
+        nT, spinning axes.
+    distance : ndarray, shape (time,)
+        Earth radii; NaN where it does not matter.
+    """
+
+    stamps: Int64
+    phase: Floats
+    field: Floats
+    distance: Floats
+
+
+def piece(region: str, seed: int) -> Piece:
+    """Return three hours of ``wind``, ``sheath`` or ``perigee``."""
+    seconds: Floats = (np.arange(round(HOURS * 3600.0 / CADENCE), dtype=np.float64) + 0.5) * CADENCE
+    distance: Floats = np.full(seconds.size, np.nan)
+    if region == "perigee":
+        mean, distance = _past_perigee(seconds - 1800.0 * HOURS)
+        density = _QUIET
+    else:
+        level, density = WIND if region == "wind" else SHEATH
+        mean = np.tile(level, (seconds.size, 1))
+    phase: Floats = 2.0 * np.pi * seconds / SPIN
+    field = _fluctuating(mean, density, np.random.default_rng([seed, len(region)]))
+    return Piece((seconds * SECOND).astype(np.int64), phase, respin(field, phase), distance)
+
+
+def _fluctuating(mean: Floats, density: float, generator: np.random.Generator) -> Floats:
+    """Return the mean field (time, 3) with turbulence that turns it and changes its size."""
+    size = 1 << (len(mean) - 1).bit_length()
+    frequency = np.maximum(np.fft.rfftfreq(size, CADENCE), _SLOWEST)
+    amplitude = density * np.sqrt(frequency ** (-5.0 / 3.0) * size / CADENCE / 4.0)
+    parts = generator.normal(size=(4, frequency.size)) + 1j * generator.normal(size=(4, frequency.size))
+    waves = np.fft.irfft(amplitude * parts, size, axis=1).T[: len(mean)]
+    bent = mean + waves[:, :3]
+    strength = np.linalg.norm(mean, axis=1) + _COMPRESSED * waves[:, 3]
+    return np.asarray(bent * (strength / np.linalg.norm(bent, axis=1))[:, None])
+
+
+def _past_perigee(seconds: Floats) -> tuple[Floats, Floats]:
+    """Return a dipole's field (time, 3), nT, and the distance, seconds from perigee."""
+    axis = 0.5 * (_PERIGEE + _APOGEE)
+    eccentricity = (_APOGEE - _PERIGEE) / (_APOGEE + _PERIGEE)
+    mean = seconds * np.sqrt(_MU / (axis * _RADIUS) ** 3)
+    anomaly = np.cbrt(6.0 * mean)
+    for _ in range(20):
+        fall = anomaly - eccentricity * np.sin(anomaly) - mean
+        anomaly = anomaly - fall / (1.0 - eccentricity * np.cos(anomaly))
+    across = axis * np.sqrt(1.0 - eccentricity**2) * np.sin(anomaly)
+    place = np.column_stack(
+        [-axis * (np.cos(anomaly) - eccentricity), across * np.cos(0.3), across * np.sin(0.3)]
+    )
+    distance = np.linalg.norm(place, axis=1)
+    up, moment = place / distance[:, None], np.array([np.sin(_TILT), 0.0, np.cos(_TILT)])
+    field = -_DIPOLE / distance[:, None] ** 3 * (3.0 * (up @ moment)[:, None] * up - moment)
+    return field, distance
 
 
 def _put_in() -> CalibrationParameters:
@@ -53,7 +145,7 @@ def estimates_of(scene: Scene, region: str) -> tuple[SpinEstimates, Floats]:
 
 def best_uncertainty(scene: Scene, region: str, *names: str) -> tuple[float, ...]:
     """Return the tenth best uncertainty of parameters in a region; at perigee near it."""
-    estimates, distance = scene.once(estimates_of, region)
+    estimates, distance = scene.cached(estimates_of, region)
     use = estimates.usable & (~(distance > _NEAR))
     columns = [SPIN_RELATED.index(name) for name in names]
     return tuple(np.quantile(estimates.uncertainty[use][:, columns], _BEST, axis=0))
@@ -62,7 +154,7 @@ def best_uncertainty(scene: Scene, region: str, *names: str) -> tuple[float, ...
 def below(scene: Scene, limit: float, name: str, *regions: str) -> float:
     """Return the part of estimates of regions whose uncertainty is below a limit."""
     column = SPIN_RELATED.index(name)
-    each = [scene.once(estimates_of, region)[0].uncertainty[:, column] for region in regions]
+    each = [scene.cached(estimates_of, region)[0].uncertainty[:, column] for region in regions]
     return float(np.mean(np.concatenate(each) < limit))
 
 
@@ -109,108 +201,137 @@ def offset_and_elevation(scene: Scene) -> float:
     return found.correlation("offset[1]", "elevation[1]")
 
 
+derived = partial(Figure, section=SECTION, basis="derived")
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+
 _SOURCE = "Plaschke et al. 2019"
 _SHOWN = "Fluctuations of the size the paper's regions have were put in: this shows the estimator at work."
 
 
 def _order(name: str, what: str, unit: str, where: str, limit: float, region: str, *names: str) -> Figure:
     return recovered(
-        f"themis-c.{name}",
-        SECTION,
-        what,
-        unit,
-        f"{_SOURCE}, {where}",
-        limit,
-        Within(0.0, limit),
-        lambda scene: best_uncertainty(scene, region, *names),
+        id=f"themis-c.{name}",
+        what=what,
+        unit=unit,
+        source=f"{_SOURCE}, {where}",
+        published=limit,
+        tolerance=Within(0.0, limit),
+        obtain=lambda scene: best_uncertainty(scene, region, *names),
         why=_SHOWN,
     )
 
 
 def _none(name: str, what: str, where: str, limit: float, parameter: str, *regions: str) -> Figure:
     return recovered(
-        f"themis-c.{name}",
-        SECTION,
-        what,
-        "1",
-        f"{_SOURCE}, {where}",
-        0.0,
-        0.0,
-        lambda scene: below(scene, limit, parameter, *regions),
+        id=f"themis-c.{name}",
+        what=what,
+        unit="1",
+        source=f"{_SOURCE}, {where}",
+        published=0.0,
+        tolerance=0.0,
+        obtain=lambda scene: below(scene, limit, parameter, *regions),
         why=_SHOWN,
     )
 
 
 FIGURES = (
-    Figure(
-        "uncertainty.white-noise",
-        SECTION,
-        "published uncertainty over the scatter of the estimates in white noise",
+    derived(
+        id="uncertainty.white-noise",
+        what="published uncertainty over the scatter of the estimates in white noise",
+        unit="1",
+        source="the larger of two amplitudes: root 3 of one component's sigma",
+        published=1.7,
+        tolerance=0.1,
+        why="The larger of two squared Rayleigh amplitudes has 1.5 times the mean of one: 3 variances.",
+        obtain=over_white_noise,
+        printed=False,
+    ),
+    derived(
+        id="offset-elevation.correlation",
+        what="correlation of the errors of offset and elevation, axial field 500 to 1500 nT",
+        unit="1",
+        source="one tone, O + Ba (sP - dth): mean of Ba over its root mean square",
+        published=0.97,
+        tolerance=0.02,
+        why="Only the change of the axial field tells the two apart.",
+        obtain=offset_and_elevation,
+        printed=False,
+    ),
+    _order(
+        "offset-wind",
+        "uncertainty of the spin-plane offsets in the solar wind",
+        "nT",
+        "section 6",
+        0.010,
+        "wind",
+        "offset[1]",
+        "offset[2]",
+    ),
+    _none(
+        "offset-sheath",
+        "part of the offsets below 10 pT in the magnetosheath",
+        "section 6",
+        0.010,
+        "offset[1]",
+        "sheath",
+    ),
+    _order(
+        "gains-perigee",
+        "uncertainty of gain ratio, azimuth and spin axis near perigee",
         "1",
-        "the larger of two amplitudes: root 3 of one component's sigma",
-        1.7,
-        0.1,
-        "derived",
-        "The larger of two squared Rayleigh amplitudes has 1.5 times the mean of one: 3 variances.",
-        over_white_noise,
-        False,
-    ),
-    Figure(
-        "offset-elevation.correlation",
-        SECTION,
-        "correlation of the errors of offset and elevation, axial field 500 to 1500 nT",
-        "1",
-        "one tone, O + Ba (sP - dth): mean of Ba over its root mean square",
-        0.97,
-        0.02,
-        "derived",
-        "Only the change of the axial field tells the two apart.",
-        offset_and_elevation,
-        False,
-    ),
-    _order(
-        "offset-wind", "uncertainty of the spin-plane offsets in the solar wind", "nT",
-        "section 6", 0.010, "wind", "offset[1]", "offset[2]",
+        "section 6",
+        1e-5,
+        "perigee",
+        "gain_ratio",
+        "azimuth",
+        "spin_axis[x]",
+        "spin_axis[y]",
     ),
     _none(
-        "offset-sheath", "part of the offsets below 10 pT in the magnetosheath", "section 6",
-        0.010, "offset[1]", "sheath",
+        "gains-elsewhere",
+        "part of the gain ratios below 1e-4 in wind and sheath",
+        "section 6",
+        1e-4,
+        "gain_ratio",
+        "wind",
+        "sheath",
     ),
     _order(
-        "gains-perigee", "uncertainty of gain ratio, azimuth and spin axis near perigee", "1",
-        "section 6", 1e-5, "perigee", "gain_ratio", "azimuth", "spin_axis[x]", "spin_axis[y]",
+        "elevation-perigee",
+        "uncertainty of the elevations near perigee",
+        "rad",
+        "section 6",
+        1e-4,
+        "perigee",
+        "elevation[1]",
+        "elevation[2]",
     ),
     _none(
-        "gains-elsewhere", "part of the gain ratios below 1e-4 in wind and sheath", "section 6",
-        1e-4, "gain_ratio", "wind", "sheath",
-    ),
-    _order(
-        "elevation-perigee", "uncertainty of the elevations near perigee", "rad",
-        "section 6", 1e-4, "perigee", "elevation[1]", "elevation[2]",
-    ),
-    _none(
-        "elevation-elsewhere", "part of the elevations below 1e-4 in wind and sheath", "section 6",
-        1e-4, "elevation[1]", "wind", "sheath",
+        "elevation-elsewhere",
+        "part of the elevations below 1e-4 in wind and sheath",
+        "section 6",
+        1e-4,
+        "elevation[1]",
+        "wind",
+        "sheath",
     ),
     recovered(
-        "themis-c.recovered",
-        SECTION,
-        "gain ratio, elevations, azimuth, spin axis, spin-plane offsets from wind and perigee",
-        "1, rad, nT",
-        f"{_SOURCE}, section 6",
-        THEMIS_C,
-        ERRORS,
-        lambda scene: scene.once(themis_c),
+        id="themis-c.recovered",
+        what="gain ratio, elevations, azimuth, spin axis, spin-plane offsets from wind and perigee",
+        unit="1, rad, nT",
+        source=f"{_SOURCE}, section 6",
+        published=THEMIS_C,
+        tolerance=ERRORS,
+        obtain=lambda scene: scene.cached(themis_c),
     ),
-    Figure(
-        "themis-c.parameters",
-        SECTION,
-        "gain ratio, elevations, azimuth, spin axis, spin-plane offsets of THEMIS-C",
-        "1, rad, nT",
-        f"{_SOURCE}, section 6",
-        THEMIS_C,
-        ERRORS,
-        "needs_mission_data",
-        "They are of two days of the spacecraft's readings; tried in the injection themis-c.recovered.",
+    needs_data(
+        id="themis-c.parameters",
+        what="gain ratio, elevations, azimuth, spin axis, spin-plane offsets of THEMIS-C",
+        unit="1, rad, nT",
+        source=f"{_SOURCE}, section 6",
+        published=THEMIS_C,
+        tolerance=ERRORS,
+        why="They are of two days of the spacecraft's readings; tried in the injection themis-c.recovered.",
     ),
-)  # fmt: skip
+)

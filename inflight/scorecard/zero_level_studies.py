@@ -3,14 +3,13 @@ r"""Published studies of zero levels: averaging over spins, sets of averages (IM
 Takes: readings of a spinning or a stabilised spacecraft. Makes:
 
 - `average_spans`, and the rule it must obey (`check_averaging`). In despun axes a field fixed to the
-spacecraft, or
-  an offset in the spin plane, turns once a spin. The mean of N samples T_s apart leaves the part
-  :math:`|\sin(\pi N T_s/T) / (N \sin(\pi T_s/T))|` of it (`remaining_part`): five whole spins of 1 s leave a
-  third when they are sampled every 1.5 s, because 3.33 samples are no whole number. `largest_leak` is table 1
-  of Hedgecock's tests on IMP-8 and Helios; its last number of the second part is a misprint (0.93 for 0.644).
+  spacecraft, or an offset in the spin plane, turns once a spin. The mean of N samples T_s apart leaves the
+  part :math:`|\sin(\pi N T_s/T) / (N \sin(\pi T_s/T))|` of it (`remaining_part`): five whole spins of 1 s
+  leave a third when they are sampled every 1.5 s, because 3.33 samples are no whole number. `largest_leak` is
+  table 1 of Hedgecock's tests on IMP-8 and Helios; its last number of the second part is a misprint (0.93 for
+  0.644).
 - `correlation_sets`: the corrections of sets of successive averages by minimum correlation, their mean and
-trend
-  (IMP-8: 72 sets of 1440, table 3).
+  trend (IMP-8: 72 sets of 1440, table 3).
 - `scatter_with_hours`: how the scatter of a recovered offset falls with the hours used (Plaschke 2019).
 """
 
@@ -20,14 +19,12 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance, robust_fit, robust_sigma
 from inflight.time import DAY, SECOND, Int64
 from inflight.zero_level import (
-    AXES,
     MINIMUM_CORRELATION,
     Bools,
     Estimate,
@@ -161,19 +158,6 @@ class OffsetSets:
             )
         return used
 
-    def table(self) -> xr.Dataset:
-        """Return the values along set and parameter."""
-        return xr.Dataset(
-            {
-                "value": (("set", "parameter"), self.value, {"units": "nT"}),
-                "sigma": (("set", "parameter"), self.sigma),
-                "units": ("parameter", np.array(["nT"] * 3)),
-                "start": ("set", self.start, {"scale": "TT2000"}),
-                "end": ("set", self.end, {"scale": "TT2000"}),
-            },
-            coords={"parameter": [f"offset_{axis}" for axis in AXES]},
-        )
-
 
 @dataclass(frozen=True)
 class SetTrend:
@@ -199,20 +183,6 @@ class SetTrend:
     scatter: Floats
     middle: int
     sets: int
-
-    def table(self) -> xr.Dataset:
-        """Return slope and level of each axis along parameter."""
-        names = [f"{part}_{axis}" for part in ("slope", "level") for axis in AXES]
-        return xr.Dataset(
-            {
-                "value": ("parameter", np.concatenate([self.slope, self.level])),
-                "sigma": ("parameter", np.concatenate([self.sigma_slope, self.sigma_level])),
-                "units": ("parameter", np.array(["nT/day"] * 3 + ["nT"] * 3)),
-                "middle": ((), np.int64(self.middle), {"scale": "TT2000"}),
-            },
-            coords={"parameter": names},
-            attrs={"sets": self.sets},
-        )
 
 
 def correlation_sets(
@@ -249,8 +219,8 @@ def correlation_sets(
     number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // STUDY.parts
     rows = [np.flatnonzero(number == one) for one in np.unique(number)]
     rows = [row for row in rows if row.size >= STUDY.parts // 2]
-    question = OffsetSearch(free, bound=bound)
-    found = np.array([zero_of_minimum_correlation(intervals.where(row), question) for row in rows]).reshape(
+    search = OffsetSearch(free, bound=bound)
+    found = np.array([zero_of_minimum_correlation(intervals.select(row), search) for row in rows]).reshape(
         -1, 2, 3
     )
     start = np.array([intervals.start[row[0]] for row in rows], dtype=np.int64)
@@ -281,18 +251,6 @@ class ScatterWithHours:
     stated: Floats
     determined_part: Floats
 
-    def table(self) -> xr.Dataset:
-        """Return `value` (the scatter) with the stated sigma along hours and axis."""
-        return xr.Dataset(
-            {
-                "value": (("hours", "axis"), self.scatter, {"units": "nT"}),
-                "sigma": (("hours", "axis"), self.stated, {"units": "nT"}),
-                "told": ("hours", self.determined_part),
-            },
-            coords={"hours": self.hours, "axis": list(AXES)},
-            attrs={"method": self.method},
-        )
-
 
 def scatter_with_hours(
     intervals: Intervals,
@@ -301,7 +259,7 @@ def scatter_with_hours(
     hours: Floats,
     generator: np.random.Generator,
     draws: int = 60,
-    question: OffsetSearch | None = None,
+    search: OffsetSearch | None = None,
 ) -> ScatterWithHours:
     """Draw sets of whole hours from a record, with repetition, and estimate each.
 
@@ -332,13 +290,18 @@ def scatter_with_hours(
             chosen = generator.integers(0, len(members), max(round(float(length)), 1))
             indices = np.sort(np.concatenate([members[one] for one in chosen]))
             try:
-                one = method(intervals.where(indices), None, question)
+                one = method(intervals.select(indices), None, search)
             except CalibrationError:
                 continue
             name = one.method
             if one.determined.all():
                 values.append(np.stack([one.solution, one.sigma]))
-        rows.append(_row(np.array(values).reshape(-1, 2, 3), draws))
+        found, part = np.array(values).reshape(-1, 2, 3), len(values) / draws
+        if len(found) < 2:
+            rows.append((np.full(3, np.nan), np.full(3, np.nan), part))
+            continue
+        low, high = np.percentile(found[:, 0], [15.865, 84.135], axis=0)
+        rows.append((0.5 * (high - low), np.median(found[:, 1], axis=0), part))
     if all(row[2] < 0.5 for row in rows):
         raise CalibrationError(
             "no number of hours tells an offset in half of its draws", remedy="take a longer record"
@@ -347,14 +310,6 @@ def scatter_with_hours(
         name, np.asarray(hours, dtype=np.float64), np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]), np.array([row[2] for row in rows]),
     )  # fmt: skip
-
-
-def _row(values: Floats, draws: int) -> tuple[Floats, Floats, float]:
-    """Return robust scatter, median stated error, and the part of draws that determined every axis."""
-    if len(values) < 2:
-        return np.full(3, np.nan), np.full(3, np.nan), len(values) / draws
-    low, high = np.percentile(values[:, 0], [15.865, 84.135], axis=0)
-    return 0.5 * (high - low), np.median(values[:, 1], axis=0), len(values) / draws
 
 
 class AveragingWarning(UserWarning):

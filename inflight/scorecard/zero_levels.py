@@ -6,8 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from inflight.arrays import Floats
-from inflight.scorecard.figure import Figure, Within, recovered
+from inflight.scorecard.figure import RECOVERED, Figure, Within
 from inflight.scorecard.scene import Scene
 from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
 from inflight.simulate.spinning import CRAFT, solar_wind
@@ -43,12 +42,7 @@ def leaks(averaging: float, turning: tuple[float, float]) -> tuple[float, ...]:
 
 
 def off_in_mean(scene: Scene, averaging: float) -> float:
-    """Return the largest mean error of the fixed part with averages of 1.5 s samples, nT."""
-    return float(np.abs(scene.once(_errors, averaging).mean(axis=0)).max())
-
-
-def _errors(scene: Scene, averaging: float) -> Floats:
-    """Return errors (seed, 3) of the fixed part, nT; a spin of 1 s, sampled every 1.5 s."""
+    """Return the largest mean error of the fixed part, nT: a spin of 1 s, averages of samples every 1.5 s."""
     found = []
     for seed in range(_SEEDS):
         generator = np.random.default_rng(seed)
@@ -62,7 +56,7 @@ def _errors(scene: Scene, averaging: float) -> Floats:
         times, mean = average_spans((time * SECOND).astype(np.int64), field, averaging, coverage=0.7)
         intervals = Intervals.of(times, mean, 48.0 * averaging)
         found.append(minimum_correlation(intervals).solution - np.array(_FIXED))
-    return np.array(found)
+    return float(np.abs(np.mean(found, axis=0)).max())
 
 
 def set_errors(scene: Scene) -> tuple[float, ...]:
@@ -106,16 +100,25 @@ def scatter_in_wind(scene: Scene, hours: float) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+derived = partial(Figure, section=SECTION, basis="derived")
+recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+
 _REPORT = "Hedgecock, test on IMP-8 and Helios"
 
 
 def _table(
     name: str, what: str, averaging: float, turning: tuple[float, float], printed: tuple[float, ...], why: str
 ) -> Figure:
-    return Figure(
-        f"spin-averages.{name}", SECTION, f"largest part left by averages of {averaging:g} s, {what}", "nT",
-        f"{_REPORT}, table 1", printed, 0.015, "derived", why, lambda scene: leaks(averaging, turning),
-    )  # fmt: skip
+    return derived(
+        id=f"spin-averages.{name}",
+        what=f"largest part left by averages of {averaging:g} s, {what}",
+        unit="nT",
+        source=f"{_REPORT}, table 1",
+        published=printed,
+        tolerance=0.015,
+        why=why,
+        obtain=lambda scene: leaks(averaging, turning),
+    )
 
 
 _PLAIN = "Samples k T_s within each span averaged, the largest over spans and components."
@@ -126,51 +129,90 @@ FIGURES = (
     _table("six-both", "c1 = c2 = 2 nT", 6.0, (2.0, 2.0), SIX_BOTH, _PLAIN),
     _table("six-one", "c1 = 2 nT", 6.0, (2.0, 0.0), SIX_ONE, _PLAIN),
     recovered(
-        "spin-averages.six-works", SECTION,
-        "largest mean error of a fixed part found from averages of 6 s, 2 nT turning beside it", "nT",
-        f"{_REPORT}: what its table 2, which is lost, must have shown", 0.1, Within(0.0, 0.1),
-        lambda scene: off_in_mean(scene, 6.0), printed=False,
+        id="spin-averages.six-works",
+        what="largest mean error of a fixed part found from averages of 6 s, 2 nT turning beside it",
+        unit="nT",
+        source=f"{_REPORT}: what its table 2, which is lost, must have shown",
+        published=0.1,
+        tolerance=Within(0.0, 0.1),
+        obtain=lambda scene: off_in_mean(scene, 6.0),
+        printed=False,
         why="Six seconds are whole spins and whole samples.",
     ),
     recovered(
-        "spin-averages.five-fails", SECTION,
-        "largest mean error of a fixed part found from averages of 5 s, 2 nT turning beside it", "nT",
-        f"{_REPORT}: what its table 2, which is lost, must have shown", 0.5, Within(0.2, 0.65),
-        lambda scene: off_in_mean(scene, 5.0), printed=False,
+        id="spin-averages.five-fails",
+        what="largest mean error of a fixed part found from averages of 5 s, 2 nT turning beside it",
+        unit="nT",
+        source=f"{_REPORT}: what its table 2, which is lost, must have shown",
+        published=0.5,
+        tolerance=Within(0.2, 0.65),
+        obtain=lambda scene: off_in_mean(scene, 5.0),
+        printed=False,
         why="Five whole spins, but 3.33 samples of 1.5 s: a third of the turning part stays.",
     ),
-    Figure(
-        "imp8.errors", SECTION, "errors of the corrections b of 72 sets, x, y, z", "nT",
-        f"{_REPORT}, table 3", (0.0301, 0.0231, 0.028), 0.001, "derived",
-        "They are the scatter of a set over the root of the number of sets.", set_errors,
+    derived(
+        id="imp8.errors",
+        what="errors of the corrections b of 72 sets, x, y, z",
+        unit="nT",
+        source=f"{_REPORT}, table 3",
+        published=(0.0301, 0.0231, 0.028),
+        tolerance=0.001,
+        why="They are the scatter of a set over the root of the number of sets.",
+        obtain=set_errors,
     ),
-    Figure(
-        "imp8.span", SECTION, "length of 72 sets of 1440 averages of 15.36 s", "d", f"{_REPORT}, on IMP-8",
-        18.4, 0.05, "derived", "So long are the sets one after the other.", set_span, False,
+    derived(
+        id="imp8.span",
+        what="length of 72 sets of 1440 averages of 15.36 s",
+        unit="d",
+        source=f"{_REPORT}, on IMP-8",
+        published=18.4,
+        tolerance=0.05,
+        why="So long are the sets one after the other.",
+        obtain=set_span,
+        printed=False,
     ),
-    Figure(
-        "flipper.first", SECTION, "C1, C3, S_x, S_z of the first example", "nT", _REPORT,
-        (-2.1, -0.7, 2.8, 0.4), 1e-9, "derived", "Four corrections make four parts.",
-        lambda scene: flipped((-0.3, 2.5), (0.7, 2.1)),
+    derived(
+        id="flipper.first",
+        what="C1, C3, S_x, S_z of the first example",
+        unit="nT",
+        source=_REPORT,
+        published=(-2.1, -0.7, 2.8, 0.4),
+        tolerance=1e-9,
+        why="Four corrections make four parts.",
+        obtain=lambda scene: flipped((-0.3, 2.5), (0.7, 2.1)),
     ),
-    Figure(
-        "flipper.second", SECTION, "C1, C3, S_x, S_z of the second example", "nT", _REPORT,
-        (0.05, -0.25, 1.25, 2.05), 1e-9, "derived", "Four corrections make four parts.",
-        lambda scene: flipped((1.8, 2.0), (1.3, 1.0)),
+    derived(
+        id="flipper.second",
+        what="C1, C3, S_x, S_z of the second example",
+        unit="nT",
+        source=_REPORT,
+        published=(0.05, -0.25, 1.25, 2.05),
+        tolerance=1e-9,
+        why="Four corrections make four parts.",
+        obtain=lambda scene: flipped((1.8, 2.0), (1.3, 1.0)),
     ),
-    Figure(
-        "minimum-correlation.law", SECTION, "V(c) over c sin(theta) (<dB^2>/B^2 - <dtheta^2>)", "1",
-        "first order in c", 1.0, 0.02, "derived",
-        "Blind where compression equals rotation, as the bracket says.", law_of_covariance, False,
+    derived(
+        id="minimum-correlation.law",
+        what="V(c) over c sin(theta) (<dB^2>/B^2 - <dtheta^2>)",
+        unit="1",
+        source="first order in c",
+        published=1.0,
+        tolerance=0.02,
+        why="Blind where compression equals rotation, as the bracket says.",
+        obtain=law_of_covariance,
+        printed=False,
     ),
     *(
         recovered(
-            f"zero-level.{name}", SECTION,
-            f"rms error of the offset from {hours:g} h of solar wind", "nT",
-            "Plaschke 2019, Geosci. Instrum. Method. Data Syst. 8, 285", limit, Within(0.0, limit),
-            partial(scatter_in_wind, hours=hours),
+            id=f"zero-level.{name}",
+            what=f"rms error of the offset from {hours:g} h of solar wind",
+            unit="nT",
+            source="Plaschke 2019, Geosci. Instrum. Method. Data Syst. 8, 285",
+            published=limit,
+            tolerance=Within(0.0, limit),
+            obtain=partial(scatter_in_wind, hours=hours),
             why="The wind is simulated and Alfvenic throughout: real wind of all kinds is less kind.",
         )
         for name, (hours, limit) in zip(("day", "two-days"), PUBLISHED, strict=True)
     ),
-)  # fmt: skip
+)

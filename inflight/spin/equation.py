@@ -1,8 +1,7 @@
 """The calibration equation of a magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
 
-Takes: readings along the sensor axes, and temperatures. Makes: the field in axes that turn with the
-spacecraft, z along the spin axis, and back (`CalibrationParameters.correct`, `disturb`); eq. (8) is
-`TemperatureGains`.
+Takes: readings along the sensor axes, corrected for temperature. Makes: the field in axes that turn with the
+spacecraft, z along the spin axis, and back (`CalibrationParameters.correct`, `disturb`).
 
 ``B = Phi Sigma Gamma G (G_T B_S - O)``; O stands outside G. The sensor's own angles (Gamma), the direction of
 the spin axis in the sensor package (Sigma), the rotation about it (Phi) and the gains (G) are separate
@@ -101,16 +100,8 @@ class CalibrationParameters:
             raise CalibrationError(
                 f"{len(one)} values found, {len(NAMES)} needed", remedy=f"give them in the order {NAMES}"
             )
-        return cls(
-            one[0],
-            one[1],
-            one[2],
-            (one[3], one[4]),
-            one[5],
-            (one[6], one[7]),
-            one[8],
-            (one[9], one[10], one[11]),
-        )
+        elevation, axis, offset = (one[3], one[4]), (one[6], one[7]), (one[9], one[10], one[11])
+        return cls(one[0], one[1], one[2], elevation, one[5], axis, one[8], offset)
 
     def values(self) -> Floats:
         """Return the twelve numbers in the order of `NAMES`; shape (12,)."""
@@ -174,63 +165,3 @@ class CalibrationParameters:
     def disturb(self, fields: Floats) -> Floats:
         """Return the readings in a field: the exact inverse of `correct`; same shapes."""
         return np.asarray(fields @ np.linalg.inv(self.matrix()).T + np.array(self.offset))
-
-
-@dataclass(frozen=True)
-class TemperatureGains:
-    """Gains that follow temperatures linearly, G_T(T_s, T_e) of eq. (8), from ground calibration.
-
-    Attributes
-    ----------
-    sensor, electronics : tuple of 3 floats
-        Relative change of the gain along each sensor axis per kelvin.
-    sensor_reference, electronics_reference : float
-        Temperatures at which the gain is 1, degC.
-    """
-
-    sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    electronics: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sensor_reference: float = 20.0
-    electronics_reference: float = 20.0
-
-    def gains(self, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
-        """Return the diagonal of G_T at temperatures (time,) or of one number, degC; shape (time, 3)."""
-        warm = np.atleast_1d(np.asarray(sensor, dtype=np.float64) - self.sensor_reference)
-        hot = np.atleast_1d(np.asarray(electronics, dtype=np.float64) - self.electronics_reference)
-        return np.asarray(
-            1.0 + warm[:, None] * np.array(self.sensor) + hot[:, None] * np.array(self.electronics)
-        )
-
-    def correct(self, readings: Floats, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
-        """Return temperature-corrected readings ``G_T B_S``; (time, 3). NaN without a temperature."""
-        return np.asarray(readings * self.gains(sensor, electronics))
-
-    def disturb(self, readings: Floats, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
-        """Return what the sensor reads at these temperatures: the inverse of `correct`."""
-        return np.asarray(readings / self.gains(sensor, electronics))
-
-
-@dataclass(frozen=True)
-class AxisAngles:
-    """Angles of the three sensor axes in spin-aligned axes, and gains (Kepko et al. 1996; Plaschke eq. 2).
-
-    Attributes
-    ----------
-    theta, phi : ndarray, shape (3,)
-        Angle from the spin axis, and azimuth from x towards y of the projection on the spin plane; rad.
-    gain : ndarray, shape (3,)
-    """
-
-    theta: Floats
-    phi: Floats
-    gain: Floats
-
-    @classmethod
-    def of_matrix(cls, matrix: Floats) -> AxisAngles:
-        """Return angles and gains of a coupling matrix ``C``: row i of its inverse is ``s_i / gain_i``."""
-        rows = np.linalg.inv(matrix)
-        length = np.linalg.norm(rows, axis=1)
-        unit = rows / length[:, None]
-        return cls(
-            np.arccos(np.clip(unit[:, 2], -1.0, 1.0)), np.arctan2(unit[:, 1], unit[:, 0]), 1.0 / length
-        )

@@ -12,12 +12,10 @@ Takes: readings, spin phase, times and blocks of a record, with the parameters i
   derivatives of its estimates; then the record is corrected anew and all is estimated again, until nothing
   moves.
 - `estimate_jointly`: `JointEstimate`, all eight from all sub-intervals at once, each weighted by its own
-noise.
-  Sub-intervals of different Ba separate offsets from elevations in one linear system; what they cannot
+  noise. Sub-intervals of different Ba separate offsets from elevations in one linear system; what they cannot
   separate is in the covariance. Nothing is selected; outlying tones are down-weighted.
 - `fit_folded_samples`: `SpinFit`, the same parameters of a `Model`, fitted to folded samples by robust
-weighted
-  least squares with everything else of the model held.
+  weighted least squares with everything else of the model held.
 
 The uncertainties are those of table 2, with the *least* modulus for gain ratio and azimuth, the *largest*
 size of Bz for the offsets and the *least* for the elevations; in white noise they are 1.7 standard
@@ -32,7 +30,6 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -126,25 +123,6 @@ class SpinEstimates:
         at = SPIN_RELATED.index(name)
         return self.value[:, at], self.uncertainty[:, at]
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma` and `uncertainty` by ``sub_interval`` and ``parameter``."""
-        dims = ("sub_interval", "parameter")
-        return xr.Dataset(
-            {
-                "value": (dims, self.value),
-                "sigma": (dims, self.sigma),
-                "uncertainty": (dims, self.uncertainty),
-                "usable": ("sub_interval", self.usable),
-                "start": ("sub_interval", self.start, {"scale": "TT2000"}),
-                "end": ("sub_interval", self.end, {"scale": "TT2000"}),
-            },
-            coords={
-                "parameter": list(SPIN_RELATED),
-                "units": ("parameter", [UNITS[name] for name in SPIN_RELATED]),
-            },
-            attrs={f"spread of {name}": value for name, value in self.spread.items()},
-        )
-
 
 def spin_equations(tones: SpinTones) -> SpinEquations:
     """Return the linear equations of every sub-interval at the parameters of its tones.
@@ -152,34 +130,29 @@ def spin_equations(tones: SpinTones) -> SpinEquations:
     Derivatives are those of the exact equation (9): with ``B = C (R - O)``, ``dB/dp = (dC/dp) C^-1 B`` and
     ``dB/dO = -C``; the modulus changes by ``u dBx + v dBy``.
     """
-    axial, plane = _derivatives(tones.parameters)
-    first, second = tones.tones[:, :2], tones.tones[:, 2:]
-    z, m = SERIES.index("z"), SERIES.index("m")
-    residual = np.concatenate([first[..., z], first[..., m], second[..., m]], axis=1)
-    design = np.concatenate([first @ axial.T, first @ plane.T, second @ plane.T], axis=1)
-    return SpinEquations(residual, design, np.repeat(tones.noise, 2, axis=1))
-
-
-def _derivatives(parameters: CalibrationParameters) -> tuple[Floats, Floats]:
-    """Return derivatives of Bz and of the modulus as sums of `SERIES`; both (8, series)."""
-    at = {name: index for index, name in enumerate(SERIES)}
-    axial, plane = (np.zeros((len(SPIN_RELATED), len(SERIES))) for _ in range(2))
-    matrix = parameters.matrix()
+    place = {name: index for index, name in enumerate(SERIES)}
+    # Derivatives of Bz and of the modulus as sums of `SERIES`: (8, series).
+    axial, plane = np.zeros((2, len(SPIN_RELATED), len(SERIES)))
+    parameters, matrix = tones.parameters, tones.parameters.matrix()
     for row, name in enumerate(SPIN_RELATED):
         if name.startswith("offset"):
             column = matrix[:, NAMES.index(name) - NAMES.index("offset[1]")]
-            plane[row, [at["u"], at["v"]]] = -column[:2]
+            plane[row, [place["u"], place["v"]]] = -column[:2]
             continue
         value = parameters.values()[NAMES.index(name)]
         up, down = (parameters.changed({name: value + way * _STEP}).matrix() for way in (1.0, -1.0))
         turn = (up - down) / (2.0 * _STEP) @ np.linalg.inv(matrix)
         axial[row, :3] = turn[2]
         # u By = v Bx, and v By = m - u Bx.
-        plane[row, at["xu"]] = turn[0, 0] - turn[1, 1]
-        plane[row, at["m"]] = turn[1, 1]
-        plane[row, at["xv"]] = turn[0, 1] + turn[1, 0]
-        plane[row, [at["zu"], at["zv"]]] = turn[0, 2], turn[1, 2]
-    return axial, plane
+        plane[row, place["xu"]] = turn[0, 0] - turn[1, 1]
+        plane[row, place["m"]] = turn[1, 1]
+        plane[row, place["xv"]] = turn[0, 1] + turn[1, 0]
+        plane[row, [place["zu"], place["zv"]]] = turn[0, 2], turn[1, 2]
+    first, second = tones.tones[:, :2], tones.tones[:, 2:]
+    z, m = place["z"], place["m"]
+    residual = np.concatenate([first[..., z], first[..., m], second[..., m]], axis=1)
+    design = np.concatenate([first @ axial.T, first @ plane.T, second @ plane.T], axis=1)
+    return SpinEquations(residual, design, np.repeat(tones.noise, 2, axis=1))
 
 
 def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimates:
@@ -199,11 +172,17 @@ def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimat
     for pair, names in PAIRS.items():
         rows = _ROWS.get(pair, _SPIN_ROWS)
         columns = [SPIN_RELATED.index(name) for name in names]
-        change, own, moved = _solve(equations, rows, columns)
-        value[:, columns] = present[columns] + change
-        sigma[:, columns] = own
-        moved[:, :, columns] = 0.0
-        sensitivity[:, columns] = moved
+        design = equations.design[:, rows, columns]
+        size = np.linalg.norm(design, axis=(1, 2))
+        known = np.isfinite(size) & (np.abs(np.linalg.det(np.nan_to_num(design))) > 1e-6 * size**2)
+        inverse = np.linalg.inv(np.where(known[:, None, None], design, np.eye(2)))
+        inverse[~known] = np.nan
+        value[:, columns] = present[columns] - np.einsum("sij,sj->si", inverse, equations.residual[:, rows])
+        variance = np.einsum("sij,sj->si", inverse**2, equations.noise[:, rows] ** 2)
+        sigma[:, columns] = np.sqrt(variance)
+        slopes = -inverse @ equations.design[:, rows]
+        slopes[:, :, columns] = 0.0
+        sensitivity[:, columns] = slopes
     lost = ~tones.usable
     value[lost], sigma[lost] = np.nan, np.nan
     return SpinEstimates(
@@ -218,21 +197,6 @@ def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimat
         spread=MappingProxyType(dict(spread)),
         blocks=tones.blocks,
     )
-
-
-def _solve(equations: SpinEquations, rows: slice, columns: list[int]) -> tuple[Floats, Floats, Floats]:
-    """Return the change (sub, 2) that removes two tones, its sigma, and its slopes by all parameters."""
-    design = equations.design[:, rows, columns]
-    scale = np.linalg.norm(design, axis=(1, 2), keepdims=True)
-    known = np.isfinite(scale[:, 0, 0]) & (
-        np.abs(np.linalg.det(np.nan_to_num(design))) > 1e-6 * scale[:, 0, 0] ** 2
-    )
-    safe = np.where(known[:, None, None], design, np.eye(2))
-    inverse = np.linalg.inv(safe)
-    inverse[~known] = np.nan
-    change = -np.einsum("sij,sj->si", inverse, equations.residual[:, rows])
-    own = np.sqrt(np.einsum("sij,sj->si", inverse**2, equations.noise[:, rows] ** 2))
-    return change, own, -inverse @ equations.design[:, rows]
 
 
 def published_uncertainty(tones: SpinTones, spread: Mapping[str, float]) -> Floats:
@@ -330,23 +294,6 @@ class Selection:
         """Parameters that the record determines; (8,)."""
         return np.isfinite(self.sigma)
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `scatter`, `threshold`, `count` and `how` by ``parameter``."""
-        one = "parameter"
-        return xr.Dataset(
-            {
-                "value": (one, self.value),
-                "sigma": (one, self.sigma),
-                "scatter": (one, self.scatter),
-                "threshold": (one, self.threshold),
-                "count": (one, self.chosen.sum(axis=0)),
-                "determined": (one, self.determined),
-                "how": (one, list(self.reasons)),
-            },
-            coords={one: list(SPIN_RELATED), "units": (one, [UNITS[name] for name in SPIN_RELATED])},
-            attrs={"passes": self.passes, "settled": int(self.settled)},
-        )
-
 
 def choose_estimates(
     uncertainty: Floats, accuracy: float | None = None, fewest: int = SELECTION.fewest
@@ -405,7 +352,7 @@ def calibrate_by_selection(
     Parameters
     ----------
     readings, phase, stamps, layout
-        As for `spin_tones`.
+        As for `measure_tones`.
     present : CalibrationParameters
         Where to begin; what is not determined keeps its value.
     present_sigma : mapping of str to float, optional
@@ -504,23 +451,20 @@ class _PairwiseAverages:
         values = self.estimates.value[chosen, at] + slopes @ (self.value - self.begin)
         middle = float(np.median(values) if self.statistic == "median" else values.mean())
         common = float(np.sqrt(np.sum((slopes.mean(axis=0) * self.held) ** 2)))
-        own = self._own_sigma(np.flatnonzero(chosen), at, values)
+        # Natural fluctuations of the mean; sub-intervals overlap and may be correlated.
+        alone, blocks = np.where(chosen, self.estimates.sigma[:, at], 0.0), self.estimates.blocks
+        total = float(np.sum(alone**2))
+        for apart in range(1, min(blocks, alone.size)):
+            total += 2.0 * (1.0 - apart / blocks) * float(np.sum(alone[apart:] * alone[:-apart]))
+        own = max(np.sqrt(total) / values.size, sigma_of_mean(values))
+        if self.statistic == "median":
+            # The median of Gaussian numbers scatters by more than their mean.
+            own *= np.sqrt(0.5 * np.pi)
         sigma = float(np.hypot(own, common))
         self.mean[at], self.sigma[at], self.spread[at] = middle, sigma, float(values.std(ddof=1))
         if sigma < self.known[at]:
             self.value[at], self.held[at] = middle, sigma
             self.scatter[at] = max(self.spread[at], sigma)
-
-    def _own_sigma(self, where: npt.NDArray[np.intp], at: int, values: Floats) -> float:
-        """Return the sigma of the mean by fluctuations; sub-intervals overlap and may be correlated."""
-        own = np.zeros(len(self.chosen))
-        own[where] = self.estimates.sigma[where, at]
-        total = float(np.sum(own**2))
-        for apart in range(1, min(self.estimates.blocks, own.size)):
-            total += 2.0 * (1.0 - apart / self.estimates.blocks) * float(np.sum(own[apart:] * own[:-apart]))
-        sigma = max(np.sqrt(total) / where.size, sigma_of_mean(values))
-        # The median of Gaussian numbers scatters by more than their mean.
-        return float(sigma * (np.sqrt(0.5 * np.pi) if self.statistic == "median" else 1.0))
 
     def parameters(self) -> CalibrationParameters:
         """Return the parameters with the values found."""
@@ -603,29 +547,6 @@ class JointEstimate:
         a, b = SPIN_RELATED.index(one), SPIN_RELATED.index(other)
         return float(self.covariance[a, b] / (self.sigma[a] * self.sigma[b]))
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `covariance` and `determined` by ``parameter``."""
-        one = "parameter"
-        return xr.Dataset(
-            {
-                "value": (one, self.value),
-                "sigma": (one, self.sigma),
-                "covariance": ((one, "other_parameter"), self.covariance),
-                "determined": (one, self.determined),
-            },
-            coords={
-                one: list(SPIN_RELATED),
-                "other_parameter": list(SPIN_RELATED),
-                "units": (one, [UNITS[name] for name in SPIN_RELATED]),
-            },
-            attrs={
-                "passes": self.passes,
-                "settled": int(self.settled),
-                "sub_intervals": self.tones.summary(),
-                "excess": self.excess.tolist(),
-            },
-        )
-
 
 def estimate_jointly(
     readings: Floats,
@@ -640,7 +561,7 @@ def estimate_jointly(
     Parameters
     ----------
     readings, phase, stamps, layout
-        As for `spin_tones`.
+        As for `measure_tones`.
     present : CalibrationParameters
         Where to begin; also the values of what the record does not determine.
     present_sigma : mapping of str to float, optional
@@ -686,6 +607,8 @@ class _Prior:
 
 @dataclass(frozen=True)
 class _Fit:
+    """Change of the parameters with its error; see `JointEstimate`."""
+
     change: Floats
     sigma: Floats
     covariance: Floats
@@ -710,11 +633,18 @@ def _fit_tones(equations: SpinEquations, tones: SpinTones, prior: _Prior) -> _Fi
     for _ in range(JOINT.rounds):
         weight = np.repeat(robust_weight, _PAIR, axis=1)
         normal = _crossed(design, design * weight[..., None]) + np.diag(information)
-        inverse, determined = _inverse(normal)
+        eigenvalue, vectors = np.linalg.eigh(normal)
+        kept = eigenvalue > JOINT.singular * max(float(eigenvalue.max()), 1e-300)
+        inverse = (vectors[:, kept] / eigenvalue[kept]) @ vectors[:, kept].T
+        # Parameters that lie wholly in the directions kept.
+        determined = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
         new = inverse @ (_flat(design).T @ (weight * target).ravel() + shift)
         moved, change = float(np.abs(new - change).max()), new
         residual = target - design @ change
-        robust_weight, excess, scaled = _robust_weights(residual, usable)
+        length = np.hypot(residual[:, 0::2], residual[:, 1::2])
+        excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
+        scaled = length / _noise_factor(excess, int(usable.sum()))
+        robust_weight = np.where(use, biweight(scaled), 0.0)
         if moved < 1e-3 * float(np.sqrt(np.max(np.diag(inverse)))):
             break
     weight = np.repeat(robust_weight, _PAIR, axis=1)
@@ -733,22 +663,6 @@ def _flat(rows: Floats) -> Floats:
 def _crossed(one: Floats, other: Floats) -> Floats:
     """Return the sum of products of equations (sub, row, parameter); a matrix product, not a loop."""
     return np.asarray(_flat(one).T @ _flat(other))
-
-
-def _inverse(normal: Floats) -> tuple[Floats, Bools]:
-    """Return the inverse in the determined directions, and which parameters lie wholly in them."""
-    size, vectors = np.linalg.eigh(normal)
-    kept = size > JOINT.singular * max(float(size.max()), 1e-300)
-    inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T
-    return inverse, (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
-
-
-def _robust_weights(residual: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
-    """Return each tone's weight (sub, 3), the excess over the noise (3,), and standardised lengths."""
-    length = np.hypot(residual[:, 0::2], residual[:, 1::2])
-    excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
-    scaled = length / _noise_factor(excess, int(usable.sum()))
-    return np.where(usable[:, None], biweight(scaled), 0.0), excess, scaled
 
 
 def _noise_factor(excess: Floats, count: int) -> Floats:
@@ -791,17 +705,14 @@ def _covariance(
     independent = float(leverage.sum()) ** 2 / max(float(np.sum(leverage**2)), 1e-300) / (2.0 * blocks)
     # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
     chance = (1.0 + np.sqrt(len(prior) / max(independent, 1.0))) ** 2
-    return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
-
-
-def _larger(one: Floats, other: Floats, chance: float) -> Floats:
-    """Return a covariance, larger where another is by more than a factor that is chance."""
-    own, vectors = np.linalg.eigh(one)
+    # The stated covariance, larger where that of the scores is by more than chance.
+    own, vectors = np.linalg.eigh(stated)
     kept = own > 1e-12 * own.max()
     root, inverse = vectors[:, kept] * np.sqrt(own[kept]), vectors[:, kept] / np.sqrt(own[kept])
-    ratio, basis = np.linalg.eigh(inverse.T @ other @ inverse)
+    ratio, basis = np.linalg.eigh(inverse.T @ seen @ inverse)
     spread = root @ basis
-    return np.asarray((spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T)
+    larger = (spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T
+    return np.asarray(bread @ larger @ bread)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from scipy import stats
 from scipy.ndimage import median_filter
 
@@ -470,25 +469,6 @@ class Intercepts:
         """Middles of the windows, TT2000; (window,)."""
         return np.asarray(self.start + (self.end - self.start) // 2)
 
-    def table(self) -> xr.Dataset:
-        """Return `value` and `sigma` (nT): dims window, sensor."""
-        both = ("window", "sensor")
-        return xr.Dataset(
-            {
-                "value": (both, self.zero, {"units": "nT"}),
-                "sigma": (both, self.sigma, {"units": "nT"}),
-                "intercept": (both, self.intercept, {"units": "nT"}),
-                "common": (both, self.common, {"units": "nT"}),
-                "window_start": ("window", self.start, {"scale": "TT2000"}),
-                "window_end": ("window", self.end, {"scale": "TT2000"}),
-            },
-            coords={"sensor": [1, 2]},
-            attrs={
-                "spin_axis_zero": self.spin_axis_zero[0],
-                "spin_axis_zero_sigma": self.spin_axis_zero[1],
-            },
-        )
-
     def summary(self) -> str:
         """Return the last window's zero levels in words."""
         both = " and ".join(
@@ -511,13 +491,26 @@ class Intercepts:
         before = np.asarray(preflight, dtype=np.float64)
         if before.shape != (2,):
             raise SamplesError(f"{before.size} zero levels found", remedy="give those of sensors 1 and 2")
-        change_sigma = np.hypot(self.sigma, preflight_sigma)
-        rate, rate_sigma = _rates(self)
+        rate, rate_sigma = np.full((2, 2), np.nan)
+        days = (self.time - self.time[0]) / DAY
+        for k in range(2 if len(self.zero) > 2 else 0):
+            own = self.sigma[:, k] ** 2 - self.common[:, k] ** 2
+            if not np.all(own > 0):
+                raise CalibrationError("a zero level without scatter", remedy="give fits of real readings")
+            away = days - np.average(days, weights=1.0 / own)
+            part = away / own / np.sum(away**2 / own)
+            rate[k] = part @ self.zero[:, k]
+            residual = self.zero[:, k] - np.average(self.zero[:, k], weights=1.0 / own) - rate[k] * away
+            # Where zero levels scatter by more than their errors, the rate's error grows with the scatter.
+            freedom = days.size - 2
+            excess = max(float(np.sum(residual**2 / own)) / freedom, 1.0)
+            wide = float(stats.t.ppf(0.8413, freedom))
+            rate_sigma[k] = np.hypot(wide * np.sqrt(part**2 @ own * excess), part @ self.common[:, k])
         return ZeroDrift(
             levels=self,
             preflight=before,
             change=self.zero - before,
-            change_sigma=change_sigma,
+            change_sigma=np.hypot(self.sigma, preflight_sigma),
             rate=rate,
             rate_sigma=rate_sigma,
         )
@@ -536,19 +529,6 @@ class ZeroDrift:
     change_sigma: Floats
     rate: Floats
     rate_sigma: Floats
-
-    def table(self) -> xr.Dataset:
-        """Return the zero levels, their change since before the flight and their rate."""
-        both = ("window", "sensor")
-        return self.levels.table().assign(
-            {
-                "change": (both, self.change, {"units": "nT"}),
-                "change_sigma": (both, self.change_sigma, {"units": "nT"}),
-                "preflight": ("sensor", self.preflight, {"units": "nT"}),
-                "rate": ("sensor", self.rate, {"units": "nT/d"}),
-                "rate_sigma": ("sensor", self.rate_sigma, {"units": "nT/d"}),
-            }
-        )
 
     def summary(self) -> str:
         """Return what has moved, in words, sensor by sensor."""
@@ -623,29 +603,6 @@ def _errors_of_means(line: Line, group: Int64, windows: int) -> Floats:
     )
 
 
-def _rates(levels: Intercepts) -> tuple[Floats, Floats]:
-    """Return the rates of both zero levels and their sigma, nT a day; NaN with fewer than three windows."""
-    nan = np.full(2, np.nan)
-    if len(levels.zero) < 3:
-        return nan, nan
-    days = (levels.time - levels.time[0]) / DAY
-    rate, sigma = np.empty(2), np.empty(2)
-    for k in range(2):
-        own = levels.sigma[:, k] ** 2 - levels.common[:, k] ** 2
-        if not np.all(own > 0):
-            raise CalibrationError("a zero level without scatter", remedy="give fits of real readings")
-        away = days - np.average(days, weights=1.0 / own)
-        part = away / own / np.sum(away**2 / own)
-        rate[k] = part @ levels.zero[:, k]
-        residual = levels.zero[:, k] - np.average(levels.zero[:, k], weights=1.0 / own) - rate[k] * away
-        # Where zero levels scatter by more than their errors, the error of the rate grows with the scatter.
-        freedom = days.size - 2
-        excess = max(float(np.sum(residual**2 / own)) / freedom, 1.0)
-        wide = float(stats.t.ppf(0.8413, freedom))
-        sigma[k] = np.hypot(wide * np.sqrt(part**2 @ own * excess), part @ levels.common[:, k])
-    return rate, sigma
-
-
 @dataclass(frozen=True, kw_only=True)
 class FarrellFit:
     """Angles, gain ratio and zero levels from the tones and constants of a span of spin fits.
@@ -713,26 +670,6 @@ class FarrellFit:
         zero = np.append(self.intercepts.zero[window], self.intercepts.spin_axis_zero[0])
         return SensorAngles(self.value[:2].copy(), azimuth, self.tilt[0], towards, zero)
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `covariance` and `units` along ``parameter``, and the zero levels."""
-        table = xr.Dataset(
-            {
-                "value": ("parameter", self.value),
-                "sigma": ("parameter", self.sigma),
-                "covariance": (("parameter", "other"), self.covariance),
-                "units": ("parameter", np.array(UNITS)),
-                "start": ((), np.int64(self.span[0]), {"scale": "TT2000"}),
-                "end": ((), np.int64(self.span[1]), {"scale": "TT2000"}),
-            },
-            coords={"parameter": list(NAMES), "other": list(NAMES)},
-            attrs={
-                "fits": self.used,
-                "azimuth_1": self.azimuth_1[0],
-                "azimuth_1_sigma": self.azimuth_1[1],
-            },
-        )
-        return table.merge(self.intercepts.table().rename({"value": "zero", "sigma": "zero_sigma"}))
-
     def summary(self) -> str:
         """Return the angles in degrees and the zero levels in nT, in words."""
         degrees, sigma = np.rad2deg(self.value), np.rad2deg(self.sigma)
@@ -777,7 +714,7 @@ def calibrate_farrell(
     if fits.value.shape[1] != 3:
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
     # While the field jumps, neither its mean nor its tone is one of the spin's.
-    whole = fits.where(np.asarray(fits.determined.all(axis=1) & ~fits.changing.any(axis=1)))
+    whole = fits.select(np.asarray(fits.determined.all(axis=1) & ~fits.changing.any(axis=1)))
     if len(whole) < FARRELL.fewest:
         raise CalibrationError(
             f"{len(whole)} of {len(fits)} spin fits are whole, at least {FARRELL.fewest} needed",
@@ -791,7 +728,12 @@ def calibrate_farrell(
     both = noise[..., 1] + noise[..., 2]
     tilt = fit_line(phasor[:, 0], phasor[:, 2], both[:, 0])
     turned = fit_line(phasor[:, 0], phasor[:, 1], both[:, 0])
-    value, covariance = _six_parameters(lines, tilt, turned, _gain_ratio(phasor, both, turned.weight))
+    # |Z2| / |Z1| without the noise in either, and each point's part in its error.
+    square = np.abs(phasor[:, :2]) ** 2 - both[:, :2]
+    mean = np.sum(turned.weight[:, None] * square, axis=0)
+    ratio = float(np.sqrt(mean[1] / mean[0]))
+    scores = 0.5 * ratio * turned.weight * (square[:, 1] / mean[1] - square[:, 0] / mean[0])
+    value, covariance = _six_parameters(lines, tilt, turned, (ratio, scores))
     # Both slopes use one estimate of the noise of sensor 3.
     shared = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
     covariance[:2, :2] += np.outer(shared, shared) * points.relative_sigma[2] ** 2
@@ -817,15 +759,6 @@ def _windows(time: Int64, window: float | None) -> Int64:
         raise SamplesError(f"a window of {window:g} d found", remedy="take more than 0")
     number = (time - time[0]) // np.int64(round(window * 86_400 * SECOND))
     return np.asarray(np.unique(number, return_inverse=True)[1], dtype=np.int64)
-
-
-def _gain_ratio(phasor: Complexes, noise: Floats, weight: Floats) -> tuple[float, Floats]:
-    """Return |Z2| / |Z1| without the noise in either, and each fit's part in its error."""
-    square = np.abs(phasor[:, :2]) ** 2 - noise[:, :2]
-    mean = np.sum(weight[:, None] * square, axis=0)
-    ratio = float(np.sqrt(mean[1] / mean[0]))
-    scores = 0.5 * ratio * weight * (square[:, 1] / mean[1] - square[:, 0] / mean[0])
-    return ratio, scores
 
 
 def _six_parameters(
@@ -893,19 +826,6 @@ class BoomBending:
         """Middles of the windows, TT2000; (window,)."""
         return np.asarray(self.start + (self.end - self.start) // 2)
 
-    def table(self) -> xr.Dataset:
-        """Return `value` and `sigma` along ``window``, radians."""
-        return xr.Dataset(
-            {
-                "value": ("window", self.value, {"units": "rad"}),
-                "sigma": ("window", self.sigma, {"units": "rad"}),
-                "start": ("window", self.start, {"scale": "TT2000"}),
-                "end": ("window", self.end, {"scale": "TT2000"}),
-                "fits": ("window", self.fits),
-            },
-            attrs={"mounted_rad": self.mounted},
-        )
-
 
 def measure_boom_bending(
     outer: SpinFits, inner: SpinFits, *, window: float | None = None, mounted: float = 0.0
@@ -945,22 +865,18 @@ def measure_boom_bending(
     product = line.weight * np.conj(inner.phasor[b, 0]) * outer.phasor[a, 0]
     step = np.zeros(a.size) if window is None else (outer.time[a] - outer.time[a][0]) // round(window * DAY)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(step)) + 1, [a.size]])
-    found = [_mean_angle(product[low:high]) for low, high in pairwise(edges)]
-    value, sigma = np.array(found).T
+    value, sigma = np.empty((2, edges.size - 1))
+    for place, (low, high) in enumerate(pairwise(edges)):
+        if high - low < FARRELL.fewest:
+            raise CalibrationError(
+                f"a window has {high - low} spins with both magnetometers, at least {FARRELL.fewest} needed",
+                remedy="take longer windows",
+            )
+        total = product[low:high].mean()
+        value[place] = np.angle(total)
+        sigma[place] = sigma_of_mean((product[low:high] * np.conj(total)).imag / abs(total) ** 2)
     turned = (value - mounted + np.pi) % (2 * np.pi) - np.pi
     starts, ends = outer.start[a][edges[:-1]], outer.end[a][edges[1:] - 1] + 1
     return BoomBending(
         start=starts, end=ends, value=turned, sigma=sigma, mounted=mounted, fits=np.diff(edges)
     )
-
-
-def _mean_angle(product: np.ndarray) -> tuple[float, float]:
-    """Return the angle of a sum of complex numbers and its standard deviation."""
-    if product.size < FARRELL.fewest:
-        raise CalibrationError(
-            f"a window has {product.size} spins with both magnetometers, at least {FARRELL.fewest} needed",
-            remedy="take longer windows",
-        )
-    total = product.mean()
-    turned = (product * np.conj(total)).imag / abs(total) ** 2
-    return float(np.angle(total)), sigma_of_mean(turned)

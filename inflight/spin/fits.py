@@ -1,4 +1,4 @@
-"""Spin fits: C0 + C1 sin + C2 cos over one or several spins; despun fields and the tone they keep.
+"""Spin fits: C0 + C1 sin + C2 cos over one or several spins; despun fields.
 
 Takes: times, readings of any components and the spin phase. Makes (`fit_spins`): `SpinFits`, the coefficients
 of Farrell et al. (1995), eq. (22), of every whole number of turns, against the phase instead of the time, so
@@ -6,8 +6,7 @@ that neither a spin rate that changes nor uneven samples do harm; all fits of a 
 equations of three (with twice the spin five) unknowns are summed in one pass; a fit with an outlying reading
 is made again with Huber's and then biweight weights.
 
-`despin` turns axes that spin into axes that do not (eq. 1), `respin` back. `measure_steady_tones` gives the
-steady tones at the spin period and at half of it.
+`despin` turns axes that spin into axes that do not (eq. 1), `respin` back.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
@@ -114,7 +112,7 @@ class SpinFits:
     @property
     def whole(self) -> SpinFits:
         """The fits that are determined in every component."""
-        return self.where(np.asarray(self.determined.all(axis=1)))
+        return self.select(np.asarray(self.determined.all(axis=1)))
 
     @property
     def constant(self) -> Floats:
@@ -141,37 +139,12 @@ class SpinFits:
         """Standard deviations of the coefficients; (fit, component, coefficient)."""
         return np.asarray(np.sqrt(np.einsum("fkpp->fkp", self.covariance)))
 
-    def where(self, chosen: npt.NDArray[np.bool_]) -> SpinFits:
+    def select(self, chosen: npt.NDArray[np.bool_]) -> SpinFits:
         """Return some of the fits; `chosen` has shape (fit,)."""
         kept: dict[str, Any] = {
             name: part[chosen] for name, part in self.__dict__.items() if isinstance(part, np.ndarray)
         }
         return replace(self, **kept)
-
-    def table(self) -> xr.Dataset:
-        """Return the fits: dims fit, component, coefficient, other."""
-        names = list(COEFFICIENTS[: self.value.shape[-1]])
-        times = {name: ("fit", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")}
-        both = ("fit", "component")
-        return xr.Dataset(
-            times
-            | {
-                "turn": ("fit", self.turn),
-                "value": ((*both, "coefficient"), self.value, {"units": self.unit}),
-                "sigma": ((*both, "coefficient"), self.sigma, {"units": self.unit}),
-                "covariance": (
-                    (*both, "coefficient", "other"),
-                    self.covariance,
-                    {"units": f"{self.unit}2"},
-                ),
-                "rms": (both, self.rms, {"units": self.unit}),
-                "count": (both, self.count),
-                "outliers": (both, self.outliers),
-                "changing": (both, self.changing),
-            },
-            coords={"coefficient": names, "other": names},
-            attrs={"spins": self.spins},
-        )
 
     def summary(self) -> str:
         """Return in one sentence what was fitted and what was not."""
@@ -306,7 +279,8 @@ def _refit_outliers(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: 
 
 
 def _scale_around(variance: Floats, freedom: Int64) -> Floats:
-    """Return the usual residual around each fit, from the quieter fits there; (fit, component)."""
+    """Return the usual residual around each fit, from the quieter fits of its group; (fit, component)."""
+    around = SPIN_FITS.around
     known = (freedom > 0) & np.isfinite(variance)
     rms = np.sqrt(np.where(known, variance, 0.0))
     out = np.empty_like(rms)
@@ -319,18 +293,12 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
         level = np.sqrt(stats.chi2.ppf(SPIN_FITS.quartile / 100.0, usual) / usual)
         # Fits that are not known take their neighbours'; nobody uses them.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
-        out[:, k] = _quartile_around(filled) / level
+        groups = max(filled.size // around, 1)
+        low = [np.percentile(filled[: groups * around].reshape(groups, -1), SPIN_FITS.quartile, axis=1)]
+        if filled.size > groups * around:
+            low.append(np.percentile(filled[-around:], [SPIN_FITS.quartile]))
+        out[:, k] = np.repeat(np.concatenate(low), around)[: filled.size] / level
     return out
-
-
-def _quartile_around(values: Floats) -> Floats:
-    """Return the lower quartile of the group of `SpinFitSettings.around` that each value is in."""
-    around = SPIN_FITS.around
-    groups = max(values.size // around, 1)
-    low = [np.percentile(values[: groups * around].reshape(groups, -1), SPIN_FITS.quartile, axis=1)]
-    if values.size > groups * around:
-        low.append(np.percentile(values[-around:], [SPIN_FITS.quartile]))
-    return np.repeat(np.concatenate(low), around)[: values.size]
 
 
 def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:
@@ -398,64 +366,3 @@ def _rotated(field: Floats, angle: Floats) -> Floats:
     out[:, 1] = sine * field[:, 0] + cosine * field[:, 1]
     out[:, 2] = field[:, 2]
     return out
-
-
-@dataclass(frozen=True)
-class SteadyTones:
-    """Steady tones at the spin period and at half of it, nT; arrays of shape (component,).
-
-    Attributes
-    ----------
-    once, twice : ndarray
-        Steady amplitude: the mean phasor, in which fluctuations of the field cancel.
-    once_sigma, twice_sigma : ndarray
-        Standard deviation of either part of the mean phasor, from the scatter between fits.
-    fits : int
-    """
-
-    once: Floats
-    twice: Floats
-    once_sigma: Floats
-    twice_sigma: Floats
-    fits: int
-
-    def table(self) -> xr.Dataset:
-        """Return `value` and `sigma`: dims tone, component."""
-        return xr.Dataset(
-            {
-                "value": (("tone", "component"), np.stack([self.once, self.twice]), {"units": "nT"}),
-                "sigma": (
-                    ("tone", "component"),
-                    np.stack([self.once_sigma, self.twice_sigma]),
-                    {"units": "nT"},
-                ),
-            },
-            coords={"tone": ["spin", "twice the spin"]},
-            attrs={"fits": self.fits},
-        )
-
-
-def measure_steady_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SteadyTones:
-    """Measure the steady tone at the spin period in a field that should have none.
-
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (time,)
-        TT2000.
-    field : ndarray, shape (time, component)
-        nT: a despun field, Bz, or the modulus of the spin-plane field.
-    phase : ndarray, shape (time,)
-        Radians.
-    spins : int
-        Turns of one fit.
-    """
-    fits = fit_spins(stamps, field, phase, spins=spins, harmonics=2)
-    whole = fits.whole
-    (once, once_sigma), (twice, twice_sigma) = (
-        (
-            np.abs(each.mean(axis=0)),
-            np.sqrt(0.5 * np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / len(whole)),
-        )
-        for each in (whole.phasor, whole.double)
-    )
-    return SteadyTones(once, twice, once_sigma, twice_sigma, len(whole))

@@ -21,15 +21,28 @@ from inflight.time import Int64
 
 Bools = npt.NDArray[np.bool_]
 
-#: Samples further apart than this do not show the tone at twice the spin between them, rad.
-WIDEST_STEP = 0.5 * np.pi
 
-#: A phase that leaves a steady turn by more than this between two samples has jumped, rad. Derived: a
-#: twentieth of a turn costs one part in twenty of the second harmonic.
-_JUMP = 0.1 * np.pi
+@dataclass(frozen=True, kw_only=True)
+class BlockSettings:
+    """Numbers of the blocks of a record.
 
-#: At least this many whole spins make a block: neighbouring frequencies must keep apart. Assumed.
-_FEWEST_SPINS = 10
+    Attributes
+    ----------
+    widest_step : float
+        Samples further apart than this do not show the tone at twice the spin between them, rad. Derived.
+    jump : float
+        A phase that leaves a steady turn by more than this between two samples has jumped, rad. Derived: a
+        twentieth of a turn costs one part in twenty of the second harmonic.
+    fewest_spins : int
+        At least this many whole spins make a block: neighbouring frequencies must keep apart. Assumed.
+    """
+
+    widest_step: float = 0.5 * np.pi
+    jump: float = 0.1 * np.pi
+    fewest_spins: int = 10
+
+
+BLOCKS = BlockSettings()
 
 
 @dataclass(frozen=True)
@@ -75,10 +88,10 @@ class SubIntervals:
                 remedy="take 0, 0.5, 2/3 or 0.75 and a number of spins that divides",
             )
         nearest = min(self.neighbours) * self.spins / round(blocks)
-        if self.spins // round(blocks) < _FEWEST_SPINS or nearest < 1.0:
+        if self.spins // round(blocks) < BLOCKS.fewest_spins or nearest < 1.0:
             raise CalibrationError(
                 f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns away: "
-                f"at least {_FEWEST_SPINS} spins and 1 turn needed",
+                f"at least {BLOCKS.fewest_spins} spins and 1 turn needed",
                 remedy="take longer sub-intervals, less overlap or neighbours further away",
             )
 
@@ -203,7 +216,7 @@ def _edges(phase: Floats, settings: SubIntervals) -> Floats:
     known = phase[np.isfinite(phase)]
     turns = float(known.max() - known.min()) if known.size else 0.0
     # The last spin may lack its last sample.
-    blocks = int((turns + WIDEST_STEP) // settings.turn)
+    blocks = int((turns + BLOCKS.widest_step) // settings.turn)
     if blocks < settings.blocks:
         raise TooLittleError(
             f"{turns / (2.0 * np.pi):.1f} spins of known phase found, {settings.spins} needed",
@@ -223,7 +236,7 @@ def _jumps(phase: Floats, stamps: Int64) -> Int64:
     part = slice(None, None, max(1, turned.size // 20_000))
     rate = float(np.median(turned[part] / passed[part]))
     # Over a gap the rate itself is not known well enough; a gap is judged by how much it leaves unfilled.
-    jumped = (np.abs(turned - rate * passed) > _JUMP) & (passed * rate < 2.0 * np.pi)
+    jumped = (np.abs(turned - rate * passed) > BLOCKS.jump) & (passed * rate < 2.0 * np.pi)
     return np.asarray(at[1:][jumped], dtype=np.int64)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.lsq import BIWEIGHT_WIDTH
-from inflight.spin.intervals import WIDEST_STEP, Bools
+from inflight.spin.intervals import BLOCKS, Bools
 from inflight.time import Int64
 
 #: 2 pi in parts: whole turns times the first are exact, and the last is what the double nearest to it lacks.
@@ -75,6 +75,9 @@ _NEIGHBOURS_AT, _FIELD_AT = LINES + TONES, LINES + TONES + NEIGHBOURS
 _COLUMNS = _FIELD_AT + len(SERIES)
 
 _FEW = LINES + TONES + 2
+
+#: Compiled loops know numbers, not records.
+_WIDEST_STEP = BLOCKS.widest_step
 
 _compiled_fast = numba.njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}
@@ -209,7 +212,7 @@ def _covered_phase(angle: Floats, many: int, last: float, levels: Floats) -> flo
     for i in range(many):
         step = angle[i] - last
         # A step from NaN, before the first sample, is not covered.
-        covered += step if step <= WIDEST_STEP else 0.0
+        covered += step if step <= _WIDEST_STEP else 0.0
         last = angle[i]
     levels[1] += covered
     return last

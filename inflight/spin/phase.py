@@ -1,12 +1,11 @@
-"""The spin phase at sample times, from Sun pulses, from a delivered angle or from a constant period.
+"""The spin phase at sample times, from Sun pulses or from a delivered angle.
 
 The phase is the angle of XA from XP, the projection of the Sun into the spin plane, towards YP: ``w t`` in
 eq. (1) of Farrell et al. (1995). It grows with time.
 
 Takes: times of Sun pulses, or an angle and its times, TT2000; sample times. Makes: `SpinPhase`, the phase in
-radians with its standard deviation, flags and what was wrong (`phase_from_pulses`, `phase_from_angle`); the
-phase of a constant spin (`phase_from_period`); and, as a check, the spin period that the field itself shows
-(`check_period`).
+radians with its standard deviation, flags and what was wrong (`phase_from_pulses`, `phase_from_angle`); and,
+as a check, the spin period that the field itself shows (`check_period`).
 
 A pulse, or one reading of the angle, is a *mark*: a time with a known part of a turn. The steps are
 
@@ -30,7 +29,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from scipy import fft
 from scipy.ndimage import median_filter, percentile_filter
 
@@ -257,21 +255,6 @@ class Marks:
         """Whole turns without a mark in each interval, 0 where they cannot be counted; (mark - 1,)."""
         missing = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
         return np.where(self.uncountable, 0, missing).astype(np.int64)
-
-    def table(self) -> xr.Dataset:
-        """Return `value` (the local period) and `sigma` along ``mark``."""
-        return xr.Dataset(
-            {
-                "time": ("mark", self.time, {"scale": "TT2000"}),
-                "turn": ("mark", self.turn, {"units": "1"}),
-                "value": ("mark", self.period, {"units": "s"}),
-                "sigma": ("mark", self.sigma * self.period * np.sqrt(2.0 / MARKS.around), {"units": "s"}),
-                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.residual, 0.0), 0.0)),
-                "bridged_behind": ("mark", np.append(self.gap, False)),
-                "uncounted_behind": ("mark", np.append(self.uncountable, False)),
-            },
-            attrs={"scatter_deg": 360.0 * self.sigma, "missing": self.missing},
-        )
 
 
 def find_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
@@ -514,14 +497,6 @@ class PeriodCheck:
     agrees: bool
     aliased: bool
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma` and the period that is used, s."""
-        numbers = {"value": self.period, "sigma": self.sigma, "used": self.used}
-        return xr.Dataset(
-            {name: ((), number, {"units": "s"}) for name, number in numbers.items()},
-            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.summary()},
-        )
-
     def summary(self) -> str:
         """Return one sentence."""
         if self.aliased:
@@ -574,7 +549,11 @@ def check_period(
     most = PERIOD_CHECK.limit * MAD_TO_SIGMA * float(np.median(size))
     plane = np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
     cadence = float(np.median(np.diff(seconds)))
-    used = _mean_period(stamps, phase)
+    used = float("nan")
+    if phase is not None:
+        known = np.flatnonzero(np.isfinite(phase))
+        turns = (phase[known[-1]] - phase[known[0]]) / TURN if known.size > 1 else 0.0
+        used = float((stamps[known[-1]] - stamps[known[0]]) / SECOND / turns) if turns > 0 else used
     if used < 2.0 * cadence:
         nan = float("nan")
         return PeriodCheck(period=nan, sigma=nan, used=used, tone=nan, agrees=True, aliased=True)
@@ -582,14 +561,6 @@ def check_period(
     period, error = 1.0 / rate, sigma / rate**2
     agrees = bool(np.isnan(used) or abs(used - period) <= PERIOD_CHECK.contradiction * error)
     return PeriodCheck(period=period, sigma=error, used=used, tone=tone, agrees=agrees, aliased=False)
-
-
-def _mean_period(stamps: Int64, phase: Floats | None) -> float:
-    if phase is None:
-        return float("nan")
-    known = np.flatnonzero(np.isfinite(phase))
-    turns = (phase[known[-1]] - phase[known[0]]) / TURN if known.size > 1 else 0.0
-    return float((stamps[known[-1]] - stamps[known[0]]) / SECOND / turns) if turns > 0 else float("nan")
 
 
 def _top_frequency(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> float:
@@ -714,7 +685,7 @@ class SpinPhase:
         What the phase rests on.
     nominal : float
         The period that was stated, s; NaN when none was.
-    faults : tuple of Fault
+    faults : tuple of PhaseFault
         Everything that was not as it should be.
     """
 
@@ -740,16 +711,6 @@ class SpinPhase:
     def period(self) -> float:
         """Median spin period, s."""
         return float(np.median(self.marks.period))
-
-    def table(self) -> xr.Dataset:
-        """Return the spin period at the marks with its sigma, and what lies behind each, along ``mark``."""
-        table = self.marks.table()
-        table.attrs |= {
-            "nominal_period_s": self.nominal,
-            "reports": list(self.reports),
-            "told": self.summary(),
-        }
-        return table
 
     def summary(self) -> str:
         """Return one or more sentences: the period, the part of samples with a phase, and the faults."""
@@ -840,13 +801,6 @@ def phase_from_angle(
     known = np.isfinite(angle)
     turns = (sense * angle[known] / 360.0) % 1.0
     return _from_marks(times[known], turns, stamps, nominal_period, 0.0, max_sigma, "angle")
-
-
-def phase_from_period(stamps: Int64, period: float, epoch: int, phase: float = 0.0) -> Floats:
-    """Return the phase (time,) of a constant spin, radians: `phase` at the TT2000 `epoch`; period in s."""
-    if not period > 0:
-        raise SamplesError(f"a spin period of {period:g} s found", remedy="state one above 0")
-    return np.asarray(phase + TURN * ((stamps - np.int64(epoch)) / (period * SECOND)))
 
 
 def _from_marks(

@@ -19,7 +19,6 @@ from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
 from inflight.spin.equation import NAMES, CalibrationParameters
 from inflight.spin.fits import despin
-from inflight.time import Int64
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
@@ -98,7 +97,16 @@ def make_spin_product(
             {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
         ),
     }
-    flag |= _geocentric(variables, np.asarray(corrected["tt2000"].values, dtype=np.int64), attitude)
+    flag_without_attitude = np.uint32(Flag.NO_ATTITUDE)
+    if attitude is None:
+        flag |= flag_without_attitude
+    else:
+        gse = payload_to_gse(variables["field_payload"][1], attitude.axis, attitude.sunward)
+        gsm = gse_to_gsm(gse, np.asarray(corrected["tt2000"].values, dtype=np.int64))
+        variables["field_gse"] = (_VECTOR, gse, {**attributes, "frame": "gse"})
+        variables["field_gsm"] = (_VECTOR, gsm, {**attributes, "frame": "gsm"})
+        known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.sunward)).all(axis=1)
+        flag[~known] |= flag_without_attitude
     for name, term in model.correction_terms(corrected).items():
         kind = {"units": "nT", "long_name": f"taken out of the reading: {name}"}
         variables[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, dict(kind))
@@ -107,23 +115,6 @@ def make_spin_product(
     out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
     out["tt2000"] = (_SCALAR, corrected["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return out
-
-
-def _geocentric(
-    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
-    tt2000: Int64,
-    attitude: Attitude | None,
-) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
-    """Add the field in gse and gsm as far as the attitude is known; return the flag of where it is not."""
-    lost = np.uint32(Flag.NO_ATTITUDE)
-    if attitude is None:
-        return np.full(tt2000.size, lost)
-    gse = payload_to_gse(variables["field_payload"][1], attitude.axis, attitude.sunward)
-    for name, field in (("gse", gse), ("gsm", gse_to_gsm(gse, tt2000))):
-        attributes: dict[str, object] = {"units": "nT", "long_name": "calibrated field", "frame": name}
-        variables[f"field_{name}"] = (_VECTOR, field, attributes)
-    known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.sunward)).all(axis=1)
-    return np.where(known, np.uint32(0), lost)
 
 
 def field_uncertainty(readings: Floats, parameters: CalibrationParameters, covariance: Floats) -> Floats:

@@ -279,23 +279,19 @@ class ToneFailure:
         """The structure as a sentence: which tone, what it follows, how large, and what could make it."""
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         row, harmonic = TONES[self.tone]
-        structure = (
-            f"{opening} {ROW_NAMES[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
-        )
+        frequency = {1: "at the spin", 2: "at twice the spin"}.get(harmonic, f"at {harmonic} times the spin")
+        coordinate = self.dependence.coordinate
+        size = f"{self.amplitude:.4f} +- {self.sigma:.4f} nT rms"
+        if coordinate.kind == "spin_phase":
+            follows = f"has a steady tone of {size}"
+        elif coordinate.channel_tone is not None:
+            follows = f"goes in step with {coordinate.name}, {size}"
+        else:
+            follows = f"follows {coordinate.name} with {size}"
+        structure = f"{opening} {ROW_NAMES[row]}, {frequency}, {follows}{self._ends()}; it could be "
         rivals = ", ".join(self.rivals)
         also = f". These data cannot tell it from: {rivals}" if rivals else ""
-        return f"{structure}{meaning(self.dependence.coordinate, row, harmonic)}{also}."
-
-    def _follows(self) -> str:
-        size = f"{self.amplitude:.4f} +- {self.sigma:.4f} nT rms"
-        one = self.dependence.coordinate
-        if one.kind == "spin_phase":
-            return f"has a steady tone of {size}"
-        return (
-            f"goes in step with {one.name}, {size}"
-            if one.channel_tone is not None
-            else f"follows {one.name} with {size}"
-        )
+        return f"{structure}{meaning(coordinate, row, harmonic)}{also}."
 
     def _ends(self) -> str:
         found = self.dependence
@@ -312,10 +308,6 @@ class ToneFailure:
             f" (its amplitude changes by {moved:.4f} +- {error:.4f} nT from {found.centre[first]:.4g} to "
             f"{found.centre[last]:.4g}{unit})"
         )
-
-
-def _times(harmonic: int) -> str:
-    return {1: "at the spin", 2: "at twice the spin"}.get(harmonic, f"at {harmonic} times the spin")
 
 
 #: What a tone belongs to, by row and harmonic.

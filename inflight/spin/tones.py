@@ -23,7 +23,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, TooLittleError
 from inflight.spin.equation import CalibrationParameters
-from inflight.spin.intervals import WIDEST_STEP, BlockLayout, Bools
+from inflight.spin.intervals import BLOCKS, BlockLayout, Bools
 from inflight.spin.kernels import LINES, NEIGHBOURS, SERIES, TONES, M, U, V, Z, sum_blocks, sum_tones
 from inflight.time import Int64
 
@@ -84,7 +84,7 @@ def neighbours_without_lines(inner: Floats, neighbours: Floats, known: Bools) ->
 
 
 @dataclass(frozen=True, kw_only=True)
-class ToneSettings:
+class ToneLimits:
     """Limits of tones.
 
     Attributes
@@ -98,15 +98,18 @@ class ToneSettings:
         Above this part of the field an offset makes the modulus too nonlinear for one linear step. Assumed.
     low : float
         Part of the sub-intervals, those of least axial field, in which elevations matter least. Assumed.
+    covered : float
+        Part of a block that samples must cover for a line of its own. Assumed.
     """
 
     small: float = 0.01
     coherent: float = 0.5
     large: float = 0.2
     low: float = 0.25
+    covered: float = 0.1
 
 
-TONE_LIMITS = ToneSettings()
+TONE_LIMITS = ToneLimits()
 
 #: Why a sub-interval below that is left out.
 NOT_TURNING = "not turning with the phase"
@@ -187,13 +190,54 @@ def measure_tones(
         Unwrapped spin phase, rad.
     stamps : ndarray of int64, shape (time,)
         TT2000.
-    layout : Layout
-        From `lay_out` of the same record.
+    layout : BlockLayout
+        From `cut_into_blocks` of the same record.
     parameters : CalibrationParameters
         The readings are corrected with these.
-
     """
-    return _of_blocks(layout, stamps, parameters, *block_sums(readings, phase, layout, parameters))
+    inner, neighbours, levels = block_sums(readings, phase, layout, parameters)
+    settings = layout.settings
+    covered = levels[:, 1] / settings.turn
+    # The step from one block to the next is in neither.
+    filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
+    enough = filled >= settings.filled
+    known = covered > TONE_LIMITS.covered
+    rest = without_lines(inner, known), neighbours_without_lines(inner, neighbours, known)
+    windows = [layout.over_blocks(one) for one in rest]
+    summed = windows[0].sum(axis=1)
+    gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
+    tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
+    # The neighbours' sums without the tones themselves.
+    crossed = windows[0][..., TONES : -len(SERIES)]
+    residual = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [Z, M]])
+    count = layout.over_blocks(levels[:, 0]).sum(axis=1)
+    noise, amplitude = _noise(residual, np.maximum(count, 1.0))
+    coherence = 0.5 * np.hypot(tones[:, 0, U] - tones[:, 1, V], tones[:, 1, U] + tones[:, 0, V])
+    low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
+    nan = np.where(enough, 0.0, np.nan)
+    return SpinTones(
+        start=stamps[np.minimum(low, stamps.size - 1)],
+        end=stamps[np.maximum(high - 1, 0)],
+        tones=tones + nan[:, None, None],
+        noise=noise + nan[:, None],
+        amplitude=amplitude + nan[:, None],
+        least_modulus=layout.over_blocks(levels[:, 2]).min(axis=1) + nan,
+        least_axial=layout.over_blocks(levels[:, 3]).min(axis=1) + nan,
+        largest_axial=layout.over_blocks(levels[:, 4]).max(axis=1) + nan,
+        filled=filled,
+        coherence=coherence + nan,
+        mean=layout.over_blocks(inner[:, 0, -len(SERIES) :][:, :2]).sum(axis=1)
+        / np.maximum(count, 1.0)[:, None]
+        + nan[:, None],
+        excluded=(
+            ("too few samples", ~enough),
+            *layout.excluded(),
+            (NOT_TURNING, enough & (coherence < TONE_LIMITS.coherent)),
+        ),
+        known=known,
+        parameters=parameters,
+        blocks=settings.blocks,
+    )
 
 
 def corrected_tones(
@@ -231,59 +275,6 @@ def is_small_step(before: SpinTones, parameters: CalibrationParameters) -> bool:
     if not least.size:
         return False
     return bool(turned < TONE_LIMITS.small and shifted < TONE_LIMITS.small * float(np.median(least)))
-
-
-def _of_blocks(
-    layout: BlockLayout,
-    stamps: Int64,
-    parameters: CalibrationParameters,
-    inner: Floats,
-    neighbours: Floats,
-    levels: Floats,
-) -> SpinTones:
-    """Return the tones of all sub-intervals from the sums of blocks."""
-    settings = layout.settings
-    covered = levels[:, 1] / settings.turn
-    # The step from one block to the next is in neither.
-    filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
-    enough = filled >= settings.filled
-    known = covered > 0.1
-    rest = without_lines(inner, known), neighbours_without_lines(inner, neighbours, known)
-    windows = [layout.over_blocks(one) for one in rest]
-    summed = windows[0].sum(axis=1)
-    gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
-    tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
-    # The neighbours' sums without the tones themselves.
-    crossed = windows[0][..., TONES : -len(SERIES)]
-    residual = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [Z, M]])
-    count = layout.over_blocks(levels[:, 0]).sum(axis=1)
-    noise, amplitude = _noise(residual, np.maximum(count, 1.0))
-    coherence = 0.5 * np.hypot(tones[:, 0, U] - tones[:, 1, V], tones[:, 1, U] + tones[:, 0, V])
-    low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
-    nan = np.where(enough, 0.0, np.nan)
-    return SpinTones(
-        start=stamps[np.minimum(low, stamps.size - 1)],
-        end=stamps[np.maximum(high - 1, 0)],
-        tones=tones + nan[:, None, None],
-        noise=noise + nan[:, None],
-        amplitude=amplitude + nan[:, None],
-        least_modulus=layout.over_blocks(levels[:, 2]).min(axis=1) + nan,
-        least_axial=layout.over_blocks(levels[:, 3]).min(axis=1) + nan,
-        largest_axial=layout.over_blocks(levels[:, 4]).max(axis=1) + nan,
-        filled=filled,
-        coherence=coherence + nan,
-        mean=layout.over_blocks(inner[:, 0, -len(SERIES) :][:, :2]).sum(axis=1)
-        / np.maximum(count, 1.0)[:, None]
-        + nan[:, None],
-        excluded=(
-            ("too few samples", ~enough),
-            *layout.excluded(),
-            (NOT_TURNING, enough & (coherence < TONE_LIMITS.coherent)),
-        ),
-        known=known,
-        parameters=parameters,
-        blocks=settings.blocks,
-    )
 
 
 def _noise(residual: Floats, count: Floats) -> tuple[Floats, Floats]:
@@ -353,7 +344,7 @@ def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
     turned = np.diff(angle)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     step = np.diff(phase[good])
-    use = (step > 0.0) & (step < WIDEST_STEP)
+    use = (step > 0.0) & (step < BLOCKS.widest_step)
     return float(np.median(turned[use] / step[use])) if use.any() else float("nan")
 
 

@@ -21,12 +21,11 @@ from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin.equation import NAMES, SPIN_RELATED, CalibrationParameters
 from inflight.spin.intervals import Bools
 
 Verdict = Literal["update", "confirm", "keep"]
@@ -74,89 +73,23 @@ class Decision:
     verdict: Verdict
     reason: str
 
-    @property
-    def value(self) -> float:
-        """The value from now on."""
-        return self.new if self.verdict == "update" else self.present
-
-    @property
-    def value_sigma(self) -> float:
-        """Its uncertainty: that of a confirmed value is bounded by the new estimate and their difference."""
-        if self.verdict == "update":
-            return self.sigma
-        if self.verdict == "confirm":
-            return min(self.present_sigma, float(np.hypot(self.sigma, self.new - self.present)))
-        return self.present_sigma
-
-
-@dataclass(frozen=True)
-class Updates:
-    """Decisions in the order of `SPIN_RELATED`, and the parameters they lead to."""
-
-    decisions: tuple[Decision, ...]
-    parameters: CalibrationParameters
-
-    def of(self, name: str) -> Decision:
-        """Return the decision on one parameter."""
-        return self.decisions[SPIN_RELATED.index(name)]
-
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, what they came from and why by ``parameter``."""
-        one = "parameter"
-        numbers = {
-            name: (one, [getattr(each, name) for each in self.decisions])
-            for name in ("present", "present_sigma", "new", "verdict", "reason")
-        }
-        return xr.Dataset(
-            {
-                "value": (one, [each.value for each in self.decisions]),
-                "sigma": (one, [each.value_sigma for each in self.decisions]),
-                "new_sigma": (one, [each.sigma for each in self.decisions]),
-                **numbers,
-            },
-            coords={one: list(SPIN_RELATED), "units": (one, [UNITS[name] for name in SPIN_RELATED])},
-        )
-
-
-def decide_updates(
-    value: Floats,
-    sigma: Floats,
-    present: CalibrationParameters,
-    present_sigma: Mapping[str, float],
-    significance: float = UPDATES.significance,
-) -> Updates:
-    """Decide which of the eight parameters to replace.
-
-    Parameters
-    ----------
-    value, sigma : ndarray, shape (8,)
-        New estimates in the order of `SPIN_RELATED`; sigma infinite for what was not determined.
-    present : CalibrationParameters
-        In use.
-    present_sigma : mapping of str to float
-        Their uncertainties by name; what is not named is not known at all.
-    significance : float
-        A value is replaced where it differs by more than this many of the new sigma and the new one is known
-        well better, or where the two contradict each other beyond both errors.
-    """
-    old = present.spin_related()
-    made = [
-        decide_update(
-            name,
-            (float(old[at]), float(present_sigma.get(name, np.inf))),
-            (float(value[at]), float(sigma[at])),
-            significance,
-        )
-        for at, name in enumerate(SPIN_RELATED)
-    ]
-    changed = {one.name: one.new for one in made if one.verdict == "update"}
-    return Updates(tuple(made), present.changed(changed))
-
 
 def decide_update(
     name: str, old: tuple[float, float], new: tuple[float, float], significance: float = UPDATES.significance
 ) -> Decision:
-    """Return the decision on one parameter from (value, sigma) in use and found."""
+    """Return the decision on one parameter.
+
+    A value is replaced where it differs by more than `significance` of the new sigma and the new one is known
+    well better, or where the two contradict each other beyond both errors.
+
+    Parameters
+    ----------
+    name : str
+    old, new : tuple of float
+        Value and sigma in use, infinite where not known at all, and of the new estimate, infinite where it
+        was not determined.
+    significance : float
+    """
     sigma = new[1]
 
     def decision(verdict: Verdict, reason: str) -> Decision:
@@ -237,11 +170,26 @@ class ValuesInUse:
 
         Returns
         -------
-        Step
+        UpdateStep
         """
         estimate, own = self._given(value, covariance, ~determined)
         sigma = np.where(determined, np.sqrt(np.diag(own)), np.inf)
-        decisions = self._decisions(estimate, sigma, own, determined)
+        in_use = np.sqrt(np.diag(self.covariance))
+        made = {
+            name: decide_update(
+                name,
+                (float(self.value[at]), float(in_use[at])),
+                (float(estimate[at]), float(sigma[at])),
+            )
+            for at, name in enumerate(SPIN_RELATED)
+        }
+        for at in np.flatnonzero(determined & ~self.from_flight):
+            made[SPIN_RELATED[at]] = accept_first_value(made[SPIN_RELATED[at]])
+        for pair in _TOGETHER:
+            places = [SPIN_RELATED.index(name) for name in pair]
+            if determined[places].all() and self.from_flight[places].all():
+                made |= self._decide_together(pair, [made[name] for name in pair], estimate, own)
+        decisions = tuple(made[name] for name in SPIN_RELATED)
         put_in = np.array([one.verdict == "update" for one in decisions])
         new, spread = self._given(value, covariance, ~put_in)
         drift = self.drift.with_difference(
@@ -258,10 +206,10 @@ class ValuesInUse:
             drift,
         )
         return UpdateStep(
-            decisions, used, used.stated(estimate, own, determined & ~put_in, day), estimate, sigma
+            decisions, used, used.stated_covariance(estimate, own, determined & ~put_in, day), estimate, sigma
         )
 
-    def stated(self, estimate: Floats, own: Floats, determined: Bools, day: float) -> Floats:
+    def stated_covariance(self, estimate: Floats, own: Floats, determined: Bools, day: float) -> Floats:
         """Return the covariance to be stated for an interval; (8, 8).
 
         A value that is kept drifts on as values did so far. The difference of the interval's estimate beyond
@@ -291,22 +239,7 @@ class ValuesInUse:
         spread[np.ix_(free, held)], spread[np.ix_(held, free)] = shared, shared.T
         return out, spread
 
-    def _decisions(
-        self, estimate: Floats, sigma: Floats, own: Floats, determined: Bools
-    ) -> tuple[Decision, ...]:
-        present = CalibrationParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
-        known = dict(zip(SPIN_RELATED, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-        made = {one.name: one for one in decide_updates(estimate, sigma, present, known).decisions}
-        for at, name in enumerate(SPIN_RELATED):
-            if determined[at] and not self.from_flight[at]:
-                made[name] = accept_first_value(made[name])
-        for pair in _TOGETHER:
-            places = [SPIN_RELATED.index(name) for name in pair]
-            if determined[places].all() and self.from_flight[places].all():
-                made |= self._together(pair, [made[name] for name in pair], estimate, own)
-        return tuple(made[name] for name in SPIN_RELATED)
-
-    def _together(
+    def _decide_together(
         self, pair: tuple[str, str], made: list[Decision], estimate: Floats, own: Floats
     ) -> dict[str, Decision]:
         """Return the decisions on two that share a tone: both are replaced, or none."""
@@ -365,7 +298,7 @@ class UpdateStep:
     ----------
     decisions : tuple of Decision
         In the order of `SPIN_RELATED`.
-    used : InUse
+    used : ValuesInUse
         From this interval on.
     covariance : ndarray, shape (8, 8)
         To be stated for this interval.
@@ -453,26 +386,12 @@ class ParameterTable:
         """Return the uncertainties by name."""
         return dict(zip(NAMES, self.sigma.tolist(), strict=True))
 
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `source` and `determined` by ``parameter``."""
-        one = "parameter"
-        return xr.Dataset(
-            {
-                "value": (one, self.value),
-                "sigma": (one, self.sigma),
-                "source": (one, list(self.source)),
-                "determined": (one, self.determined),
-            },
-            coords={one: list(NAMES), "units": (one, [UNITS[name] for name in NAMES])},
-        )
-
 
 def join_parameters(
     spin: tuple[Floats, Floats, CalibrationParameters],
     ground: CalibrationParameters,
     ground_sigma: Mapping[str, float],
     others: Mapping[str, ExternalValue] | None = None,
-    updates: Updates | None = None,
 ) -> ParameterTable:
     """Join the spin's eight parameters with the axial offset and the values of the ground.
 
@@ -488,11 +407,9 @@ def join_parameters(
         Before flight, or of the table before.
     ground_sigma : mapping of str to float
         By name; what is not named is not known at all.
-    others : mapping of str to Known, optional
+    others : mapping of str to ExternalValue, optional
         The spin-axis offset ``offset[3]`` in the unit of the readings, and whatever else is known better than
         on the ground: gains, rotation.
-    updates : Updates, optional
-        Where given, its verdicts and values are taken instead of those of `spin`.
 
     Raises
     ------
@@ -513,11 +430,8 @@ def join_parameters(
     found, errors, parameters = spin
     for order, name in enumerate(SPIN_RELATED):
         at = NAMES.index(name)
-        one = updates.of(name) if updates else None
-        if np.isfinite(errors[order]) and (one is None or one.verdict != "keep"):
-            value[at] = one.value if one else found[order]
-            sigma[at] = one.value_sigma if one else errors[order]
-            source[at] = SPIN
+        if np.isfinite(errors[order]):
+            value[at], sigma[at], source[at] = found[order], errors[order], SPIN
     third = NAMES.index("offset[3]")
     slope = axial_offset_slope(parameters)
     error = sigma[third] if np.isfinite(sigma[third]) else 0.0

@@ -1,4 +1,4 @@
-r"""All methods on one record: one offset, whether they agree, and whether other offsets are refused.
+r"""All methods on one record: one offset, whether they agree, and whether other offsets are rejected.
 
 Takes: `Intervals` and a `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of
 the methods of `METHODS`, each on the intervals that suit it, with their agreement.
@@ -19,15 +19,15 @@ holds for rotations and for compressions alike, so that no choice of intervals e
 independent samples are relied on: two offsets are compared interval by interval, as models are that are not
 nested (Vuong 1989, Econometrica 57, 307). Were they equally good, either would be better in as many
 intervals; the sum of the differences d is compared with its scatter in time, and at least with half of ``sum
-d^2``, which random signs give. So few intervals hardly refuse anything.
+d^2``, which random signs give. So few intervals hardly reject anything.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
@@ -50,8 +50,8 @@ class LikelihoodSettings:
 
     Attributes
     ----------
-    refused : float
-        An offset is refused from so many standard deviations on. Level of significance: 0.3 %.
+    rejected : float
+        An offset is rejected from so many standard deviations on. Level of significance: 0.3 %.
     steps : int
         Offsets along an axis, from one end of the bound to the other. Assumed.
     least_chance : float
@@ -61,7 +61,7 @@ class LikelihoodSettings:
         Assumed.
     """
 
-    refused: float = 3.0
+    rejected: float = 3.0
     steps: int = 121
     least_chance: float = 0.5
     least_variance: float = 1e-6
@@ -141,7 +141,7 @@ def likelihood_ratio(better: Floats, other: Floats) -> float:
     return float(apart.sum() / np.sqrt(chance))
 
 
-def most_likely_offset(intervals: Intervals, through: Floats, question: OffsetSearch) -> Floats:
+def most_likely_offset(intervals: Intervals, through: Floats, search: OffsetSearch) -> Floats:
     """Return the most likely offset within the bound, one axis after the other; (3,), nT.
 
     Parameters
@@ -150,23 +150,23 @@ def most_likely_offset(intervals: Intervals, through: Floats, question: OffsetSe
         Where to begin, nT.
     """
     offset = np.asarray(through, dtype=np.float64)
-    for axis in np.flatnonzero(question.free):
-        line = offsets_along(offset, int(axis), question)
+    for axis in np.flatnonzero(search.free):
+        line = offsets_along(offset, int(axis), search)
         offset = line[int(np.argmax([log_likelihood(intervals, one).sum() for one in line]))]
     return offset
 
 
-def offsets_along(through: Floats, axis: int, question: OffsetSearch) -> Floats:
+def offsets_along(through: Floats, axis: int, search: OffsetSearch) -> Floats:
     """Return offsets on a line along an axis, from one end of the bound to the other; (point, 3), nT."""
     line = np.tile(np.asarray(through, dtype=np.float64), (LIKELIHOOD.steps, 1))
-    line[:, axis] = question.start[axis] + np.linspace(-question.bound, question.bound, LIKELIHOOD.steps)
+    line[:, axis] = search.start[axis] + np.linspace(-search.bound, search.bound, LIKELIHOOD.steps)
     return line
 
 
-def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: OffsetSearch) -> Estimate:
+def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: OffsetSearch) -> Estimate:
     """Return an estimate without the axes along which other offsets within the bound are as likely.
 
-    Along each axis, the others at their values, the offsets that the readings do not refuse must be one
+    Along each axis, the others at their values, the offsets that the readings do not reject must be one
     stretch about the solution that ends before the bound does, and none may be better by as much.
 
     Parameters
@@ -177,20 +177,20 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: Offs
     own, reasons = log_likelihood(intervals, found.solution), list[str]()
     determined = found.determined.copy()
     for axis in np.flatnonzero(found.determined):
-        line = offsets_along(found.solution, int(axis), question)
+        line = offsets_along(found.solution, int(axis), search)
         ratio = np.array([likelihood_ratio(own, log_likelihood(intervals, one)) for one in line])
         why = _rivals(ratio, line[:, axis], float(found.solution[axis]))
         if why:
             determined[axis] = False
             reasons.append(f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: {why}")
-    return found.with_axes(determined, question).with_reasons(*reasons) if reasons else found
+    return found.with_axes(determined, search).with_reasons(*reasons) if reasons else found
 
 
 def _rivals(ratio: Floats, place: Floats, solution: float) -> str:
-    """Return which other offsets of a line are not refused; empty when none are."""
-    if ratio.min() < -LIKELIHOOD.refused:
+    """Return which other offsets of a line are not rejected; empty when all are."""
+    if ratio.min() < -LIKELIHOOD.rejected:
         return f"the readings refuse it for {place[int(ratio.argmin())]:.1f} nT"
-    possible = ratio < LIKELIHOOD.refused
+    possible = ratio < LIKELIHOOD.rejected
     at = int(np.argmin(np.abs(place - solution)))
     possible[at] = True
     stretch = np.cumsum(np.diff(possible, prepend=False))
@@ -248,9 +248,9 @@ class CombinedEstimate:
     methods : tuple of Estimate
         Of each method, from the intervals that suit it.
     agreement : tuple of Agreement
-    kinds : Kinds
+    kinds : IntervalKinds
         Which intervals are Alfvenic, compressional, neither.
-    refused : tuple of str
+    unusable : tuple of str
         Methods that could not be used, and why.
     """
 
@@ -258,7 +258,7 @@ class CombinedEstimate:
     methods: tuple[Estimate, ...]
     agreement: tuple[Agreement, ...]
     kinds: IntervalKinds
-    refused: tuple[str, ...]
+    unusable: tuple[str, ...]
 
     @property
     def agrees(self) -> bool:
@@ -268,25 +268,10 @@ class CombinedEstimate:
     def summary(self) -> str:
         """Return everything, line by line."""
         lines = [self.estimate.summary(), self.kinds.summary(), *(one.summary() for one in self.methods)]
-        return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.refused])
-
-    def table(self) -> xr.Dataset:
-        """Return the combined offset (`Estimate.table`) with each method's and their agreement."""
-        names = [one.method for one in self.methods]
-        pairs = [f"{one.first} / {one.second}" for one in self.agreement]
-        return self.estimate.table().assign(
-            method_value=(("method", "parameter"), np.array([one.value for one in self.methods])),
-            method_sigma=(("method", "parameter"), np.array([one.sigma for one in self.methods])),
-            method_used=(("method", "interval"), np.array([one.used for one in self.methods])),
-            chance=("pair", np.array([one.chance for one in self.agreement])),
-            alfvenic=("interval", self.kinds.alfvenic),
-            compressional=("interval", self.kinds.compressional),
-            method=names,
-            pair=pairs,
-        )
+        return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.unusable])
 
 
-def combine_methods(intervals: Intervals, question: OffsetSearch | None = None) -> CombinedEstimate:
+def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) -> CombinedEstimate:
     """Estimate the offset by every method on the intervals that suit it.
 
     The methods and their intervals are those of `METHODS`. Which intervals are of which kind depends on the
@@ -299,16 +284,32 @@ def combine_methods(intervals: Intervals, question: OffsetSearch | None = None) 
     CalibrationError
         No method determines anything, with the reason of each.
     """
-    question = question or OffsetSearch()
+    search = search or OffsetSearch()
+    # Begun with: what is known, the offset of least variance, the most likely one, and that of mirror modes.
+    start = np.asarray(search.start, dtype=np.float64)
+    within = start - search.bound, start + search.bound
+    least = np.clip(least_variance_offset(intervals, search), *within)
+    begins = [start, least, most_likely_offset(intervals, least, search)]
+    with suppress(CalibrationError):
+        begins.append(mirror_mode(intervals, None, search).solution)
     found, failed = [], []
-    for near in _starts(intervals, question):
+    for near in begins:
         try:
-            found.append(_combine_from(intervals, question, near))
+            found.append(_combine_from(intervals, search, near))
         except CalibrationError as error:
             failed.append(error)
     if not found:
         raise failed[0]
-    best = _chosen(intervals, found)
+    # Under a wrong offset rotation looks like compression and both get mixed: among offsets that are equally
+    # likely the right one has methods that agree, and leaves most intervals of one kind.
+    likelihoods = [log_likelihood(intervals, one.estimate.solution) for one in found]
+    most = max(likelihoods, key=lambda one: float(one.sum()))
+    possible = [
+        one
+        for one, likelihood in zip(found, likelihoods, strict=True)
+        if likelihood_ratio(most, likelihood) < LIKELIHOOD.rejected
+    ]
+    best = min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
     rivals = [
         one
         for one in found
@@ -316,38 +317,22 @@ def combine_methods(intervals: Intervals, question: OffsetSearch | None = None) 
     ]
     others = tuple(f"another start leads elsewhere: {one.estimate.summary()}" for one in rivals)
     return replace(
-        best, estimate=without_ambiguous_axes(intervals, best.estimate, question).with_reasons(*others)
+        best, estimate=without_ambiguous_axes(intervals, best.estimate, search).with_reasons(*others)
     )
 
 
-def _chosen(intervals: Intervals, found: list[CombinedEstimate]) -> CombinedEstimate:
-    """Return the result to take of those that the readings do not refuse for the most likely one.
-
-    Under a wrong offset rotation looks like compression and both get mixed: among offsets that are equally
-    likely the right one has methods that agree, and leaves most intervals of one kind.
-    """
-    likelihoods = [log_likelihood(intervals, one.estimate.solution) for one in found]
-    most = max(likelihoods, key=lambda one: float(one.sum()))
-    possible = [
-        one
-        for one, of in zip(found, likelihoods, strict=True)
-        if likelihood_ratio(most, of) < LIKELIHOOD.refused
-    ]
-    return min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
-
-
-def _combine_from(intervals: Intervals, question: OffsetSearch, near: Floats) -> CombinedEstimate:
+def _combine_from(intervals: Intervals, search: OffsetSearch, near: Floats) -> CombinedEstimate:
     """Return the result from one offset to begin with."""
     offset, seen = near, set[tuple[bytes, bytes]]()
     for _ in range(COMBINATION.rounds):
         found = classify_intervals(intervals, offset)
-        methods, refused = _estimate_by_each(intervals, found, replace(question, near=tuple(offset)))
+        methods, unusable = _estimate_by_each(intervals, found, replace(search, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
-                f"no method tells an offset ({found.summary()}): {'; '.join(refused)}",
+                f"no method tells an offset ({found.summary()}): {'; '.join(unusable)}",
                 remedy="take a longer span, or one in which the field turns more",
             )
-        best = weighted_mean(methods, question)
+        best = weighted_mean(methods, search)
         kinds = found.alfvenic.tobytes(), found.compressional.tobytes()
         if kinds in seen:
             break
@@ -364,44 +349,31 @@ def _combine_from(intervals: Intervals, question: OffsetSearch, near: Floats) ->
         methods=tuple(methods),
         agreement=pairs,
         kinds=found,
-        refused=tuple(refused),
+        unusable=tuple(unusable),
     )
-
-
-def _starts(intervals: Intervals, question: OffsetSearch) -> list[Floats]:
-    """Return offsets to begin with: what is known, the most likely one, and those of two simple methods."""
-    start = np.asarray(question.start, dtype=np.float64)
-    least = np.clip(
-        least_variance_offset(intervals, question), start - question.bound, start + question.bound
-    )
-    begins = [start, least, most_likely_offset(intervals, least, question)]
-    try:
-        return [*begins, mirror_mode(intervals, None, question).solution]
-    except CalibrationError:
-        return begins
 
 
 def _estimate_by_each(
-    intervals: Intervals, found: IntervalKinds, question: OffsetSearch
+    intervals: Intervals, found: IntervalKinds, search: OffsetSearch
 ) -> tuple[list[Estimate], list[str]]:
     """Return the estimates of the methods, and why others give none."""
-    methods, refused = [], []
+    methods, unusable = [], []
     for method in METHODS.values():
         if not method.combined:
             continue
         try:
-            one = method.estimate(intervals, method.suits(found), question)
+            one = method.estimate(intervals, method.suits(found), search)
         except CalibrationError as error:
-            refused.append(str(error))
+            unusable.append(str(error))
             continue
         if one.determined.any():
             methods.append(one)
         else:
-            refused.append(f"{one.method}: {'; '.join(one.reasons)}")
-    return methods, refused
+            unusable.append(f"{one.method}: {'; '.join(one.reasons)}")
+    return methods, unusable
 
 
-def weighted_mean(methods: list[Estimate], question: OffsetSearch) -> Estimate:
+def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
     Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
@@ -412,14 +384,14 @@ def weighted_mean(methods: list[Estimate], question: OffsetSearch) -> Estimate:
     methods : list of Estimate
         On the same intervals.
     """
-    free = np.asarray(question.free)
+    free = np.asarray(search.free)
     inside = np.ix_(free, free)
     each = [np.linalg.inv(one.covariance[inside]) for one in methods]
     whole = np.linalg.inv(np.sum(each, axis=0))
     shares = [np.zeros((3, 3)) for _ in each]
     for share, one in zip(shares, each, strict=True):
         share[inside] = whole @ one
-    start = np.asarray(question.start)
+    start = np.asarray(search.start)
     solution = start + sum(
         (share @ (one.solution - start) for share, one in zip(shares, methods, strict=True)), np.zeros(3)
     )
@@ -433,7 +405,7 @@ def weighted_mean(methods: list[Estimate], question: OffsetSearch) -> Estimate:
         w * (1.0 - w) / freedom_of(one.influence[one.used]) for w, one in zip(part, methods, strict=True)
     )
     covariance = covariance_of(influence[used]) * (1.0 + 4.0 * max(chance, 0.0)) + systematic
-    determined = question.determined(covariance)
+    determined = search.determined(covariance)
     first = methods[0]
     names = ", ".join(one.method for one in methods)
     return Estimate(

@@ -1,4 +1,4 @@
-"""The estimate of an offset, the question it answers, and the solver that all methods share.
+"""The estimate of an offset, the search it answers, and the solver that all methods share.
 
 Takes: a method's equations, as scores and slopes of every interval (`Equations`). Makes (`solve`,
 `estimate_from_scores`): `Estimate`, the offset with its covariance, the axes that are determined, and the
@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -119,11 +118,6 @@ class Estimate:
         """Standard deviations, nT; infinite where not determined; (3,)."""
         return np.where(self.determined, np.sqrt(np.diag(self.covariance)), np.inf)
 
-    @property
-    def intervals_used(self) -> Int64:
-        """TT2000 of the intervals that took part; (interval, 2)."""
-        return np.stack([self.start[self.used], self.end[self.used]], axis=1)
-
     def with_systematic(self, shift: Floats, why: str) -> Estimate:
         """Return the same with a systematic error of up to `shift` (3,), nT, in its covariance."""
         sizes = ", ".join(f"{axis} {one:.3f}" for axis, one in zip(AXES, np.abs(shift), strict=True))
@@ -131,11 +125,11 @@ class Estimate:
         wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
         return wider.with_reasons(f"{why} may pull it by {sizes} nT")
 
-    def with_axes(self, determined: Bools, question: OffsetSearch) -> Estimate:
-        """Return the same with only some axes (3,) determined: the others at the question's start."""
-        lost = np.where(self.determined & ~determined, (SOLVER.undetermined * question.bound) ** 2, 0.0)
+    def with_axes(self, determined: Bools, search: OffsetSearch) -> Estimate:
+        """Return the same with only some axes (3,) determined: the others at the search's start."""
+        lost = np.where(self.determined & ~determined, (SOLVER.undetermined * search.bound) ** 2, 0.0)
         return replace(
-            self, determined=determined, solution=np.where(determined, self.solution, question.start),
+            self, determined=determined, solution=np.where(determined, self.solution, search.start),
             covariance=self.covariance + np.diag(lost), systematic=self.systematic + np.diag(lost),
         )  # fmt: skip
 
@@ -150,24 +144,6 @@ class Estimate:
     def with_reasons(self, *reasons: str) -> Estimate:
         """Return the same with more reasons."""
         return replace(self, reasons=(*self.reasons, *reasons))
-
-    def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `covariance`, `determined` along parameter, and `used` along interval."""
-        names = [f"offset_{axis}" for axis in AXES]
-        return xr.Dataset(
-            {
-                "value": ("parameter", self.value, {"units": "nT"}),
-                "sigma": ("parameter", self.sigma, {"units": "nT"}),
-                "covariance": (("parameter", "other"), self.covariance, {"units": "nT^2"}),
-                "determined": ("parameter", self.determined),
-                "units": ("parameter", np.array(["nT"] * 3)),
-                "used": ("interval", self.used),
-                "start": ("interval", self.start, {"scale": "TT2000"}),
-                "end": ("interval", self.end, {"scale": "TT2000"}),
-            },
-            coords={"parameter": names, "other": names},
-            attrs={"method": self.method, "reasons": "; ".join(self.reasons)},
-        )
 
 
 @dataclass(frozen=True)
@@ -268,7 +244,7 @@ def solve(
     equations: Equations,
     intervals: Intervals,
     used: Bools,
-    question: OffsetSearch,
+    search: OffsetSearch,
     true_slopes: Slopes | None = None,
     *,
     first: Floats | None = None,
@@ -286,7 +262,7 @@ def solve(
     true_slopes : callable, optional
         Derivatives of the scores that include how weights follow the offset; the slopes when absent.
     first : ndarray, shape (3,), optional
-        Where to begin; the question's start when absent.
+        Where to begin; the search's start when absent.
     signed : bool
         The slopes of intervals may have either sign and cancel: the sum must stand out of their scatter.
     turning : bool
@@ -297,8 +273,8 @@ def solve(
     CalibrationError
         When the solution does not settle within the bound.
     """
-    free, start = np.asarray(question.free), np.asarray(question.start, dtype=np.float64)
-    within = (start - question.bound, start + question.bound)
+    free, start = np.asarray(search.free), np.asarray(search.start, dtype=np.float64)
+    within = (start - search.bound, start + search.bound)
     begin = start if first is None else first
     offset, settled = np.clip(np.where(free, begin, start), *within), False
     for _ in range(SOLVER.rounds):
@@ -306,7 +282,7 @@ def solve(
         step = invert_slopes(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
         settled = bool(np.abs(step).max() < SOLVER.settled)
         # Far from the zero the slopes are those of another field: no step leaves their reach.
-        step = step * min(1.0, SOLVER.stride * question.bound / max(float(np.abs(step).max()), 1e-300))
+        step = step * min(1.0, SOLVER.stride * search.bound / max(float(np.abs(step).max()), 1e-300))
         offset = np.clip(offset + step, *within)
         if settled:
             break
@@ -314,17 +290,17 @@ def solve(
     if true_slopes is not None:
         slopes = true_slopes(offset)
         inverse = inverse_of_true_slopes(inverse, slopes[used].sum(axis=0))
-    at_edge = free & (np.abs(offset - start) >= question.bound)
+    at_edge = free & (np.abs(offset - start) >= search.bound)
     notes = []
     if at_edge.any() or not settled:
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
-        notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
+        notes.append(f"no zero within {search.bound:g} nT of the start ({where})")
         known = np.zeros((3, 3))
-    if not turning and intervals.where(used).encloses(offset):
+    if not turning and intervals.select(used).encloses(offset):
         notes.append("the zero found lies within the readings themselves")
         known = np.zeros((3, 3))
     return estimate_from_scores(
-        method, offset, (scores, slopes, inverse, known), intervals, used, question, tuple(notes)
+        method, offset, (scores, slopes, inverse, known), intervals, used, search, tuple(notes)
     )
 
 
@@ -359,7 +335,7 @@ def estimate_from_scores(
     parts: tuple[Floats, Floats, Floats, Floats],
     intervals: Intervals,
     used: Bools,
-    question: OffsetSearch,
+    search: OffsetSearch,
     reasons: tuple[str, ...],
 ) -> Estimate:
     """Return the estimate at a solution, its covariance from the scores of the intervals.
@@ -376,12 +352,18 @@ def estimate_from_scores(
         Why nothing is determined, or what may bias it.
     """
     scores, slopes, inverse, known = parts
-    influence = np.where(used[:, None], _leave_one_out(scores, slopes, inverse), 0.0)
+    # An interval of much information draws the solution to itself and hides its own error: what counts is by
+    # how much the solution moves when the interval is left out.
+    share = slopes @ inverse
+    own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
+    share = share * np.minimum(1.0, SOLVER.most_share / np.maximum(own, 1e-300))
+    alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
+    influence = np.where(used[:, None], alone @ inverse.T, 0.0)
     covariance = covariance_of(influence[used])
-    unknown = (np.eye(3) - known) * (SOLVER.undetermined * question.bound) ** 2
-    determined = question.determined(covariance + unknown)
+    unknown = (np.eye(3) - known) * (SOLVER.undetermined * search.bound) ** 2
+    determined = search.determined(covariance + unknown)
     lost = [
-        axis for axis, found, free in zip(AXES, determined, question.free, strict=True) if free and not found
+        axis for axis, found, free in zip(AXES, determined, search.free, strict=True) if free and not found
     ]
     if lost:
         none = not known.any()
@@ -391,7 +373,7 @@ def estimate_from_scores(
         reasons = (*reasons, f"cannot tell {', '.join(lost)}: {cause}")
     return Estimate(
         method=method,
-        solution=np.where(determined, offset, np.asarray(question.start)),
+        solution=np.where(determined, offset, np.asarray(search.start)),
         covariance=covariance + unknown,
         determined=determined,
         influence=influence,
@@ -431,15 +413,3 @@ def freedom_of(influence: Floats) -> float:
     parts = influence @ (vector[:, seen] / np.sqrt(size[seen]))
     kurtosis = len(influence) * float(np.mean(np.sum(parts**4, axis=0)))
     return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), SOLVER.least_freedom)
-
-
-def _leave_one_out(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:
-    """Return by how much the solution moves when each interval is left out; (interval, 3), nT.
-
-    An interval of much information draws the solution to itself and hides its own error.
-    """
-    share = slopes @ inverse
-    own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
-    share = share * np.minimum(1.0, SOLVER.most_share / np.maximum(own, 1e-300))
-    alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
-    return np.asarray(alone @ inverse.T)

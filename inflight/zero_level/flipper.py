@@ -19,7 +19,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -59,19 +58,6 @@ class Flipped:
             f"{name} {v:.2f} +- {s:.2f} nT" for name, v, s in zip(PARTS, self.value, self.sigma, strict=True)
         ]
         return f"{', '.join(parts)}; sensor 2 and the spacecraft's field along it cannot be told apart"
-
-    def table(self) -> xr.Dataset:
-        """Return value, sigma, covariance along parameter."""
-        return xr.Dataset(
-            {
-                "value": ("parameter", self.value, {"units": "nT"}),
-                "sigma": ("parameter", self.sigma, {"units": "nT"}),
-                "covariance": (("parameter", "other"), self.covariance, {"units": "nT^2"}),
-                "units": ("parameter", np.array(["nT"] * 4)),
-            },
-            coords={"parameter": list(PARTS), "other": list(PARTS)},
-            attrs={"cannot_separate": "sensor 2 from the spacecraft's field along it"},
-        )
 
 
 def separate_flipped(

@@ -7,8 +7,7 @@ methods work on the same intervals, so that their errors can be compared interva
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -164,7 +163,7 @@ class Intervals:
     def __len__(self) -> int:
         return len(self.start)
 
-    def where(self, chosen: Bools | npt.NDArray[np.int64]) -> Intervals:
+    def select(self, chosen: Bools | npt.NDArray[np.int64]) -> Intervals:
         """Return some of the intervals; a boolean mask (interval,) or indices."""
         parts = ("tt2000", "field", "start", "end")
         kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in parts}
@@ -212,27 +211,6 @@ class Intervals:
         apart = np.diff(self.tt2000, axis=1) / SECOND
         there = np.isfinite(self.field[:, 1:, 0]) & np.isfinite(self.field[:, :-1, 0])
         return np.asarray(there & (apart < GAP * self.cadence_s))
-
-    @staticmethod
-    def joined(parts: Sequence[Intervals]) -> Intervals:
-        """Return the intervals of several records of one cadence, in the order given."""
-        width = max(part.field.shape[1] for part in parts)
-        one = parts[0]
-        arrays: dict[str, Any] = {
-            spec.name: np.concatenate([_padded(getattr(part, spec.name), width) for part in parts])
-            for spec in fields(one)
-            if spec.name in ("tt2000", "field", "start", "end")
-        }
-        return replace(one, **arrays, notes=tuple(note for part in parts for note in part.notes))
-
-
-def _padded(values: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.generic]:
-    """Return (interval, sample, ...) padded to `width` samples; (interval,) as it is."""
-    if values.ndim == 1 or values.shape[1] == width:
-        return values
-    room = [(0, 0), (0, width - values.shape[1]), *[(0, 0)] * (values.ndim - 2)]
-    fill = np.nan if values.dtype.kind == "f" else 0
-    return np.pad(values, room, constant_values=fill)
 
 
 def _clean(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:

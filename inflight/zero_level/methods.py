@@ -1,4 +1,4 @@
-r"""The methods of the zero level, one call each: ``method(intervals, used, question) -> Estimate``.
+r"""The methods of the zero level, one call each: ``method(intervals, used, search) -> Estimate``.
 
 Takes: `Intervals`, which of them are of the method's kind, and a `OffsetSearch`. Makes: `Estimate`. The table
 `METHODS` names every method, the intervals that suit it, and whether `inflight.zero_level.combination` uses
@@ -59,7 +59,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -137,20 +136,6 @@ class IntervalKinds:
         counts = [int(part.sum()) for part in (self.alfvenic, self.compressional, self.neither)]
         return f"{counts[0]} Alfvenic, {counts[1]} compressional, {counts[2]} neither"
 
-    def table(self) -> xr.Dataset:
-        """Return everything along interval; `value` is the compression, its sigma is not known (NaN)."""
-        return xr.Dataset(
-            {
-                "value": ("interval", self.compression),
-                "sigma": ("interval", np.full(self.compression.size, np.nan)),
-                "rotation": ("interval", self.rotation, {"units": "rad"}),
-                "alfvenic": ("interval", self.alfvenic),
-                "compressional": ("interval", self.compressional),
-                "start": ("interval", self.start, {"scale": "TT2000"}),
-                "end": ("interval", self.end, {"scale": "TT2000"}),
-            }
-        )
-
 
 def classify_intervals(intervals: Intervals, offset: Floats) -> IntervalKinds:
     """Return which intervals are Alfvenic and which compressional.
@@ -191,13 +176,17 @@ def least_variance_equations(intervals: Intervals) -> tuple[Floats, Floats]:
 
 def compression(intervals: Intervals, offset: Floats) -> Floats:
     """Return the variance of |B - O| in each interval; (interval,), nT^2."""
-    size = np.linalg.norm(intervals.field - offset, axis=2)
-    mean = np.nansum(size, axis=1) / intervals.count
-    return np.asarray(np.nansum((size - mean[:, None]) ** 2, axis=1) / intervals.count)
+    return _variance(np.linalg.norm(intervals.field - offset, axis=2), intervals.count)
+
+
+def _variance(values: Floats, count: Floats) -> Floats:
+    """Return the variance of values (interval, sample), NaN where missing, in each interval; (interval,)."""
+    mean = np.nansum(values, axis=1) / count
+    return np.asarray(np.nansum((values - mean[:, None]) ** 2, axis=1) / count)
 
 
 def davis_smith(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+    intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset by Davis-Smith, with the bias of compressions taken off.
 
@@ -206,15 +195,15 @@ def davis_smith(
     intervals : Intervals
     used : ndarray of bool, shape (interval,), optional
         Alfvenic intervals (`classify_intervals`); all when absent.
-    question : Question, optional
+    search : OffsetSearch, optional
 
     Raises
     ------
     CalibrationError
         Too few intervals.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(DAVIS_SMITH, intervals, used)
+    search = search or OffsetSearch()
+    mask = search.select_intervals(DAVIS_SMITH, intervals, used)
     a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
 
@@ -225,49 +214,49 @@ def davis_smith(
         slope = slope - squeezed[:, None, None] * np.eye(3)
         return weight * residual, weight[..., None] * slope
 
-    part = intervals.where(mask)
+    part = intervals.select(mask)
     each = [
-        solve(DAVIS_SMITH, equations, intervals, mask, question, first=first, signed=True)
-        for first in question.starts(least_variance_offset(part, question))
+        solve(DAVIS_SMITH, equations, intervals, mask, search, first=first, signed=True)
+        for first in search.starts(least_variance_offset(part, search))
     ]
     # The offset under which the size of the field varies least.
     return best_estimate(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
 
 
 def davis_smith_as_published(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+    intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset by Davis-Smith as published; the bias of compressions enters the covariance.
 
     Linear in the offset, so that readings in turning axes are allowed. Parameters and errors as for
     `davis_smith`.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(DAVIS_SMITH, intervals, used)
+    search = search or OffsetSearch()
+    mask = search.select_intervals(DAVIS_SMITH, intervals, used)
     a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return weight * (b - a @ offset), weight[..., None] * a
 
-    found = solve(DAVIS_SMITH, equations, intervals, mask, question, turning=True)
-    return found.with_systematic(compression_bias(intervals, found, question), "compressions")
+    found = solve(DAVIS_SMITH, equations, intervals, mask, search, turning=True)
+    return found.with_systematic(compression_bias(intervals, found, search), "compressions")
 
 
-def least_variance_offset(intervals: Intervals, question: OffsetSearch) -> Floats:
+def least_variance_offset(intervals: Intervals, search: OffsetSearch) -> Floats:
     """Return the offset of least variance of the square of all intervals, in closed form; (3,), nT."""
     a, b = least_variance_equations(intervals)
-    start, weight = np.asarray(question.start), intervals.count[:, None]
-    inverse, _ = invert_slopes(weight[..., None] * a, np.asarray(question.free), 0.0)
+    start, weight = np.asarray(search.start), intervals.count[:, None]
+    inverse, _ = invert_slopes(weight[..., None] * a, np.asarray(search.free), 0.0)
     return np.asarray(start + inverse @ np.sum(weight * (b - a @ start), axis=0))
 
 
-def compression_bias(intervals: Intervals, found: Estimate, question: OffsetSearch) -> Floats:
+def compression_bias(intervals: Intervals, found: Estimate, search: OffsetSearch) -> Floats:
     """Return the bias of a Davis-Smith offset as published by compressions along the mean field; (3,), nT."""
-    part = intervals.where(found.used)
+    part = intervals.select(found.used)
     rest = np.maximum(compression(part, found.solution) - part.white**2, 0.0)
     slopes = part.count[:, None, None] * least_variance_equations(part)[0]
-    inverse, _ = invert_slopes(slopes, np.asarray(question.free), 0.0)
+    inverse, _ = invert_slopes(slopes, np.asarray(search.free), 0.0)
     weight = (part.count * rest)[:, None]
     return np.asarray(inverse @ np.sum(weight * (part.mean - found.solution), axis=0))
 
@@ -295,7 +284,7 @@ def pair_changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, 
 
 
 def minimum_correlation(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+    intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset along all axes at once from uncorrelated changes of size and direction.
 
@@ -308,34 +297,32 @@ def minimum_correlation(
         Of averages over whole spins and whole samples.
     used : ndarray of bool, shape (interval,), optional
         Any kind of interval may take part.
-    question : Question, optional
+    search : OffsetSearch, optional
 
     Raises
     ------
     CalibrationError
         Too few intervals.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(
-        MINIMUM_CORRELATION, intervals, used, above_noise=False
-    )  # noise drops out
+    search = search or OffsetSearch()
+    mask = search.select_intervals(MINIMUM_CORRELATION, intervals, used, above_noise=False)  # noise drops out
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
 
-    part = intervals.where(mask)
+    part = intervals.select(mask)
     # Correlations vanish far out and within the readings, too: of several zeros that is taken at which
     # compression and rotation differ most.
     found = best_estimate(
         [
-            solve(MINIMUM_CORRELATION, equations, intervals, mask, question, first=first, signed=True)
-            for first in question.starts(least_variance_offset(part, question))
+            solve(MINIMUM_CORRELATION, equations, intervals, mask, search, first=first, signed=True)
+            for first in search.starts(least_variance_offset(part, search))
         ],
         lambda one: abs(float(np.log(compression_over_rotation(part, one.solution)))),
     )
     ratio = float(compression_over_rotation(part, found.solution))
     why = f"compression over rotation is {ratio:.2f}"
-    if not found.determined[np.asarray(question.free)].all():
+    if not found.determined[np.asarray(search.free)].all():
         why += "; the method is blind where it is 1"
     return found.with_reasons(why)
 
@@ -358,16 +345,7 @@ def _broadcast(offset: Floats) -> Floats:
     return offset[:, None, :] if offset.ndim == 2 else offset
 
 
-def interval_lines(intervals: Intervals) -> tuple[Floats, Floats]:
-    """Return the direction (interval, 3) of each line and the projector across it (interval, 3, 3)."""
-    _, vectors = np.linalg.eigh(intervals.covariance)
-    least = vectors[:, :, 0]
-    return least, np.eye(3) - least[:, :, None] * least[:, None, :]
-
-
-def wang_pan(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
-) -> Estimate:
+def wang_pan(intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None) -> Estimate:
     """Estimate the offset as the meeting point of the intervals' lines.
 
     Parameters
@@ -375,23 +353,25 @@ def wang_pan(
     intervals : Intervals
     used : ndarray of bool, shape (interval,), optional
         Alfvenic intervals; all when absent.
-    question : Question, optional
+    search : OffsetSearch, optional
 
     Raises
     ------
     CalibrationError
         Too few intervals.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(WANG_PAN, intervals, used)
+    search = search or OffsetSearch()
+    mask = search.select_intervals(WANG_PAN, intervals, used)
     a, b = least_variance_equations(intervals)
-    across = interval_lines(intervals)[1]
+    # The projector across the direction of least variance, along which the intervals' lines lie.
+    least = np.linalg.eigh(intervals.covariance)[1][:, :, 0]
+    across = np.eye(3) - least[:, :, None] * least[:, None, :]
     slope = across @ a @ across
 
     def parts(offset: Floats) -> tuple[Floats, Floats]:
         squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
         residual = b - a @ offset - squeezed[:, None] * (intervals.mean - offset)
-        variance = square_variance(intervals, offset)
+        variance = _variance(0.5 * np.sum((intervals.field - offset) ** 2, axis=2), intervals.count)
         # No line is known much better than usual: the small variance of some intervals is chance.
         return residual, intervals.count / (variance + np.median(variance[mask]))
 
@@ -408,30 +388,17 @@ def wang_pan(
         return np.asarray(weight[:, None, None] * slope - follow)
 
     found = solve(
-        WANG_PAN, equations, intervals, mask, question, true_slopes, first=question.starts(np.zeros(3))[0]
+        WANG_PAN, equations, intervals, mask, search, true_slopes, first=search.starts(np.zeros(3))[0]
     )
     residual, weight = parts(found.solution)
     along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, residual)
-    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(search.free), 0.0)
     inverse = inverse_of_true_slopes(inverse, true_slopes(found.solution)[mask].sum(axis=0))
     return found.with_systematic(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
 
 
-def square_variance(intervals: Intervals, offset: Floats) -> Floats:
-    """Return the variance of half the square of the corrected field; (interval,), nT^4."""
-    half = 0.5 * np.sum((intervals.field - offset) ** 2, axis=2)
-    rest = np.nan_to_num(half - (np.nansum(half, axis=1) / intervals.count)[:, None])
-    return np.asarray(np.sum(rest**2, axis=1) / intervals.count)
-
-
-def direction_of_most_variance(intervals: Intervals) -> Floats:
-    """Return the direction of most variance of each interval; (interval, 3)."""
-    _, vectors = np.linalg.eigh(intervals.covariance)
-    return np.asarray(vectors[:, :, 2])
-
-
 def mirror_mode(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+    intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset from the direction of most variance.
 
@@ -439,17 +406,17 @@ def mirror_mode(
     ----------
     intervals : Intervals
     used : ndarray of bool, shape (interval,), optional
-        Compressional intervals (`inflight.zero_level.methods`); all when absent.
-    question : Question, optional
+        Compressional intervals (`classify_intervals`); all when absent.
+    search : OffsetSearch, optional
 
     Raises
     ------
     CalibrationError
         Too few intervals.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(MIRROR_MODE, intervals, used)
-    direction, mean = direction_of_most_variance(intervals), intervals.mean
+    search = search or OffsetSearch()
+    mask = search.select_intervals(MIRROR_MODE, intervals, used)
+    direction, mean = np.linalg.eigh(intervals.covariance)[1][:, :, 2], intervals.mean
 
     def tilts(offset: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         field = mean - offset
@@ -480,11 +447,11 @@ def mirror_mode(
         )
 
     found = solve(
-        MIRROR_MODE, equations, intervals, mask, question, true_slopes, first=question.starts(np.zeros(3))[0]
+        MIRROR_MODE, equations, intervals, mask, search, true_slopes, first=search.starts(np.zeros(3))[0]
     )
     deviation, scaled, size, _, _ = tilts(found.solution)
     square = np.sum(deviation**2, axis=1) * biweight(scaled) / size**2
-    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(search.free), 0.0)
     inverse = inverse_of_true_slopes(inverse, true_slopes(found.solution)[mask].sum(axis=0))
     most = inverse @ np.sum((square[:, None] * (mean - found.solution))[mask], axis=0)
     return found.with_systematic(most / np.sqrt(3.0), "turning of the mean field within intervals")
@@ -647,7 +614,7 @@ def _nearest_zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple
 
 
 def hedgecock(
-    intervals: Intervals, used: Bools | None = None, question: OffsetSearch | None = None
+    intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None
 ) -> Estimate:
     """Estimate the offset one axis after the other, as the tests on IMP-8 and Helios did it.
 
@@ -660,22 +627,22 @@ def hedgecock(
         Of averages over whole spins and whole samples.
     used : ndarray of bool, shape (interval,), optional
         Any kind of interval may take part.
-    question : Question, optional
+    search : OffsetSearch, optional
 
     Raises
     ------
     CalibrationError
         Too few intervals, or too few pairs 30 to 150 degrees from an axis.
     """
-    question = question or OffsetSearch()
-    mask = question.select_intervals(HEDGECOCK, intervals, used, above_noise=False)  # noise drops out
-    free, part = np.asarray(question.free), intervals.where(mask)
+    search = search or OffsetSearch()
+    mask = search.select_intervals(HEDGECOCK, intervals, used, above_noise=False)  # noise drops out
+    free, part = np.asarray(search.free), intervals.select(mask)
     axes = tuple(int(axis) for axis in np.flatnonzero(free))
     ends = np.zeros((len(part), 1), dtype=bool)
     joined = np.concatenate([part.neighbours, ends], axis=1).ravel()[:-1]
-    start = question.starts(np.zeros(3))[0]
+    start = search.starts(np.zeros(3))[0]
     readings = part.field.reshape(-1, 3) - start
-    found = axis_in_turn(readings, joined, bound=question.bound, axes=axes)
+    found = axis_in_turn(readings, joined, bound=search.bound, axes=axes)
     offset = np.where(free, start + np.nan_to_num(found.value), start)
     pairs = {axis: pairs_within(readings - (offset - start), axis, joined) for axis in axes}
 
@@ -699,38 +666,38 @@ def hedgecock(
     whole[mask], slope[mask] = scores(offset), slopes
     inverse, known = invert_slopes(slopes, free, SOLVER.determined)
     reasons = []
-    if not found.settled or np.any(np.abs(offset - np.asarray(question.start)) >= question.bound):
+    if not found.settled or np.any(np.abs(offset - np.asarray(search.start)) >= search.bound):
         reasons.append(
-            f"no zero within {question.bound:g} nT of the start that {len(found.history)} rounds settle to"
+            f"no zero within {search.bound:g} nT of the start that {len(found.history)} rounds settle to"
         )
     if part.encloses(offset):
         reasons.append("the zero found lies within the readings themselves")
     known = np.zeros((3, 3)) if reasons else known
     return estimate_from_scores(
-        HEDGECOCK, offset, (whole, slope, inverse, known), intervals, mask, question, tuple(reasons)
+        HEDGECOCK, offset, (whole, slope, inverse, known), intervals, mask, search, tuple(reasons)
     )
 
 
-def zero_of_minimum_correlation(intervals: Intervals, question: OffsetSearch) -> Floats:
+def zero_of_minimum_correlation(intervals: Intervals, search: OffsetSearch) -> Floats:
     """Return the zero of minimum correlation of a short record and its error, without further tests; (2, 3).
 
     The errors are those of the intervals' scores, taken as independent. NaN where there is no zero within the
     bound. Of several zeros that is taken at which compression and rotation differ most.
     """
-    free, found = np.asarray(question.free), list[Floats]()
-    for first in question.starts(least_variance_offset(intervals, question)):
+    free, found = np.asarray(search.free), list[Floats]()
+    for first in search.starts(least_variance_offset(intervals, search)):
         offset, settled = first, False
         for _ in range(SOLVER.rounds):
             scores, slopes = joint_equations(intervals, offset)
             # A set of little information has a large error, and shows in the scatter of the sets.
             inverse, _ = invert_slopes(slopes, free, 0.0)
             step = inverse @ scores.sum(axis=0)
-            step = step * min(1.0, SOLVER.stride * question.bound / max(float(np.abs(step).max()), 1e-300))
+            step = step * min(1.0, SOLVER.stride * search.bound / max(float(np.abs(step).max()), 1e-300))
             offset = offset + step
             settled = bool(np.abs(step).max() < SOLVER.settled)
-            if settled or np.abs(offset).max() >= question.bound:
+            if settled or np.abs(offset).max() >= search.bound:
                 break
-        if settled and np.abs(offset).max() < question.bound and not intervals.encloses(offset):
+        if settled and np.abs(offset).max() < search.bound and not intervals.encloses(offset):
             influence = scores @ inverse.T
             found.append(np.stack([offset, np.sqrt(np.sum(influence**2, axis=0)) + 1e-9]))
     if not found:
@@ -750,7 +717,7 @@ class Method:
     name : str
         As `Estimate.method` has it.
     estimate : callable
-        ``estimate(intervals, used, question) -> Estimate``.
+        ``estimate(intervals, used, search) -> Estimate``.
     suits : callable
         From `IntervalKinds` to the intervals it may use, (interval,).
     combined : bool

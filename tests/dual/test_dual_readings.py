@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from inflight.dual import Correction, Readings, no_correction
 from inflight.dual.readings import white_covariance
@@ -40,14 +40,6 @@ def test_readings_that_seldom_change_still_have_noise():
 def test_the_ambient_field_is_not_in_the_difference():
     pair = readings(np.ones((50, 3)), np.linspace(0, 100, 50)[:, None])
     assert_allclose(pair.difference, 1.0)
-
-
-def test_a_gap_ends_a_piece_and_a_missing_reading_does_not():
-    pair = readings(np.zeros((20, 3)))
-    pair.inboard[4, 1] = np.nan
-    kept = pair.select(np.r_[0:10, 15:20])
-    assert kept.pieces() == [slice(0, 10), slice(10, 15)]
-    assert_array_equal(np.flatnonzero(~kept.good), [4])
 
 
 def test_stamps_must_increase():

@@ -124,7 +124,7 @@ def test_what_figures_share_is_made_once():
         made.append(number)
         return number * 2
 
-    assert [scene.once(costly, 3), scene.once(costly, 3), scene.once(costly, 4)] == [6, 6, 8]
+    assert [scene.cached(costly, 3), scene.cached(costly, 3), scene.cached(costly, 4)] == [6, 6, 8]
     assert made == [3, 4]
 
 

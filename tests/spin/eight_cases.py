@@ -19,6 +19,14 @@ def signed(seed):
     return CalibrationParameters.from_values(values)
 
 
+def axis_angles(matrix):
+    """Angles of the sensor axes from the spin axis and in the spin plane, and gains, of a coupling matrix."""
+    rows = np.linalg.inv(matrix)
+    length = np.linalg.norm(rows, axis=1)
+    unit = rows / length[:, None]
+    return np.arccos(unit[:, 2]), np.arctan2(unit[:, 1], unit[:, 0]), 1.0 / length
+
+
 def joined(first, second):
     """One record after another, the phase going on."""
     step = int(np.median(np.diff(first.stamps)))

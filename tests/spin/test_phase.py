@@ -7,7 +7,7 @@ from farrell_cases import TURN, phase_of, record, sensors, stamps_of
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
 from inflight.spin import check_period, phase_from_angle, phase_from_pulses
-from inflight.spin.phase import count_turns, phase_from_period
+from inflight.spin.phase import count_turns
 from inflight.time import SECOND
 
 PERIOD = 3.03
@@ -238,19 +238,11 @@ def test_the_sensor_may_look_elsewhere_than_along_xa():
     np.testing.assert_allclose(aside.phase - straight.phase, -0.5, atol=1e-9)
 
 
-def test_a_constant_period_needs_no_marks():
-    phase = phase_from_period(stamps_of(100, start=10**18), 3.0, 10**18, 0.25)
-    np.testing.assert_allclose(phase, 0.25 + np.arange(100) * 0.25 * TURN / 3.0, atol=1e-9)
-    with pytest.raises(SamplesError, match="0 s found"):
-        phase_from_period(stamps_of(3), 0.0, 0)
-
-
-def test_the_table_holds_the_period_and_its_sigma():
+def test_the_summary_begins_with_the_period():
     spin = Spin(turns=300)
-    table = spin.found(spin.pulses).table()
-    assert table["value"].values == pytest.approx(PERIOD, rel=1e-3)
-    assert (table["sigma"].values > 0).all()
-    assert table.attrs["told"].startswith("spin period")
+    found = spin.found(spin.pulses)
+    assert found.marks.period == pytest.approx(PERIOD, rel=1e-3)
+    assert found.summary().startswith("spin period")
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.003, 1.5, 2.0])
@@ -263,7 +255,6 @@ def test_the_field_shows_that_a_phase_turns_at_a_wrong_rate(factor):
     assert not found.agrees
     assert "WRONG" in found.summary()
     assert found.period == pytest.approx(3.0, rel=1e-3)
-    assert float(found.table()["value"]) == found.period
 
 
 def test_the_period_of_the_field_is_within_its_sigma():

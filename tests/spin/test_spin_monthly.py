@@ -1,4 +1,4 @@
-"""Days with the offset of their calendar month along the spin axis; months are closed by themselves."""
+"""Days and months with the offset of calendar months along the spin axis; months are closed by themselves."""
 
 import numpy as np
 import pytest
@@ -55,16 +55,26 @@ def test_each_month_has_its_own_offset_along_the_axis_within_its_error(closed):
     assert np.abs(pulls).max() < 4.0
 
 
-def test_days_and_months_take_the_offset_of_their_month(closed):
+def test_a_month_that_agrees_with_the_one_before_keeps_its_offset(closed):
+    """A new value within the errors of both would only make products step at the month's edge."""
     cat = Catalog(closed[0].root)
     zero = cat.table("main-zero-level-monthly", "2012-04-01")
+    value, sigma = zero["value"].values, zero["sigma"].values
+    assert abs(value[1] - value[0]) < 3.0 * np.hypot(*sigma)
     daily, monthly = (cat.table(f"main-{kind}", "2012-04-01") for kind in ("daily", "monthly"))
     assert daily.sizes["interval"] == 5
     assert monthly.sizes["interval"] == 2
     for table in (daily, monthly):
         month = (table["start"].values >= day_bounds(APRIL)[0]).astype(int)
-        np.testing.assert_array_equal(table["value"].values[:, AXIAL], zero["value"].values[month])
-        np.testing.assert_array_equal(table["sigma"].values[:, AXIAL], zero["sigma"].values[month])
+        own, decision = (table[name].values[:, AXIAL] for name in ("own", "decision"))
+        np.testing.assert_array_equal(own, value[month])
+        np.testing.assert_array_equal(table["own_sigma"].values[:, AXIAL], sigma[month])
+        np.testing.assert_array_equal(table["value"].values[:, AXIAL], value[0])
+        assert decision[0] == "update"
+        assert set(decision[1:]) <= {"confirm", "keep"}
+        # The month's own offset bounds the error of the one that is kept.
+        most = np.minimum(sigma[0], np.hypot(sigma, value - value[0]))[month]
+        assert np.all(table["sigma"].values[:, AXIAL] <= most * (1.0 + 1e-9))
 
 
 def test_a_month_closed_again_costs_nothing(closed):

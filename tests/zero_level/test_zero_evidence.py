@@ -51,7 +51,7 @@ def test_the_most_evident_offset_lies_near_the_truth_in_rotations_and_in_compres
     said = log_likelihood(intervals, found)
     for far in (-25.0, 25.0):
         assert (
-            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > LIKELIHOOD.refused
+            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > LIKELIHOOD.rejected
         )
 
 
@@ -80,7 +80,8 @@ def test_a_field_that_fluctuates_alike_in_all_directions_tells_no_offset():
     intervals = along_axis(stamps(2880, 30.0), field, 2.0)
     own = log_likelihood(intervals, np.array([0.0, 0.0, 2.0]))
     assert (
-        abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0])))) < LIKELIHOOD.refused
+        abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0]))))
+        < LIKELIHOOD.rejected
     )
     estimate = minimum_correlation(intervals, None, AXIAL)
     claimed = replace(estimate, determined=np.array([False, False, True]), solution=np.array([0.0, 0.0, 2.0]))
@@ -95,13 +96,13 @@ def test_the_sign_of_intervals_counts_and_not_how_strong_the_wind_was():
     generator = np.random.default_rng(47)
     strength = np.repeat(np.exp(generator.normal(size=12)), 8)
     nothing = np.zeros(96)
-    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD.refused
+    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD.rejected
     tossed = [
         abs(likelihood_ratio(strength * generator.choice([-1.0, 1.0], 96), nothing)) for _ in range(400)
     ]
-    assert np.mean(np.array(tossed) < LIKELIHOOD.refused) > 0.98
+    assert np.mean(np.array(tossed) < LIKELIHOOD.rejected) > 0.98
     # Four intervals cannot refuse anything, were they never so sure.
-    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD.refused
+    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD.rejected
 
 
 def test_two_roads_to_one_zero_agree():

@@ -27,5 +27,4 @@ def test_methods_kinds_scatter_and_sets_are_drawn():
     size = np.sqrt(np.mean(scatter.scatter**2, axis=1))
     assert size[1] < size[0]
     assert drawn(scatter_figure([scatter])) >= 4
-    assert scatter.table()["value"].dims == ("hours", "axis")
     assert drawn(sets_figure(correlation_sets(times, field))) >= 18

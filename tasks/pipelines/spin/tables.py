@@ -359,14 +359,14 @@ def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: floa
     times, means = _sorted(times[known], means[known])
     each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(COMBINED_METHODS))
     count, start = 0, float(ground.offset[2])
-    question = OffsetSearch(free=(False, False, True), bound=bound)
+    search = OffsetSearch(free=(False, False, True), bound=bound)
     try:
         intervals = Intervals.of(times, means, ZERO_INTERVAL_S)
         count = len(intervals.start)
         if count < _FEWEST_INTERVALS:
             why = f"{count} quarter hours, at least {_FEWEST_INTERVALS} needed"
             return _Zero(start, float("inf"), GROUND, why, count, each)
-        found = combine_methods(intervals, question)
+        found = combine_methods(intervals, search)
     except InflightError as error:
         return _Zero(start, float("inf"), GROUND, error.message, count, each)
     # A field of no size along the axis reads as the matrix's last row makes of the offset.
