@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -152,29 +152,26 @@ def write_deliveries(
 ) -> list[Path]:
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
     from inflight.flows import available_cores
+    from inflight.tasks.archive import simulate as simulate_days
 
-    kind, write_files = _simulator(mission)
-    return write_files(
-        kind.model_validate(settings),
+    return simulate_days(
+        _settings_of(mission).model_validate(settings),
         folder,
         progress=lambda done, total: progress("simulate", done, total),
         workers=workers or available_cores(),
     )
 
 
-def _simulator(mission: str) -> tuple[type[MissionSettings], Callable[..., list[Path]]]:
-    """Return the settings of a simulated mission, and what writes its days."""
+def _settings_of(mission: str) -> type[MissionSettings]:
+    """Return the settings of a simulated mission."""
     if mission in SPINNING:
         from inflight.simulate.spinning import SpinningSettings
-        from inflight.tasks.archive import simulate_spinning
 
-        return SpinningSettings, simulate_spinning
+        return SpinningSettings
     if mission == TWO_SENSORS:
         from inflight.simulate.dual import DualSettings
-        from inflight.tasks.archive import simulate_dual
 
-        return DualSettings, simulate_dual
+        return DualSettings
     from inflight.simulate import SimulationSettings
-    from inflight.tasks.archive import simulate as simulate_champ
 
-    return SimulationSettings, simulate_champ
+    return SimulationSettings

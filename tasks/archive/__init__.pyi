@@ -7,7 +7,7 @@ from .channels import (
     replacement_value,
     resolves_spin,
 )
-from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinning
+from .deliveries import SECOND_FLUXGATE, simulate
 from .ingestion import ingest
 from .inputs import (
     AMBIENT,
@@ -72,8 +72,6 @@ __all__ = [
     "resolves_spin",
     "saturation_flags",
     "simulate",
-    "simulate_dual",
-    "simulate_spinning",
     "spin_problems",
     "split_at_flips",
     "substitute_missing",
