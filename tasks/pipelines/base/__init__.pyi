@@ -8,7 +8,18 @@ from .compare_rows import (
     rows_of_day,
     scalar_channels,
 )
-from .compared import CompareReport, CompareResult, Report, Structure, scatter_html, structures_html
+from .compared import (
+    CompareReport,
+    CompareResult,
+    Report,
+    Structure,
+    daily_residual_figure,
+    day_summary,
+    each_day,
+    scatter_html,
+    structures_html,
+    tables_in_use,
+)
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
 from .parts import Part, TablesReport, TextLine, page_sections, with_error
 from .pipeline import Pipeline, Versions
@@ -66,6 +77,9 @@ __all__ = [
     "carry_out",
     "channel_means",
     "content_keys",
+    "daily_residual_figure",
+    "day_summary",
+    "each_day",
     "equations_of",
     "failure_of",
     "geometry_means",
@@ -88,6 +102,7 @@ __all__ = [
     "scatter_html",
     "structures_html",
     "table_row_hash",
+    "tables_in_use",
     "take_failure",
     "window_edges",
     "with_error",
