@@ -86,7 +86,7 @@ class MissionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    #: Effects that are there unless left out, and those that must be asked for: name -> what it is.
+    #: Effects present unless removed, and those that must be requested: name -> what it is.
     standard_effects: ClassVar[Mapping[str, str]]
     extra_effects: ClassVar[Mapping[str, str]]
 

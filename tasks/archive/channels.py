@@ -155,8 +155,8 @@ class ChannelReader:
             by_dataset.setdefault(need.dataset, []).append(need)
         out: dict[str, Floats] = {}
         for needs in by_dataset.values():
-            source, wanted = self.index.get(needs[0], day), [need.channel for need in needs]
-            data = None if source is None else self.cat.read(source, wanted, with_time=False)
+            source, channels = self.index.get(needs[0], day), [need.channel for need in needs]
+            data = None if source is None else self.cat.read(source, channels, with_time=False)
             phase: Floats | None = None
             for need in needs:
                 instrument, name = homes[need.name]
@@ -291,17 +291,12 @@ def as_variables(
     homes = channels_by_name(mission)
     out: dict[str, xr.Variable] = {}
     for name, array in values.items():
-        unit = "1"
         parts = [name] if name in homes else [part.channel for part in parse_channel(name).parts]
-        if len(parts) == 1 and parts[0] in homes:
-            instrument, channel = homes[parts[0]]
-            unit = mission.instruments[instrument].channels[channel].unit
-        elif len(parts) > 1:
-            units = [
-                mission.instruments[homes[p][0]].channels[homes[p][1]].unit if p in homes else "1"
-                for p in parts
-            ]
-            unit = "*".join(f"({one})" for one in units)
+        units = [
+            mission.instruments[homes[part][0]].channels[homes[part][1]].unit if part in homes else "1"
+            for part in parts
+        ]
+        unit = units[0] if len(units) == 1 else "*".join(f"({factor})" for factor in units)
         dims = ("time", "axis" if array.ndim == 2 and array.shape[1] == 3 else f"{name}_component")
         out[name] = xr.Variable(dims[: array.ndim], array, {"units": unit})
     if geometry is not None:

@@ -5,7 +5,7 @@ record is not opened, any other is hashed and its times are read, so that every 
 day. A day is made from every file that holds rows of it (`make_batch`, which needs no database, so that Dask
 workers run it) and gets a key from their hashes and from the mission YAML: same key, no work. So a
 file delivered twice changes nothing, a corrected one makes new revisions of exactly its days, and an ingest
-that was killed goes on where it was.
+that was killed is completed by the next one.
 """
 
 from __future__ import annotations
@@ -194,9 +194,9 @@ def _recorded_index(file: Delivered, data: Path, record: FileRecord | None, key:
     )
 
 
-def _overlaps(span: NameSpan, wanted: tuple[int | None, int | None], spill: int) -> bool:
+def _overlaps(span: NameSpan, other: tuple[int | None, int | None], spill: int) -> bool:
     """Return True when a file whose name claims a span may hold rows of another one."""
-    start, end = wanted
+    start, end = other
     before = start is not None and span.end is not None and span.end + spill <= start
     after = end is not None and span.start is not None and span.start - spill >= end
     return not (before or after)
@@ -204,32 +204,19 @@ def _overlaps(span: NameSpan, wanted: tuple[int | None, int | None], spill: int)
 
 def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument) -> FileIndex:
     """Hash a file and read the days of its rows; what is wrong with it is returned, not raised."""
+    index = FileIndex(delivered=file, sha256="", size=0, mtime_ns=0, days=named_days(file.span))
     try:
         sha256, size, mtime_ns = fingerprint(path)
     except OSError as error:
         unreadable = ReadError(f"cannot be read: {error}", remedy="check the file", file=file.name)
-        return FileIndex(
-            delivered=file,
-            sha256="",
-            size=0,
-            mtime_ns=0,
-            days=named_days(file.span),
-            problem=problem_of(unreadable),
-        )
+        return replace(index, problem=problem_of(unreadable))
+    index = replace(index, sha256=sha256, size=size, mtime_ns=mtime_ns)
     try:
         times = read_times(path, files, instrument, file.span)
     except InflightError as error:
         error.file = file.name  # as every later step and the catalog name it
-        return FileIndex(
-            delivered=file,
-            sha256=sha256,
-            size=size,
-            mtime_ns=mtime_ns,
-            days=named_days(file.span),
-            problem=problem_of(error),
-        )
-    days = tuple(str(day) for day in np.unique(day_of(times)))
-    return FileIndex(delivered=file, sha256=sha256, size=size, mtime_ns=mtime_ns, days=days)
+        return replace(index, problem=problem_of(error))
+    return replace(index, days=tuple(str(day) for day in np.unique(day_of(times))))
 
 
 def fingerprint(path: Path) -> tuple[str, int, int]:

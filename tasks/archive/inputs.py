@@ -44,7 +44,7 @@ class InputSettings:
         A channel's typical value comes from its own day when this part of it is known, else from other days
         (assumed).
     typical_value_days : int
-        Other days are looked for this far on both sides (assumed).
+        Other days are searched this far on both sides (assumed).
     readings_per_turn : int
         A channel resolves the spin with this many readings a turn (derived: twice the second harmonic).
     cached_channels : int
@@ -78,7 +78,7 @@ class Need:
     smooth_ns : int
         Readings are averaged over this long, centred.
     replaceable : bool
-        A typical value may stand in where the channel is missing: see `replaceable_needs`.
+        A typical value may replace the channel where it is missing: see `replaceable_needs`.
     """
 
     name: str

@@ -250,33 +250,26 @@ def substitute_missing(
     missing = missing_rows(model, samples)
     if not missing:
         return None
-    lacking = [need for need in needs if need.name in missing]
-    found = {
-        need.name: typical_value(cat, need, index.typical_days(need, day), day)
-        for need in lacking
-        if need.replaceable
-    }
-    channels = {
-        need.name: mission.instruments[need.instrument].channels[need.channel]
-        for need in lacking
-        if need.part is None
-    }
-    single = {name: channel for name, channel in channels.items() if not channel.axis_names}
-    ranges = {name: channel.range for name, channel in single.items() if channel.range is not None}
-    known = {name: one for name, one in found.items() if one is not None}
-    return substitute(model, samples, known, ranges, missing)
+    typical, ranges = {}, {}
+    for need in (need for need in needs if need.name in missing):
+        channel = mission.instruments[need.instrument].channels[need.channel]
+        if need.part is None and not channel.axis_names and channel.range is not None:
+            ranges[need.name] = channel.range
+        value = typical_value(cat, need, index.typical_days(need, day), day) if need.replaceable else None
+        if value is not None:
+            typical[need.name] = value
+    return substitute(model, samples, typical, ranges, missing)
 
 
-def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
+def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetime64) -> Typical | None:
     """Return what a channel usually reads, from days of the archive; None when they have too few values."""
-    known = list(days)
-    if not known:
+    if not days:
         return None
-    read = [cat.read(one, [need.channel], with_time=False) for one in known]
-    values = np.concatenate([np.asarray(one[need.channel].values, dtype=np.float64) for one in read])
-    stamps = np.concatenate([one["tt2000"].values for one in read])
-    own = [one.day for one in known] == [day]
-    return Typical.of(values, stamps, "the day" if own else " and ".join(str(one.day) for one in known))
+    read = [cat.read(source, [need.channel], with_time=False) for source in days]
+    values = np.concatenate([np.asarray(data[need.channel].values, dtype=np.float64) for data in read])
+    stamps = np.concatenate([data["tt2000"].values for data in read])
+    origin = [source.day for source in days]
+    return Typical.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
 
 
 def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: float) -> dict[str, Any]:
@@ -296,26 +289,24 @@ def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: fl
 
 
 def substitution_problems(days: Iterable[Day]) -> list[dict[str, str]]:
-    """Return the entries of a run's problems for days whose products have stand-ins.
+    """Return the entries of a run's problems for days whose products have typical values.
 
     Parameters
     ----------
     days : iterable of Day
         Products, as the catalog has them.
     """
-    return [
-        {
-            "day": str(day.day),
-            "channel": ", ".join(
-                sorted({name for one in day.report["stand_ins"].values() for name in one["channels"]})
-            ),
-            "cause": PARTIAL,
-            "remedy": _REMEDY,
-            "message": str(day.report[PARTIAL]),
-        }
-        for day in days
-        if day.report.get("stand_ins")
-    ]
+    out = []
+    for day in days:
+        if effects := day.report.get("stand_ins"):
+            channels = sorted({name for effect in effects.values() for name in effect["channels"]})
+            out.append(partial_problem(day.day, str(day.report[PARTIAL]), _REMEDY, ", ".join(channels)))
+    return out
+
+
+def partial_problem(day: np.datetime64, message: str, remedy: str, channel: str = "") -> dict[str, str]:
+    """Return an entry of a run's problems for a day that is there, though not all of it was measured."""
+    return {"day": str(day), "channel": channel, "cause": PARTIAL, "remedy": remedy, "message": message}
 
 
 #: Entry of a day's report, of estimates and of products: the faults of its spin phase and sensor.
@@ -459,13 +450,7 @@ def spin_problems(days: Iterable[Day]) -> list[dict[str, str]]:
         Estimates and products, as the catalog has them.
     """
     return [
-        {
-            "day": str(day.day),
-            "channel": fault["channel"],
-            "cause": PARTIAL,
-            "remedy": fault["remedy"],
-            "message": fault["message"],
-        }
+        partial_problem(day.day, fault["message"], fault["remedy"], fault["channel"])
         for day in days
         for fault in day.report.get(SPIN_FAULTS, ())
     ]
@@ -527,14 +512,14 @@ def load_samples(
     for role, name in mission.comparisons[model.comparison].instruments().items():
         if role in samples and samples[role].ndim == 2:
             samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
-    wanted = set(GEOMETRY)
+    geometry_names = set(GEOMETRY)
     if not geometry:
         # Only what the effects of the model and products of channels are made from.
         names = {channel for entry in model.effects for channel in entry.effect.channels}
         names |= {name for need in needs for name in need.products}
-        wanted &= {factor for name in names for factor in name.split("*")}
-    if wanted:
-        samples = add_geometry(samples, wanted)
+        geometry_names &= {factor for name in names for factor in name.split("*")}
+    if geometry_names:
+        samples = add_geometry(samples, geometry_names)
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
     return samples if folding is None else fold(samples, folding, (start, end))

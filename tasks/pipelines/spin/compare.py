@@ -1,4 +1,4 @@
-"""Compare of a spinning sensor: what of the products still goes with the spin, and what it follows.
+"""Compare of a spinning sensor: the spin tones of its products, and what they depend on.
 
 The residual of a spinning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
 folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the

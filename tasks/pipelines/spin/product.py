@@ -1,4 +1,4 @@
-"""The level-2 product of a day of a turning sensor, with the calibration table that holds."""
+"""The level-2 product of a day of a spinning sensor: the despun field, made with the table that holds."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.P
 
 
 def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return one day's product of a turning sensor and a report.
+    """Return one day's product (`inflight.spin.make_spin_product`) and a report.
 
-    The report's residual is that of the synthetic turns: what still goes with the spin, before and after.
+    The report's residual is the rms of the spin tones of synthetic turns, before and after calibration.
     """
     cat, mission, model, table, job = batch.cat, batch.mission, batch.model, batch.table, batch.job
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)

@@ -456,14 +456,12 @@ class SpinResults:
                 f"no tables are published for comparison '{comparison}'",
                 remedy=f"run 'inflight reprocess --comparison {comparison}' first",
             )
-        wanted = set(day_of(tables["daily"]["start"].values).tolist())
+        days = set(day_of(tables["daily"]["start"].values).tolist())
         records = [
-            day
-            for day in cat.days(equations_of(comparison), states=("published",))
-            if day.day.item() in wanted
+            day for day in cat.days(equations_of(comparison), states=("published",)) if day.day.item() in days
         ]
         products = [
-            day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in wanted
+            day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in days
         ]
         return cls(cat, mission, comparison, tables, [cat.read(day) for day in records], records, products)
 

@@ -7,9 +7,8 @@ and the field before and after.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +151,14 @@ class DualCompareReport:
         return concatenate_signs([day.signs for day in self.days])
 
     @property
+    def stretches(self) -> Stretches:
+        """The stretches of all days."""
+        names = (one.name for one in fields(Stretches))
+        return Stretches(
+            *(np.concatenate([getattr(day.stretches, name) for day in self.days]) for name in names)
+        )
+
+    @property
     def changes(self) -> dict[str, Floats]:
         """How housekeeping changed at each switching of all days, by channel; (switching,)."""
         return concatenate_changes([day.changes for day in self.days], [len(day.at) for day in self.days])
@@ -209,16 +216,16 @@ class DualCompareReport:
 
     def summary(self) -> list[TextLine]:
         """Return how far the field steps at switchings before and after, and what the rest depends on."""
-        fields = self.as_json()
-        residual = fields["residual"]
+        content = self.as_json()
+        residual = content["residual"]
         if residual["note"]:
             out = [TextLine(residual["note"])]
         else:
             out = [TextLine(f"{residual['what']} ({residual['switchings']} switchings):")]
             for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
                 out.append(TextLine(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", "bold"))
-        out += [TextLine(f"  {sentence}") for sentence in fields["verdict"]["told"]]
-        return out + [TextLine(f"  {failing['sentence']}") for failing in fields["fails_where"]]
+        out += [TextLine(f"  {sentence}") for sentence in content["verdict"]["told"]]
+        return out + [TextLine(f"  {failing['sentence']}") for failing in content["fails_where"]]
 
 
 def compare_dual(
@@ -350,15 +357,15 @@ def _steps(report: DualCompareReport) -> SectionBody:
     """Return the steps of each day, and why a day is corrected or not."""
     rows = []
     for one in report.days:
-        fields, corrected = day_fields(one), one.applied == "yes"
+        content, corrected = day_fields(one), one.applied == "yes"
         # The method has a column of its own.
         reason = one.reason.removeprefix(f"{one.method}: ").replace("+-", "±")
-        sizes = (fields[name] for name in ("before_nT", "after_nT", "noise_floor_nT"))
+        sizes = (content[name] for name in ("before_nT", "after_nT", "noise_floor_nT"))
         rows.append(
             (
-                fields["day"],
+                content["day"],
                 one.method if corrected else "none",
-                str(fields["switchings"]),
+                str(content["switchings"]),
                 *(f"{size:.4f}" if np.isfinite(size) else "none" for size in sizes),
                 reason if corrected else "left as measured, see below",
             )
@@ -414,28 +421,18 @@ def _failures_text(report: DualCompareReport) -> list[str]:
 
 def _states_text(report: DualCompareReport) -> list[str]:
     """Return the states: how long and how often each held, its units, its difference and its correction."""
-    seconds: dict[int, float] = defaultdict(float)
-    count: dict[int, int] = defaultdict(int)
-    for day in report.days:
-        lengths = (day.stretches.end - day.stretches.begin) / SECOND
-        for state, length in zip(day.stretches.state.tolist(), lengths.tolist(), strict=True):
-            seconds[state] += length
-            count[state] += 1
     known = {
         int(number): _state_cells(table, row)
         for table in report.tables
         for row, number in enumerate(table["number"].values)
         if np.isfinite(table["centre"].values[row]).all()
     }
-    rows = [
-        (
-            {-1: "unknown", -2: "transient"}.get(state, str(state)),
-            *known.get(state, ("", "", "")),
-            str(count[state]),
-            f"{seconds[state] / 3600.0:.2f}",
-        )
-        for state in sorted({*seconds, *known})
-    ]
+    stretches, rows = report.stretches, []
+    for state in sorted({*stretches.state.tolist(), *known}):
+        held = stretches.state == state
+        hours = float(np.sum((stretches.end - stretches.begin)[held] / SECOND)) / 3600.0
+        name = {-1: "unknown", -2: "transient"}.get(state, str(state))
+        rows.append((name, *known.get(state, ("", "", "")), str(int(held.sum())), f"{hours:.2f}"))
     head = ("state", "units on", "difference x, y, z (nT)", "outboard x, y, z (nT)", "stretches", "hours")
     return [
         "A state is what is switched on together. It has one place in the space of the difference of both "
@@ -503,11 +500,8 @@ def _units_text(report: DualCompareReport) -> list[str]:
 
 
 def _state_figures(report: DualCompareReport) -> list[Any]:
-    parts = [one.stretches for one in report.days]
-    begin, end, state, sure, mean = (
-        np.concatenate([getattr(one, name) for one in parts])
-        for name in ("begin", "end", "state", "probability", "difference")
-    )
+    stretches = report.stretches
+    state, mean = stretches.state, stretches.difference
     settled = (state != -2) & np.isfinite(mean).all(axis=1)
     # Centre of each state's points and their covariance, nT^2: of the centre, and their scatter beyond noise.
     known = {}
@@ -517,7 +511,10 @@ def _state_figures(report: DualCompareReport) -> list[Any]:
             spread = np.asarray(table["centre_covariance"].values[row] + scatter)
             known[int(number)] = (table["centre"].values[row], spread)
     planes = [difference_figure(mean[settled], state[settled], known, plane) for plane in PLANES]
-    return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
+    return [
+        *planes,
+        timeline_figure(to_utc(stretches.begin), to_utc(stretches.end), state, stretches.probability),
+    ]
 
 
 def _before_and_after(report: DualCompareReport) -> SectionBody:

@@ -102,7 +102,7 @@ class TwoSensorSettings:
     largest_reading : float
         No sensor on a boom reads more, nT: a fill value that nobody declared. Assumed.
     most_samples : int
-        Samples that a window is learnt from at most; of faster records means are taken. Assumed, for memory.
+        Samples that a window is fitted to at most; of faster records means are taken. Assumed, for memory.
     """
 
     still_samples: int = 100

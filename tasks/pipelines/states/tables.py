@@ -49,6 +49,7 @@ from inflight.dual import (
     training_to_dataset,
 )
 from inflight.mission import Mission
+from inflight.tasks.archive import partial_problem
 from inflight.tasks.pipelines.base import UsedTable, product_of, scalar_channels
 from inflight.time import SECOND, DayLike, Int64, day_bounds, day_of, usual_step
 
@@ -209,7 +210,7 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     table : Dataset
         With states and a gradiometer.
     readings : Readings
-        Those it was learnt from.
+        Those it was fitted to.
 
     Returns
     -------
@@ -423,12 +424,12 @@ def _change_across(stamps: Int64, values: Floats, before: Int64, after: Int64, r
     """Return the first value after less the last one before each switching; NaN beyond `reach`, ns."""
     if not stamps.size:
         return np.full(before.size, np.nan)
-    left = np.searchsorted(stamps, before, side="right") - 1
-    right = np.searchsorted(stamps, after, side="left")
-    inside = (left >= 0) & (right < stamps.size)
-    left, right = np.clip(left, 0, None), np.clip(right, None, stamps.size - 1)
-    near = inside & (before - stamps[left] <= reach) & (stamps[right] - after <= reach)
-    return np.where(near, values[right] - values[left], np.nan)
+    last = np.searchsorted(stamps, before, side="right") - 1
+    first = np.searchsorted(stamps, after, side="left")
+    inside = (last >= 0) & (first < stamps.size)
+    last, first = np.clip(last, 0, None), np.clip(first, None, stamps.size - 1)
+    near = inside & (before - stamps[last] <= reach) & (stamps[first] - after <= reach)
+    return np.where(near, values[first] - values[last], np.nan)
 
 
 def named_units(
@@ -521,18 +522,9 @@ def _looks_exchanged(table: xr.Dataset) -> bool:
 
 def remarks_of(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str, str]]:
     """Return the remarks of the tables in use, as problems of days that have products all the same."""
-    seen: dict[int, dict[str, Any]] = {}
+    seen: dict[int, dict[str, str]] = {}
     for day in sorted(tables):
         number, _, table = tables[day]
         if table.attrs.get("remark"):
-            seen.setdefault(
-                number,
-                {
-                    "day": str(day),
-                    "channel": "",
-                    "cause": "partial",
-                    "remedy": _REMEDY,
-                    "message": str(table.attrs["remark"]),
-                },
-            )
+            seen.setdefault(number, partial_problem(day, str(table.attrs["remark"]), _REMEDY))
     return list(seen.values())
