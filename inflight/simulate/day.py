@@ -144,10 +144,7 @@ class _Scene:
         """Field of the spacecraft at vector and scalar sensor."""
         flow = self.power(self.settings.cadence)
         vector, scalar = stray_fields(self.times.seconds, flow, self.torquer, self.parameters, self.effects)
-        return vector + self._unexplained(), scalar
-
-    def _unexplained(self) -> Float:
-        """The extra effects that are a field at the vector sensor alone."""
+        # The extra effects that are a field at the vector sensor alone.
         extra, parameters = np.zeros((self.times.count, 3)), self.parameters
         if "day_night" in self.effects:
             extra += self.light[:, None] * parameters.day_night_field
@@ -159,7 +156,7 @@ class _Scene:
         if "eddy" in self.effects:
             rate = (self.field(self.times.shifted(0.5)) - self.field(self.times.shifted(-0.5))) / 1.0
             extra += rate * parameters.eddy_time
-        return extra
+        return vector + extra, scalar
 
     def fluxgate(self) -> xr.Dataset:
         """What the vector instrument delivers."""

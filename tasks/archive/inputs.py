@@ -393,13 +393,19 @@ class ArchiveIndex:
         One before and one after, at most `INPUTS.typical_value_days` away; none when there is none. A day
         that hardly has the channel counts only when no other does.
         """
+
+        def coverage(source: Day) -> float:
+            """Return the part of a day with values; 1 where the archive does not state it."""
+            channels = source.report.get("channels", {})
+            return float(channels.get(need.channel, {}).get("coverage", 1.0))
+
         far = INPUTS.typical_value_days + 1
         for least in (INPUTS.least_coverage, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
                 found = []
                 for side in sides:
                     there = (self.get(need, day + step * _DAY) for step in side)
-                    good = (one for one in there if one is not None and _coverage(one, need) >= least)
+                    good = (one for one in there if one is not None and coverage(one) >= least)
                     found += list(itertools.islice(good, 1))
                 if found:
                     return found
@@ -433,8 +439,3 @@ class ArchiveIndex:
         if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
-
-
-def _coverage(day: Day, need: Need) -> float:
-    """Return the part of a day on which a channel has values; 1 where the archive does not state it."""
-    return float(day.report.get("channels", {}).get(need.channel, {}).get("coverage", 1.0))

@@ -102,7 +102,13 @@ def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
         part.add_absent("Relation of all days", "too few days with both products")
     else:
         part.add_text(f"All days together leave {whole.attrs['rms_nT']:.4g} nT a component.")
-        part.fields = {"items": _items(whole), "rms_nT": float(whole.attrs["rms_nT"])}
+        items = []
+        for name, value, sigma in zip(
+            *(whole[one].values.tolist() for one in ("parameter", "value", "sigma")), strict=True
+        ):
+            _, factor, unit = PARTS[name.partition("[")[0]]
+            items.append({"name": name, "value": factor * value, "sigma": factor * sigma, "unit": unit})
+        part.fields = {"items": items, "rms_nT": float(whole.attrs["rms_nT"])}
         rows = [
             (one["name"], with_error(one["value"], one["sigma"]), one["unit"]) for one in part.fields["items"]
         ]
@@ -114,17 +120,6 @@ def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
         for name, one in zip(daily["parameter"].values, np.nanstd(daily["value"].values, axis=0), strict=True)
     }
     return part
-
-
-def _items(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return a relation's numbers in practical units, by `PARTS`."""
-    out = []
-    for name, value, sigma in zip(
-        *(table[one].values.tolist() for one in ("parameter", "value", "sigma")), strict=True
-    ):
-        _, factor, unit = PARTS[name.partition("[")[0]]
-        out.append({"name": name, "value": factor * value, "sigma": factor * sigma, "unit": unit})
-    return out
 
 
 def _corners(tables: Mapping[str, xr.Dataset]) -> Part:

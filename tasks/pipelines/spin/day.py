@@ -123,7 +123,14 @@ def attitude_of(
         return None
     elif (series := channel_series(cat, need, day, index)) is not None:
         axis = _delivered_axis(series, need, mission, stamps)
-    return Attitude(axis, sun_direction_gse(stamps, _position(samples)))
+    # Positions, km, gse, where they are known in a frame that can be turned.
+    place: Floats | None = None
+    position = samples.get("position")
+    if position is not None and position.attrs.get("frame") in FRAMES:
+        factor, _ = factor_and_offset(str(position.attrs.get("units", "km")), "km")
+        values = np.asarray(position.values, dtype=np.float64) * factor
+        place = to_gse(values, stamps, str(position.attrs["frame"]))
+    return Attitude(axis, sun_direction_gse(stamps, place))
 
 
 def _stated_axis(axes: Sequence[SpinAxis], stamps: Int64) -> Floats:
@@ -170,17 +177,6 @@ def _unit(directions: Floats) -> Floats:
         return np.stack([np.cos(up) * np.cos(right), np.cos(up) * np.sin(right), np.sin(up)], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
-
-
-def _position(samples: xr.Dataset) -> Floats | None:
-    """Return the positions, km, gse; None where they are not known in a frame that can be turned."""
-    position = samples.get("position")
-    if position is None or position.attrs.get("frame") not in FRAMES:
-        return None
-    factor, _ = factor_and_offset(str(position.attrs.get("units", "km")), "km")
-    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    place = np.asarray(position.values, dtype=np.float64) * factor
-    return to_gse(place, stamps, str(position.attrs["frame"]))
 
 
 def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:

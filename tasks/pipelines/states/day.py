@@ -210,16 +210,11 @@ def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
             change = np.ptp([part.mean() for part in np.array_split(seen, TWO_SENSORS.parts)])
             near = TWO_SENSORS.nearby_steps
             around = steps[max(first - near, 0) : first], steps[last - 1 : last - 1 + near]
-            smallest = max(_smallest(part) for part in around)
+            taken = [part[part > 0.0] for part in around]
+            smallest = max((float(part.min()) for part in taken if part.size), default=0.0)
             if change > TWO_SENSORS.moves * smallest:
                 out[rows[first:last], axis] = True
     return out
-
-
-def _smallest(steps: Floats) -> float:
-    """Return the smallest step that is not zero, nT; 0 for none."""
-    taken = steps[steps > 0.0]
-    return float(taken.min()) if taken.size else 0.0
 
 
 def states_window(
