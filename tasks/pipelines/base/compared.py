@@ -143,7 +143,7 @@ class CompareResult(Generic[Report_co]):
     report : CompareReport or DualCompareReport
     title : str
         Of the page.
-    parts : sequence of LazySection
+    parts : sequence of Later
         Everything that is shown: the explorer makes what is looked at, the page all of it.
     """
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -48,12 +49,9 @@ from inflight.tasks.pipelines.base import (
     Sources,
     Spans,
     blocks_of,
-    day_summary,
-    each_day,
     equations_of,
     rows_of_day,
     scalar_channels,
-    tables_in_use,
 )
 from inflight.tasks.pipelines.scalar.compare_page import Drawn, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
@@ -110,14 +108,14 @@ def compare_samples(
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
-    tables = tables_in_use(cat, comparison, days[0])
+    tables = _tables(cat, comparison, days)
     report = CompareReport(
         comparison,
         days[-1].context or "",
         join_sizes(digest.before),
         join_sizes(digest.after),
         join_floors(digest.floors),
-        [day_summary(*of_day) for of_day in zip(days, digest.before, digest.after, strict=True)],
+        [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
         rank_dependences(coordinates, found, rows["after"], direction, block),
         directions,
         determined,
@@ -132,14 +130,22 @@ def compare_samples(
     return CompareResult(report, page_title(report, mission), compare_parts(report, drawn))
 
 
+def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the table of daily fits, and the one products use."""
+    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    return daily, used
+
+
 def _digest_of(
     cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
 ) -> _Digest:
     """Read the days one after the other; what stays of each is small, however long the mission."""
     digest = _Digest(max(_SHORTEST, 86_400.0 * len(days) / _ROWS))
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
-    for day in each_day(days, tell):
+    for done, day in enumerate(days):
+        tell("compare", done, len(days))
         _take(digest, cat, mission, comparison, sources, day)
+    tell("compare", len(days), len(days))
     return digest
 
 
@@ -151,6 +157,18 @@ def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) ->
     names = reference_of(model, int(equations.dataset["start"].values[0])).columns
     known = [name for name, sure in zip(names, solution.determined, strict=True) if sure]
     return known, describe_directions(solution, names)
+
+
+def _told_of_day(day: Day, before: Size, after: Size) -> dict[str, Any]:
+    return {
+        "day": str(day.day),
+        "version": day.version,
+        "before_nT": before.rms,
+        "after_nT": after.rms,
+        "before_less_mean_nT": before.std,
+        "after_less_mean_nT": after.std,
+        "samples": after.count,
+    }
 
 
 def _take(

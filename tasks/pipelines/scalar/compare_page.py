@@ -14,6 +14,7 @@ from inflight.figures import (
     SectionBody,
     axis_figure,
     bullet_list,
+    daily_figure,
     dependence_figure,
     excess_scatter_figure,
     histogram_figure,
@@ -32,7 +33,7 @@ from inflight.residual import (
     drawn_periods,
     format_period,
 )
-from inflight.tasks.pipelines.base import CompareReport, daily_residual_figure, scatter_html, structures_html
+from inflight.tasks.pipelines.base import CompareReport, scatter_html, structures_html
 from inflight.time import to_utc
 
 #: Points of the figure of the residual in time.
@@ -77,8 +78,11 @@ def compare_parts(report: CompareReport, drawn: Drawn) -> list[LazySection]:
 
 def _residual(report: CompareReport, drawn: Drawn) -> SectionBody:
     rows, counts = drawn.rows, drawn.counts
+    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
+    before = np.array([entry["before_nT"] for entry in report.by_day])
+    after = np.array([entry["after_nT"] for entry in report.by_day])
     plots = [
-        daily_residual_figure(report),
+        daily_figure(day, before, after, report.floor.level_nT),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
         series_figure(*_thinned(rows)),
     ]
