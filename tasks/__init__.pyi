@@ -5,7 +5,7 @@ from .analysis import (
     compare,
     diagnose,
 )
-from .archive import ingest, simulate, simulate_dual, simulate_spinning
+from .archive import ingest, simulate
 from .batches import Mapper, batch_mapper, result_of, with_progress
 from .models import ModelHistory, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
@@ -45,8 +45,6 @@ __all__ = [
     "reprocess",
     "result_of",
     "simulate",
-    "simulate_dual",
-    "simulate_spinning",
     "to_json",
     "with_progress",
 ]

@@ -19,6 +19,7 @@ from inflight.errors import SettingsError
 from inflight.tasks import Progress, RunReport, print_report
 
 if TYPE_CHECKING:
+    from inflight.simulate import MissionSettings
     from rich.console import Console
 
     from inflight.catalog import Workspace
@@ -148,23 +149,29 @@ def write_deliveries(
 ) -> list[Path]:
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
     from inflight.flows import available_cores
-    from inflight.tasks import archive
+    from inflight.tasks.archive import simulate as simulate_days
 
-    def show(done: int, total: int) -> None:
-        progress("simulate", done, total)
+    return simulate_days(
+        _settings_of(mission).model_validate(settings),
+        folder,
+        progress=lambda done, total: progress("simulate", done, total),
+        workers=workers or available_cores(),
+    )
 
-    options: dict[str, Any] = {"progress": show, "workers": workers or available_cores()}
+
+def _settings_of(mission: str) -> type[MissionSettings]:
+    """Return the settings of a simulated mission."""
     if mission in SPINNING_MISSIONS:
         from inflight.simulate.spinning import SpinningSettings
 
-        return archive.simulate_spinning(SpinningSettings.model_validate(settings), folder, **options)
+        return SpinningSettings
     if mission == TWO_SENSOR_MISSION:
         from inflight.simulate.dual import DualSettings
 
-        return archive.simulate_dual(DualSettings.model_validate(settings), folder, **options)
+        return DualSettings
     from inflight.simulate import SimulationSettings
 
-    return archive.simulate(SimulationSettings.model_validate(settings), folder, **options)
+    return SimulationSettings
 
 
 def demo(

@@ -13,7 +13,7 @@ from inflight.simulate import fluxgate, overhauser
 from inflight.simulate.defects import apply_defects
 from inflight.simulate.field import external_field, main_field
 from inflight.simulate.grid import Float, Grid, Sampling, interpolate
-from inflight.simulate.mission import SimulatedDay
+from inflight.simulate.mission import SimulatedDay, delivery
 from inflight.simulate.orbit import EARTH_RADIUS, Geometry, geometry, node_local_time, sunlight
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.power import Currents, currents, switched
@@ -125,15 +125,10 @@ class _Scene:
         return self._history[2][_WARM_UP :: self.settings.cadence]
 
     @cached_property
-    def _heat(self) -> tuple[Float, Float, Float]:
-        """Seconds and temperatures of coil and electronics every ten seconds from the warm-up on."""
-        seconds, sun, light = (series[::_SLOW] for series in self._history)
-        return seconds, *temperatures(sun, light, self._power.heater[::_SLOW], float(_SLOW))
-
-    @cached_property
     def temperatures(self) -> tuple[Float, Float, Float]:
         """Temperatures of the coil's sensor, of the coil that acts, and of the electronics."""
-        seconds, coil, electronics = self._heat
+        seconds, sun, light = (series[::_SLOW] for series in self._history)
+        coil, electronics = temperatures(sun, light, self._power.heater[::_SLOW], float(_SLOW))
         now = self.times.seconds
         lag = self.parameters.temperature_lag if "temperature_lag" in self.effects else 0.0
         recorded, acting = np.interp(now, seconds, coil), np.interp(now - lag, seconds, coil)
@@ -149,10 +144,7 @@ class _Scene:
         """Field of the spacecraft at vector and scalar sensor."""
         flow = self.power(self.settings.cadence)
         vector, scalar = stray_fields(self.times.seconds, flow, self.torquer, self.parameters, self.effects)
-        return vector + self._unexplained(), scalar
-
-    def _unexplained(self) -> Float:
-        """The extra effects that are a field at the vector sensor alone."""
+        # The extra effects that are a field at the vector sensor alone.
         extra, parameters = np.zeros((self.times.count, 3)), self.parameters
         if "day_night" in self.effects:
             extra += self.light[:, None] * parameters.day_night_field
@@ -164,7 +156,7 @@ class _Scene:
         if "eddy" in self.effects:
             rate = (self.field(self.times.shifted(0.5)) - self.field(self.times.shifted(-0.5))) / 1.0
             extra += rate * parameters.eddy_time
-        return extra
+        return vector + extra, scalar
 
     def fluxgate(self) -> xr.Dataset:
         """What the vector instrument delivers."""
@@ -200,8 +192,8 @@ class _Scene:
         shape = (self.times.count,)
         coil = recorded + self._noise(f"{stream}coil thermistor", shape, 0.003)
         converter = electronics + self._noise(f"{stream}adc thermistor", shape, 0.003)
-        return _delivery(
-            self.times,
+        return delivery(
+            self.times.tt2000,
             FGM_RAW=_rounded(sensed, settings.resolution),
             T_CSC=_rounded(coil, 0.01),
             T_ADC=_rounded(converter, 0.01),
@@ -220,19 +212,19 @@ class _Scene:
         )
         sensed = overhauser.reading(seen, ratio, self.parameters, effects, float(settings.cadence))
         sensed += self._noise("overhauser", sensed.shape, settings.scalar_noise)
-        return _delivery(
-            self.times, F=_rounded(sensed, settings.resolution), F_OSC_RATIO=_rounded(ratio, 1e-10)
+        return delivery(
+            self.times.tt2000, F=_rounded(sensed, settings.resolution), F_OSC_RATIO=_rounded(ratio, 1e-10)
         )
 
     def torquer_channel(self) -> xr.Dataset:
         """Torquer currents as recorded, mA."""
-        return _delivery(self.times, I_TQ=_rounded(1e3 * self.torquer, 0.1))
+        return delivery(self.times.tt2000, I_TQ=_rounded(1e3 * self.torquer, 0.1))
 
     def housekeeping(self) -> xr.Dataset:
         """Currents of the power system as recorded, mA."""
         flow = self.power(_SLOW)
-        return _delivery(
-            self._every(_SLOW),
+        return delivery(
+            self._every(_SLOW).tt2000,
             I_SOL=_rounded(1e3 * flow.solar, 5.0),
             I_BAT=_rounded(1e3 * flow.battery, 5.0),
             I_CAM=_rounded(1e3 * flow.camera, 1.0),
@@ -246,20 +238,20 @@ class _Scene:
         turn = Rotation.from_quat(interpolate(nodes, self.wide, times))
         sigma = np.radians(self.parameters.attitude_noise / 3600.0)
         noise = Rotation.from_rotvec(self._noise("attitude", (times.count, 3), sigma))
-        return _delivery(times, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-7))
+        return delivery(times.tt2000, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-7))
 
     def orbit(self) -> xr.Dataset:
         """Position in itrf, km."""
         times = self._every(_SLOW)
-        return _delivery(
-            times, POS_ITRF=_rounded(interpolate(self.geometry.position, self.wide, times), 1e-5)
+        return delivery(
+            times.tt2000, POS_ITRF=_rounded(interpolate(self.geometry.position, self.wide, times), 1e-5)
         )
 
     def truth(self) -> xr.Dataset:
         """The truth, which no processing of the deliveries may read."""
         field = self.field(self.times)
-        truth = _delivery(
-            self.times,
+        truth = delivery(
+            self.times.tt2000,
             FIELD=field,
             STRENGTH=np.sqrt(np.einsum("ij,ij->i", field, field)),
             STRAY_VECTOR=self.stray[0],
@@ -273,10 +265,7 @@ class _Scene:
             truth.attrs["nine_parameters_second"] = self._nine(as_second(self.parameters))
         radius = float(np.linalg.norm(self.geometry.position[-1]))
         return truth.assign_attrs(
-            day=str(self.day),
-            effects=json.dumps(sorted(self.effects)),
-            hidden=json.dumps(sorted(self.settings.hide)),
-            parameters=json.dumps(self.parameters.as_dict()),
+            self.settings.truth_attributes(self.day),
             nine_parameters=self._nine(self.parameters),
             altitude_km=radius - EARTH_RADIUS,
             node_local_time_h=float(node_local_time(self.times.seconds[:1], self.parameters)[0]),
@@ -301,13 +290,3 @@ def _rounded(values: Float, step: float) -> Float:
         return values
     # A division by a whole number gives the double nearest to the decimal, a product would not.
     return np.rint(values / step) * step if step >= 1.0 else np.rint(values / step) / round(1.0 / step)
-
-
-def _delivery(times: Sampling, **variables: np.ndarray) -> xr.Dataset:
-    """Return a Dataset along ``record`` with ``Epoch`` and the variables."""
-    last = {3: "axis", 4: "quaternion"}
-    named = {
-        name: (("record",) if values.ndim == 1 else ("record", last[values.shape[1]]), values)
-        for name, values in variables.items()
-    }
-    return xr.Dataset({"Epoch": ("record", times.tt2000), **named})

@@ -30,6 +30,11 @@ def dipole_matrix(displacement: npt.ArrayLike) -> Float:
     return (_MU0_4PI / distance**3) * (3.0 * np.outer(unit, unit) - np.eye(3))
 
 
+def dipole_field(source: npt.ArrayLike, moment: npt.ArrayLike, place: npt.ArrayLike) -> Float:
+    """Return the field (3,), nT, of a moment (3,), A m^2, at a place; places in m, spacecraft axes."""
+    return np.asarray(dipole_matrix(np.asarray(place) - np.asarray(source)) @ np.asarray(moment))
+
+
 def extrapolate_dipole(
     field: npt.ArrayLike, source: npt.ArrayLike, known: npt.ArrayLike, target: npt.ArrayLike
 ) -> Float:
@@ -39,13 +44,13 @@ def extrapolate_dipole(
     ----------
     field : array_like, shape (3,)
         At `known`, nT or nT/A.
-    source, known, wanted : array_like, shape (3,)
+    source, known, target : array_like, shape (3,)
         Positions of dipole and points, m, spacecraft axes.
 
     Returns
     -------
     ndarray, shape (3,)
-        At `wanted`, unit of `field`.
+        At `target`, unit of `field`.
     """
     origin = np.asarray(source, dtype=np.float64)
     moment = np.linalg.solve(dipole_matrix(np.asarray(known) - origin), np.asarray(field, dtype=np.float64))

@@ -82,7 +82,7 @@ def interpolate(values: Float, grid: Grid, times: Sampling) -> Float:
     values : ndarray, shape (grid.count, ...)
         Smooth over a few nodes; any unit.
     grid : Grid
-        Where the values stand.
+        Of the values.
     times : Sampling
         Wanted times; `STEP` must be a multiple of their cadence.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -13,6 +14,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from inflight.errors import SettingsError
+from inflight.simulate.grid import Int64
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,15 @@ class SimulatedDay:
     truth: xr.Dataset
 
 
+def delivery(stamps: Int64, **variables: np.ndarray) -> xr.Dataset:
+    """Return variables (record,) or (record, component) along ``record``; ``Epoch`` holds the stamps."""
+    named = {
+        name: (("record", "quaternion" if values.shape[1:] == (4,) else "axis")[: values.ndim], values)
+        for name, values in variables.items()
+    }
+    return xr.Dataset({"Epoch": ("record", stamps), **named})
+
+
 @dataclass(frozen=True)
 class MissionParameters:
     """Numbers behind the effects of a simulated mission; each kind of mission adds its own."""
@@ -55,10 +66,10 @@ class MissionParameters:
                 f"no parameter {', '.join(map(repr, unknown))}",
                 remedy=f"there are {', '.join(sorted(known))}",
             )
-        return replace(self, **{name: self._fitting(name, given) for name, given in overrides.items()})
+        return replace(self, **{name: self.check_override(name, given) for name, given in overrides.items()})
 
-    def _fitting(self, name: str, given: Any) -> Any:
-        """Return a value as the number of that name is kept."""
+    def check_override(self, name: str, given: Any) -> Any:
+        """Return a value in the form in which the number of that name is kept."""
         return tuple(given) if isinstance(given, list) else given
 
     def as_dict(self) -> dict[str, Any]:
@@ -75,7 +86,7 @@ class MissionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    #: Effects that are there unless left out, and those that must be asked for: name -> what it is.
+    #: Effects present unless removed, and those that must be requested: name -> what it is.
     standard_effects: ClassVar[Mapping[str, str]]
     extra_effects: ClassVar[Mapping[str, str]]
 
@@ -115,6 +126,15 @@ class MissionSettings(BaseModel):
     @abstractmethod
     def parameters(self) -> MissionParameters:
         """The numbers behind the effects."""
+
+    def truth_attributes(self, day: np.datetime64) -> dict[str, str]:
+        """Return the attributes of a day's truth: effects, hidden ones and parameters, each as JSON."""
+        return {
+            "day": str(day),
+            "effects": json.dumps(sorted(self.effects)),
+            "hidden": json.dumps(sorted(self.hide)),
+            "parameters": json.dumps(self.parameters.as_dict()),
+        }
 
     @property
     def day_list(self) -> list[np.datetime64]:

@@ -132,16 +132,16 @@ class Parameters(MissionParameters):
     clock_fault_days: tuple[float, float] = (3164.0, 3168.0)
     clock_fault: float = 0.012
 
-    def _fitting(self, name: str, given: Any) -> Any:
-        return _like(name, getattr(self, name), given)
+    def check_override(self, name: str, given: Any) -> Any:
+        """Return a value with the shape of the number it replaces; raises ValueError when it has another."""
+        return _with_shape_of(name, getattr(self, name), given)
 
 
-def _like(name: str, old: Any, new: Any) -> Any:
-    """Turn lists into tuples and check that the shape is the old one's."""
+def _with_shape_of(name: str, old: Any, new: Any) -> Any:
     if isinstance(old, tuple):
         if not isinstance(new, list | tuple) or len(new) != len(old):
             raise ValueError(f"overrides.{name}: {new!r} found, {len(old)} values expected")
-        return tuple(_like(name, before, after) for before, after in zip(old, new, strict=True))
+        return tuple(_with_shape_of(name, before, after) for before, after in zip(old, new, strict=True))
     if not isinstance(new, int | float):
         raise ValueError(f"overrides.{name}: {new!r} found, a number expected")
     return float(new)

@@ -35,10 +35,6 @@ class Currents:
         """Current of the whole array, A."""
         return np.asarray(self.panels.sum(axis=1))
 
-    def after(self, count: int) -> Currents:
-        """Return the currents without the first `count` samples."""
-        return Currents(*(series[count:] for series in vars(self).values()))
-
 
 def currents(
     seconds: Float, sun: Float, light: Float, *, parameters: Parameters, seed: int, cadence: float
@@ -63,18 +59,20 @@ def currents(
         s.
     """
     heater = parameters.heater_current * switched(seconds, parameters.heater_period, parameters.heater_duty)
-    camera = parameters.camera_current + parameters.camera_sunlit_current * _dazzle(sun) * light
+    # How much the Sun shines into a camera head, 0 to 1.
+    glare = np.exp((sun @ _BORESIGHTS.T - 1.0) / _BAFFLE).max(axis=1)
+    camera = parameters.camera_current + parameters.camera_sunlit_current * glare * light
     load = parameters.load + heater + camera
     load += drift(seconds[::30], seed, "load", (0.08,), periods=(1200.0, 9000.0)).repeat(30, axis=0)[
         : load.size, 0
     ]
-    offered = np.clip(sun @ PANEL_NORMALS.T, 0.0, None) * light[:, None] * parameters.panel_peaks
-    available = offered.sum(axis=1)
+    generated = np.clip(sun @ PANEL_NORMALS.T, 0.0, None) * light[:, None] * parameters.panel_peaks
+    available = generated.sum(axis=1)
     balance = np.cumsum(available - load)
     full = balance >= np.maximum.accumulate(balance)
-    wanted = np.where(full, np.minimum(1.0, load / np.maximum(available, 1e-9)), 1.0)
-    share = relax(wanted, parameters.regulation_time, cadence, wanted[0])
-    panels = offered * share[:, None]
+    demand = np.where(full, np.minimum(1.0, load / np.maximum(available, 1e-9)), 1.0)
+    share = relax(demand, parameters.regulation_time, cadence, demand[0])
+    panels = generated * share[:, None]
     return Currents(panels, panels.sum(axis=1) - load, camera, heater, load)
 
 
@@ -87,8 +85,3 @@ def relax(drive: Float, time_constant: float, cadence: float, start: float) -> F
     """Return the exact solution of ``dy/dt = (drive - y) / time_constant`` for a stepwise drive."""
     keep = float(np.exp(-cadence / time_constant))
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], drive, zi=[keep * start])[0])
-
-
-def _dazzle(sun: Float) -> Float:
-    """How much the Sun shines into a camera head, 0 to 1."""
-    return np.asarray(np.exp((sun @ _BORESIGHTS.T - 1.0) / _BAFFLE).max(axis=1))

@@ -12,8 +12,8 @@ from inflight.simulate.dipole import extrapolate_dipole
 from inflight.simulate.grid import Float
 from inflight.simulate.parameters import Matrix, Parameters, Vector
 
-#: Extra effects that the first fluxgate has alone: what is at, or in, one sensor only.
-FIRST_ALONE = frozenset(
+#: Extra effects that only the first fluxgate has: what is at, or in, one sensor.
+_FIRST_ONLY = frozenset(
     {
         "day_night",
         "unrecorded_heater",
@@ -28,7 +28,7 @@ FIRST_ALONE = frozenset(
 
 def second_effects(effects: Collection[str]) -> frozenset[str]:
     """Return the effects that act on the second fluxgate."""
-    return frozenset(effects) - FIRST_ALONE
+    return frozenset(effects) - _FIRST_ONLY
 
 
 def as_second(parameters: Parameters) -> Parameters:
@@ -38,14 +38,13 @@ def as_second(parameters: Parameters) -> Parameters:
     dipoles at the origin of the boom's axis, where only their distance counts.
     """
 
-    def there(field: Vector, position: Vector) -> Vector:
-        return _vector(
-            extrapolate_dipole(field, position, parameters.vector_position, parameters.second_position)
-        )
+    def at_second(field: Vector, position: Vector) -> Vector:
+        first, second = parameters.vector_position, parameters.second_position
+        return _vector(extrapolate_dipole(field, position, first, second))
 
     panels = zip(parameters.panel_fields, parameters.panel_positions, strict=True)
     coils = np.array(
-        [there(_vector(coil), (0.0, 0.0, 0.0)) for coil in np.array(parameters.torquer_vector).T]
+        [at_second(_vector(coil), (0.0, 0.0, 0.0)) for coil in np.array(parameters.torquer_vector).T]
     )
     return dataclasses.replace(
         parameters,
@@ -56,10 +55,10 @@ def as_second(parameters: Parameters) -> Parameters:
         angles=parameters.second_angles,
         temperature_linear=parameters.second_temperature_linear,
         torquer_vector=_matrix(coils.T),
-        panel_fields=_matrix(np.array([there(field, position) for field, position in panels])),
-        battery_field=there(parameters.battery_field, parameters.battery_position),
-        camera_field=there(parameters.camera_field, parameters.camera_position),
-        heater_field=there(parameters.heater_field, parameters.heater_position),
+        panel_fields=_matrix(np.array([at_second(field, position) for field, position in panels])),
+        battery_field=at_second(parameters.battery_field, parameters.battery_position),
+        camera_field=at_second(parameters.camera_field, parameters.camera_position),
+        heater_field=at_second(parameters.heater_field, parameters.heater_position),
     )
 
 

@@ -37,12 +37,11 @@ def coefficients(parameters: Parameters) -> dict[str, Pair]:
         ("left", "right", "top"), parameters.panel_fields, parameters.panel_positions, strict=True
     ):
         sources[f"panel_{name}"] = (field, position)
-    return {name: _pair(field, position, parameters) for name, (field, position) in sources.items()}
-
-
-def _pair(field: Vector, position: Vector, parameters: Parameters) -> Pair:
-    reached = extrapolate_dipole(field, position, parameters.vector_position, parameters.scalar_position)
-    return np.array(field), reached
+    vector, scalar = parameters.vector_position, parameters.scalar_position
+    return {
+        name: (np.array(field), extrapolate_dipole(field, position, vector, scalar))
+        for name, (field, position) in sources.items()
+    }
 
 
 def remanent_fields(seconds: Float, parameters: Parameters) -> Pair:

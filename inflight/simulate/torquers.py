@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.simulate.grid import Float, Int64, Sampling
+from inflight.simulate.grid import Float, Sampling
 from inflight.simulate.orbit import argument_of_latitude, mjd
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.randomness import drift, generator
@@ -31,7 +31,7 @@ def torquer_currents(times: Sampling, parameters: Parameters, seed: int, day: in
     Parameters
     ----------
     times : Sampling
-        Wanted times of one day.
+        Times of one day.
     parameters, seed, day : Parameters, int, int
         The spacecraft, the seed, and the day's number for the noise.
 
@@ -42,16 +42,8 @@ def torquer_currents(times: Sampling, parameters: Parameters, seed: int, day: in
     """
     first = times.start // (COMMAND * SECOND) - 1
     last = (times.start + times.cadence * times.count) // (COMMAND * SECOND) + 1
+    # Commands, numbered by 10 s of TT2000.
     number = np.arange(first, last + 1)
-    commands = _commands(number, parameters, seed, day)
-    behind = times.tt2000 - first * COMMAND * SECOND
-    index, since = np.divmod(behind, COMMAND * SECOND)
-    memory = np.exp(-(since / SECOND) / _COIL_TIME)[:, None]
-    return np.asarray(commands[index] + (commands[index - 1] - commands[index]) * memory)
-
-
-def _commands(number: Int64, parameters: Parameters, seed: int, day: int) -> Float:
-    """Commanded currents, A, shape (command, 3); `number` counts 10 s of TT2000."""
     seconds = np.asarray(number * float(COMMAND), dtype=np.float64)
     angle = argument_of_latitude(seconds, parameters)
     orbital = np.column_stack([np.sin(angle), np.cos(2.0 * angle), np.cos(angle)])
@@ -63,4 +55,8 @@ def _commands(number: Int64, parameters: Parameters, seed: int, day: int) -> Flo
         + swing * parameters.torquer_modulation
         + noise * parameters.torquer_random
     )
-    return mean_current(seconds, parameters) + varying / 1e3
+    commands = mean_current(seconds, parameters) + varying / 1e3
+    behind = times.tt2000 - first * COMMAND * SECOND
+    index, since = np.divmod(behind, COMMAND * SECOND)
+    decay = np.exp(-(since / SECOND) / _COIL_TIME)[:, None]
+    return np.asarray(commands[index] + (commands[index - 1] - commands[index]) * decay)

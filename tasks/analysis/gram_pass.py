@@ -416,7 +416,7 @@ def day_rows(
     start, end = day_bounds(day)
     geometry = _geometry(mission, derived.reader, day, samples)
     there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
-    values = derived.on(day, plan.library.channels, there)
+    values = derived.of_day(day, plan.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
     matrices = sensor_matrices(plan.model, (start + end) // 2)

@@ -1,9 +1,10 @@
 """From delivered files to the archive, and from the archive to samples of a day.
 
-`ingest` takes day files into level-1 datasets ``l1/<instrument>``; `simulate` and its like write made-up
-deliveries. `needs_of` says what a model's samples are made from, `ArchiveIndex` which archived days those
-are, and `load_samples` reads and aligns a day. Open `inputs` first, then `samples`; `channels` gives every
-channel of a mission at the cadence of the search.
+`ingest` takes day files into level-1 datasets ``l1/<instrument>``; `simulate` writes the day files of a
+simulated mission. `needs_of` lists the series that a model's samples are made from, `ArchiveIndex` the
+archived days that hold them, and `load_samples` reads and aligns a day. Open `inputs.py` first, then
+`samples.py`; `channels.py` gives every channel of a mission at the cadence of the search, `ingestion.py` and
+`deliveries.py` handle files.
 """
 
 import lazy_loader

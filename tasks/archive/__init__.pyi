@@ -7,7 +7,7 @@ from .channels import (
     replacement_value,
     resolves_spin,
 )
-from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinning
+from .deliveries import SECOND_FLUXGATE, simulate
 from .ingestion import ingest
 from .inputs import (
     AMBIENT,
@@ -32,6 +32,7 @@ from .samples import (
     flips_of,
     load_samples,
     own_readings,
+    partial_problem,
     saturation_flags,
     spin_problems,
     split_at_flips,
@@ -66,14 +67,13 @@ __all__ = [
     "needs_of",
     "orbit_of",
     "own_readings",
+    "partial_problem",
     "position_channel",
     "replaceable_needs",
     "replacement_value",
     "resolves_spin",
     "saturation_flags",
     "simulate",
-    "simulate_dual",
-    "simulate_spinning",
     "spin_problems",
     "split_at_flips",
     "substitute_missing",

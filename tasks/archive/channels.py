@@ -21,19 +21,16 @@ from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.residual import piecewise_mean
 from inflight.samples import ChannelFactor, Folding, channel_product, fold_series, parse_channel
-from inflight.tasks.archive.inputs import ArchiveIndex, Need, channels_by_name, clock_of
+from inflight.tasks.archive.inputs import INPUTS, ArchiveIndex, Need, channels_by_name, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
 from inflight.time import SECOND, Int64, day_bounds
-
-#: A channel shows the spin with this many readings a turn.
-_READINGS = 4
 
 
 def resolves_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
     """Return True when a channel of a cadence shows what goes with a spin comparison's spin."""
     if folding_of(mission, comparison) is None:
         return False
-    return _READINGS * cadence_ns <= mission.periods["spin"]
+    return INPUTS.readings_per_turn * cadence_ns <= mission.periods["spin"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +69,7 @@ class SpinClock:
 
     def phase(self, stamps: Int64) -> Floats:
         """Return the phase at the stamps of an instrument's channels, rad; NaN where it is not known."""
-        series = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+        series = channel_series(self.cat, self.clock, self.day, self.index)
         found = spin_phase(self.mission, self.comparison, self.clock, series, stamps)
         return np.asarray(found.phase.values, dtype=np.float64)
 
@@ -90,9 +87,6 @@ class SpinClock:
 
 _DAY = np.timedelta64(1, "D")
 
-#: Days kept in memory: a day, its history, and those of placebos.
-_KEPT = 12
-
 
 @dataclass
 class ChannelReader:
@@ -109,8 +103,8 @@ class ChannelReader:
     comparison : str
         Of a spin comparison, channels fast enough to go with the spin are folded like its field.
     by_levels : bool
-        Whether readings are taken as levels between which they switch: where currents stand for fields many
-        times the noise, their own noise must not.
+        Whether readings are replaced by the levels between which they switch. Where currents make fields
+        of many times the noise, the noise of their readings would otherwise count as field.
     """
 
     cat: Catalog
@@ -141,13 +135,13 @@ class ChannelReader:
         return bin_edges(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
 
     def clear_cache(self) -> None:
-        """Let go of the days that were read."""
+        """Forget the days that were read."""
         self._read.clear()
 
     def day(self, day: np.datetime64) -> dict[str, Floats]:
         """Return every channel of a day on its bins; NaN where there is nothing."""
         if day not in self._read:
-            while len(self._read) >= _KEPT:
+            while len(self._read) >= INPUTS.cached_days:
                 self._read.pop(next(iter(self._read)))
             self._read[day] = self._load(day)
         return self._read[day]
@@ -155,18 +149,14 @@ class ChannelReader:
     def _load(self, day: np.datetime64) -> dict[str, Floats]:
         edges = self.edges(day)
         homes = channels_by_name(self.mission)
-        turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
+        clock = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         by_dataset: dict[str, list[Need]] = {}
         for need in self.needs:
             by_dataset.setdefault(need.dataset, []).append(need)
         out: dict[str, Floats] = {}
         for needs in by_dataset.values():
-            there = self.index.get(needs[0], day)
-            data = (
-                self.cat.read(there, [need.channel for need in needs], with_time=False)
-                if there is not None
-                else None
-            )
+            source, channels = self.index.get(needs[0], day), [need.channel for need in needs]
+            data = None if source is None else self.cat.read(source, channels, with_time=False)
             phase: Floats | None = None
             for need in needs:
                 instrument, name = homes[need.name]
@@ -175,16 +165,16 @@ class ChannelReader:
                     out[need.name] = np.full((edges.size - 1, width) if width else edges.size - 1, np.nan)
                     continue
                 cadence = need.cadence_ns
-                # A mean of quaternions or of positions is none: the nearest ones on a straight line.
+                # Quaternions and positions are interpolated: their mean over a bin is none.
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
                 if self.by_levels and values.ndim == 1:
                     values = piecewise_mean(np.asarray(values, dtype=np.float64))
-                if turning is not None and turning.is_resolved_by(cadence):
+                if clock is not None and clock.is_resolved_by(cadence):
                     # One instrument's channels have the same stamps.
-                    phase = turning.phase(stamps) if phase is None else phase
-                    out[need.name] = turning.folded(values, stamps, phase, edges)
+                    phase = clock.phase(stamps) if phase is None else phase
+                    out[need.name] = clock.folded(values, stamps, phase, edges)
                 else:
                     out[need.name] = bin_channel(values, stamps, edges, cadence)
         return out
@@ -207,26 +197,26 @@ def orbit_of(mission: Mission, reader: ChannelReader, day: np.datetime64) -> dic
 
 @dataclass
 class DerivedChannels:
-    """Makes the channels the library's terms ask for, one day after the other.
+    """Makes the channels that the terms of the library need, one day after the other.
 
     Attributes
     ----------
     reader : ChannelReader
     days : sequence of datetime64[D]
         All days of the span: placebos come from other days of it.
-    told : mapping of str to ChannelSummary
-        Means, which stand in for what is missing.
+    summaries : mapping of str to ChannelSummary
+        Their means replace missing values.
     shifts : mapping of str to float
         Placebo, such as ``heater~1`` -> seconds.
     """
 
     reader: ChannelReader
     days: Sequence[np.datetime64]
-    told: Mapping[str, ChannelSummary]
+    summaries: Mapping[str, ChannelSummary]
     shifts: Mapping[str, float]
     _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
 
-    def on(
+    def of_day(
         self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
     ) -> dict[str, Floats]:
         """Return channels of a day by their derived names; (bin,) or (bin, axis)."""
@@ -240,30 +230,33 @@ class DerivedChannels:
         return out
 
     def _part(self, day: np.datetime64, part: ChannelFactor, geometry: Mapping[str, Floats]) -> Floats:
+        """Return one factor of a derived channel on the bins of a day."""
         if part.channel in geometry and part.is_plain:
             return geometry[part.channel]
         place = list(self.days).index(day)
         bins = self.reader.edges(day).size - 1
         step = self.reader.cadence_ns / SECOND
         if part.channel in geometry:
-            earlier = [self._from_orbit(one, part.channel) for one in self._before(place)]
+            earlier = [self._from_orbit(before, part.channel) for before in self._day_before(place)]
             return part.of(np.concatenate([*earlier, geometry[part.channel]]), step)[-bins:]
         if not part.placebo:
-            history = self._before(place) if not part.is_plain else []
-            whole = np.concatenate([self._filled(one, part.channel) for one in [*history, day]])
+            history = self._day_before(place) if not part.is_plain else []
+            whole = np.concatenate([self._filled(known, part.channel) for known in [*history, day]])
             return part.of(whole, step)[-bins:] if not part.is_plain else whole
         shift = round(self.shifts[f"{part.channel}~{part.placebo}"] / step)
         need = bins + int(np.ceil(part.history_s / step))
         return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
 
     def _from_orbit(self, day: np.datetime64, name: str) -> Floats:
+        """Return what geometry makes of the orbit of a day."""
         if day not in self._by_orbit:
-            while len(self._by_orbit) >= _KEPT:
+            while len(self._by_orbit) >= INPUTS.cached_days:
                 self._by_orbit.pop(next(iter(self._by_orbit)))
             self._by_orbit[day] = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
         return np.asarray(self._by_orbit[day][name].values, dtype=np.float64)
 
-    def _before(self, place: int) -> list[np.datetime64]:
+    def _day_before(self, place: int) -> list[np.datetime64]:
+        """Return the day before the day at a place of the span; none after a gap."""
         adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY
         return [self.days[place - 1]] if adjacent else []
 
@@ -281,12 +274,13 @@ class DerivedChannels:
         return whole[end - need : end]
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:
+        """Return a channel of a day with its mean in the place of missing values."""
         values = self.reader.day(day)[channel]
-        return np.where(np.isfinite(values), values, replacement_value(self.told, channel))
+        return np.where(np.isfinite(values), values, replacement_value(self.summaries, channel))
 
 
 def replacement_value(summaries: Mapping[str, ChannelSummary], channel: str) -> float:
-    """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
+    """Return what replaces a channel's missing values: its mean, or zero for one with components."""
     return summaries[channel].mean if channel in summaries else 0.0
 
 
@@ -297,17 +291,12 @@ def as_variables(
     homes = channels_by_name(mission)
     out: dict[str, xr.Variable] = {}
     for name, array in values.items():
-        unit = "1"
         parts = [name] if name in homes else [part.channel for part in parse_channel(name).parts]
-        if len(parts) == 1 and parts[0] in homes:
-            instrument, channel = homes[parts[0]]
-            unit = mission.instruments[instrument].channels[channel].unit
-        elif len(parts) > 1:
-            units = [
-                mission.instruments[homes[p][0]].channels[homes[p][1]].unit if p in homes else "1"
-                for p in parts
-            ]
-            unit = "*".join(f"({one})" for one in units)
+        units = [
+            mission.instruments[homes[part][0]].channels[homes[part][1]].unit if part in homes else "1"
+            for part in parts
+        ]
+        unit = units[0] if len(units) == 1 else "*".join(f"({factor})" for factor in units)
         dims = ("time", "axis" if array.ndim == 2 and array.shape[1] == 3 else f"{name}_component")
         out[name] = xr.Variable(dims[: array.ndim], array, {"units": unit})
     if geometry is not None:

@@ -5,7 +5,7 @@ record is not opened, any other is hashed and its times are read, so that every 
 day. A day is made from every file that holds rows of it (`make_batch`, which needs no database, so that Dask
 workers run it) and gets a key from their hashes and from the mission YAML: same key, no work. So a
 file delivered twice changes nothing, a corrected one makes new revisions of exactly its days, and an ingest
-that was killed goes on where it was.
+that was killed is completed by the next one.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,18 @@ class FileIndex:
         """Path below the data folder."""
         return self.delivered.name
 
+    def require_unchanged(self, path: Path) -> None:
+        """Raise `ReadError` when the file is gone, or is not the one that was hashed."""
+        if not path.exists():
+            raise ReadError(
+                "is not there any more, and a day it has rows of must be made anew",
+                remedy="restore the file",
+                file=self.name,
+            )
+        status = path.stat()
+        if (status.st_size, status.st_mtime_ns) != (self.size, self.mtime_ns):
+            raise ReadError("changed while it was taken in", remedy="ingest again", file=self.name)
+
 
 @dataclass(frozen=True)
 class Delivery:
@@ -153,15 +165,15 @@ def survey(
     gone = [delivered for delivered in absent if delivered is not None]
     # A delivery that was taken in and removed since still holds for its days.
     listed, also = newest_versions([*present, *gone])
-    known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
-    fresh = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
-    jobs = [(data / file.name, file, files, instrument) for file in fresh]
+    known = {file.name: _recorded_index(file, data, records.get(file.name), key) for file in listed}
+    new = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
+    jobs = [(data / file.name, file, files, instrument) for file in new]
     found = {index.name: index for index in iter_results(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
     return Delivery(name, key, tuple(indexed), superseded | also)
 
 
-def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str) -> FileIndex | None:
+def _recorded_index(file: Delivered, data: Path, record: FileRecord | None, key: str) -> FileIndex | None:
     """Return what is on record of a file when its size, time of change and options are the same."""
     if record is None:
         return None
@@ -182,8 +194,9 @@ def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str)
     )
 
 
-def _overlaps(span: NameSpan, span_asked: tuple[int | None, int | None], spill: int) -> bool:
-    start, end = span_asked
+def _overlaps(span: NameSpan, other: tuple[int | None, int | None], spill: int) -> bool:
+    """Return True when a file whose name claims a span may hold rows of another one."""
+    start, end = other
     before = start is not None and span.end is not None and span.end + spill <= start
     after = end is not None and span.start is not None and span.start - spill >= end
     return not (before or after)
@@ -191,32 +204,19 @@ def _overlaps(span: NameSpan, span_asked: tuple[int | None, int | None], spill: 
 
 def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument) -> FileIndex:
     """Hash a file and read the days of its rows; what is wrong with it is returned, not raised."""
+    index = FileIndex(delivered=file, sha256="", size=0, mtime_ns=0, days=named_days(file.span))
     try:
         sha256, size, mtime_ns = fingerprint(path)
     except OSError as error:
         unreadable = ReadError(f"cannot be read: {error}", remedy="check the file", file=file.name)
-        return FileIndex(
-            delivered=file,
-            sha256="",
-            size=0,
-            mtime_ns=0,
-            days=named_days(file.span),
-            problem=problem_of(unreadable),
-        )
+        return replace(index, problem=problem_of(unreadable))
+    index = replace(index, sha256=sha256, size=size, mtime_ns=mtime_ns)
     try:
         times = read_times(path, files, instrument, file.span)
     except InflightError as error:
         error.file = file.name  # as every later step and the catalog name it
-        return FileIndex(
-            delivered=file,
-            sha256=sha256,
-            size=size,
-            mtime_ns=mtime_ns,
-            days=named_days(file.span),
-            problem=problem_of(error),
-        )
-    days = tuple(str(day) for day in np.unique(day_of(times)))
-    return FileIndex(delivered=file, sha256=sha256, size=size, mtime_ns=mtime_ns, days=days)
+        return replace(index, problem=problem_of(error))
+    return replace(index, days=tuple(str(day) for day in np.unique(day_of(times))))
 
 
 def fingerprint(path: Path) -> tuple[str, int, int]:
@@ -236,58 +236,30 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
     return tuple(str(day) for day in day_range(first, last + 1)[: INGEST.longest_name_span])
 
 
-def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str]:
-    """Return the days that lie in a half-open TT2000 span."""
-    start, end = span
-    return [
-        day
-        for day in days
-        if (start is None or day_bounds(day)[1] > start) and (end is None or day_bounds(day)[0] < end)
-    ]
-
-
-def file_report(index: FileIndex, key: str, notes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the catalog keeps of a file in addition to its hash and days."""
-    problem = {"problem": index.problem} if index.problem else {}
-    return {"key": key, **problem, **notes}
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    """A file to be read, and its size and time of change when it was hashed."""
-
-    name: str
-    path: Path
-    span: NameSpan
-    size: int
-    mtime_ns: int
-
-    def require_unchanged(self) -> None:
-        """Raise `ReadError` when the file is gone or another one than was hashed."""
-        if not self.path.exists():
-            raise ReadError(
-                "is not there any more, and a day it has rows of must be made anew",
-                remedy="restore the file",
-                file=self.name,
-            )
-        status = self.path.stat()
-        if (status.st_size, status.st_mtime_ns) != (self.size, self.mtime_ns):
-            raise ReadError("changed while it was taken in", remedy="ingest again", file=self.name)
-
-
 @dataclass(frozen=True, kw_only=True)
 class BatchJob:
-    """Days of one instrument that a worker makes into one segment; it needs no database."""
+    """Days of one instrument that a worker makes into one segment; it needs no database.
+
+    Attributes
+    ----------
+    data : Path
+        Folder of the deliveries.
+    options : Files
+        How the instrument's files are read.
+    files : tuple of FileIndex
+        Every file that holds rows of these days, in order of time.
+    keys : mapping of str to str
+        The days and their keys.
+    """
 
     workspace: Path
+    data: Path
     run: str
     instrument_name: str
     instrument: Instrument
-    files: Files
-    #: Every file that holds rows of these days.
-    sources: tuple[SourceFile, ...]
-    #: Day, key, names of its files, their hashes.
-    days: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...]
+    options: Files
+    files: tuple[FileIndex, ...]
+    keys: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -298,11 +270,6 @@ class BatchResult:
     failures: dict[str, Problem]
     #: What was dropped and noted, per file.
     notes: dict[str, dict[str, Any]]
-
-
-def source_file(file: FileIndex, data: Path) -> SourceFile:
-    """Return what a worker needs to know of an indexed file."""
-    return SourceFile(file.name, data / file.name, file.delivered.span, file.size, file.mtime_ns)
 
 
 def days_of_batch(instrument: Instrument) -> int:
@@ -320,79 +287,72 @@ def make_batch(job: BatchJob) -> BatchResult:
     StorageError
         When the disk refuses the write. What is wrong with files and days is returned instead.
     """
-    parts, broken, notes = _read_parts(job)
+    tables, broken, notes = _read_tables(job)
     made: list[DayData] = []
     failures: dict[str, Problem] = {}
-    for day, key, names, hashes in job.days:
-        problem = next((broken[name] for name in names if name in broken), None)
+    for day, key in job.keys.items():
+        files = [file for file in job.files if day in file.days]
+        problem = next((broken[file.name] for file in files if file.name in broken), None)
         if problem is not None:
             failures[day] = problem | {"day": day}
             continue
         try:
-            made.append(_make_day(job, day, key, parts.pop(day, []), hashes))
+            if day not in tables:
+                raise InflightError("no file holds rows of this day any more", remedy="ingest again", day=day)
+            date = np.datetime64(day, "D")
+            dataset, report = assemble_day(date, tables.pop(day), job.instrument_name, job.instrument)
         except StorageError:
             raise
         except InflightError as error:
             failures[day] = problem_of(error, day)
+            continue
+        channels = report["channels"]
+        main = [channels["field"]] if "field" in channels else list(channels.values())
+        report["coverage"] = min(channel["coverage"] for channel in main)
+        made.append(DayData(date, dataset, key, tuple(f"file:{file.sha256}" for file in files), report))
     if not made:
         return BatchResult(None, failures, notes)
-    segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _alike(made))
+    segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _with_common_types(made))
     return BatchResult(segment, failures, notes)
 
 
-def _read_parts(
+def _read_tables(
     job: BatchJob,
 ) -> tuple[dict[str, list[RawTable]], dict[str, Problem], dict[str, dict[str, Any]]]:
-    days = {day for day, *_ in job.days}
-    parts: dict[str, list[RawTable]] = {}
+    """Return the rows of each day of a batch, and by file what is wrong with it and what was noted."""
+    tables: dict[str, list[RawTable]] = {}
     broken: dict[str, Problem] = {}
     notes: dict[str, dict[str, Any]] = {}
-    for source in job.sources:
-        name = source.name
+    for file in job.files:
+        name, path = file.name, job.data / file.name
         try:
-            source.require_unchanged()
-            table = read_file(source.path, job.files, job.instrument, source.span, name)
+            file.require_unchanged(path)
+            table = read_file(path, job.options, job.instrument, file.delivered.span, name)
         except InflightError as error:
             error.file = name  # below the data folder, as the catalog names it
             broken[name] = problem_of(error)
             continue
         notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
         for day, part in split_days(table).items():
-            if str(day) in days:
-                parts.setdefault(str(day), []).append(part)
-    return parts, broken, notes
+            if str(day) in job.keys:
+                tables.setdefault(str(day), []).append(part)
+    return tables, broken, notes
 
 
-def _make_day(job: BatchJob, day: str, key: str, parts: list[RawTable], hashes: Iterable[str]) -> DayData:
-    if not parts:
-        raise InflightError("no file holds rows of this day any more", remedy="ingest again", day=day)
-    date = np.datetime64(day, "D")
-    dataset, report = assemble_day(date, parts, job.instrument_name, job.instrument)
-    channels = report["channels"]
-    main = [channels["field"]] if "field" in channels else list(channels.values())
-    report["coverage"] = min(channel["coverage"] for channel in main)
-    return DayData(date, dataset, key, tuple(f"file:{sha256}" for sha256 in hashes), report)
-
-
-def _alike(days: list[DayData]) -> list[DayData]:
+def _with_common_types(days: list[DayData]) -> list[DayData]:
     """Give a channel one number type in all days of a segment, the one that holds them all exactly."""
     types: dict[str, np.dtype[Any]] = {}
-    for item in days:
-        for name, array in item.dataset.variables.items():
+    for day in days:
+        for name, array in day.dataset.variables.items():
             types[str(name)] = np.result_type(array.dtype, types.get(str(name), array.dtype))
-    return [
-        DayData(item.day, _cast(item.dataset, types), item.key, item.parents, item.report) for item in days
-    ]
 
+    def cast(dataset: xr.Dataset) -> xr.Dataset:
+        named = {str(name): array for name, array in dataset.data_vars.items()}
+        return dataset.assign(
+            {name: array.astype(types[name]) for name, array in named.items() if array.dtype != types[name]}
+        )
 
-def _cast(dataset: xr.Dataset, types: dict[str, np.dtype[Any]]) -> xr.Dataset:
-    return dataset.assign(
-        {
-            name: array.astype(types[str(name)])
-            for name, array in dataset.data_vars.items()
-            if array.dtype != types[str(name)]
-        }
-    )
+    return [replace(day, dataset=cast(day.dataset)) for day in days]
 
 
 @dataclass(kw_only=True)
@@ -406,10 +366,10 @@ class _Plan:
     unchanged: list[str] = field(default_factory=list)
     #: Failures that are on record with the same key, and new ones.
     failed: dict[str, Problem] = field(default_factory=dict)
-    fresh_failures: dict[str, Problem] = field(default_factory=dict)
+    new_failures: dict[str, Problem] = field(default_factory=dict)
     #: Days between the first and the last that no file holds; those not on record yet.
     empty: list[str] = field(default_factory=list)
-    fresh_empty: list[str] = field(default_factory=list)
+    new_empty: list[str] = field(default_factory=list)
     notes: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
@@ -418,8 +378,23 @@ class _Plan:
 
     @property
     def has_work(self) -> bool:
-        fresh = any(not file.known for file in self.delivery.files)
-        return bool(fresh or self.todo or self.adopt or self.fresh_failures or self.fresh_empty)
+        new_files = any(not file.known for file in self.delivery.files)
+        return bool(new_files or self.todo or self.adopt or self.new_failures or self.new_empty)
+
+    def summary(self, done: Sequence[Day]) -> dict[str, Any]:
+        """Return what the report says of the dataset; `done` are its days that were published."""
+        dropped: Counter[str] = Counter()
+        for notes in self.notes.values():
+            dropped.update(notes["dropped"])
+        return {
+            "days": len(self.keys),
+            "done": len(done),
+            "mean_coverage": round(float(np.mean([day.coverage for day in done])), 6) if done else None,
+            "first": min(self.keys, default=""),
+            "last": max(self.keys, default=""),
+            "dropped": dict(dropped),
+            "notes": sorted({note for notes in self.notes.values() for note in notes["notes"]})[:20],
+        }
 
 
 def ingest(
@@ -451,7 +426,7 @@ def ingest(
     client : distributed.Client, optional
         Batches run on it; the archive is the same byte for byte as without.
     progress : callable, optional
-        Told (stage, done, total).
+        Called with (stage, done, total).
     batch_days : int, optional
         Days of one segment; chosen from the cadence when absent.
 
@@ -468,7 +443,12 @@ def ingest(
     StorageError
         When the disk refuses a write; nothing is published then.
     """
-    names, folder = _instruments(mission, instruments), Path(data).resolve()
+    names, folder = list(mission.instruments if instruments is None else instruments), Path(data).resolve()
+    if unknown := [name for name in names if name not in mission.instruments]:
+        raise MissionError(
+            f"the mission has no instrument {', '.join(unknown)}",
+            remedy=f"choose from {', '.join(mission.instruments)}",
+        )
     span = (_bound(start), _bound(end))
     report_progress = progress or (lambda stage, done, total: None)
     plans = []
@@ -481,22 +461,19 @@ def ingest(
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
     with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
         jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
-        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, report_progress)
+        by_instrument = {plan.delivery.instrument: plan for plan in plans}
+        results = iter_results(client, make_batch, [(job,) for job in jobs])
+        for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
+            plan = by_instrument[job.instrument_name]
+            if result.segment is not None:
+                run.attach(result.segment)
+            plan.new_failures |= result.failures
+            plan.notes |= result.notes
+            report_progress("ingest", count, len(jobs))
         for plan in plans:
             _record(cat, run, plan)
         published = run.publish()
     return _report(run.id, plans, published)
-
-
-def _instruments(mission: Mission, named: Sequence[str] | None) -> list[str]:
-    """Return the instruments to take in: those named, or all."""
-    names = list(named) if named is not None else list(mission.instruments)
-    if unknown := [name for name in names if name not in mission.instruments]:
-        raise MissionError(
-            f"the mission has no instrument {', '.join(unknown)}",
-            remedy=f"choose from {', '.join(mission.instruments)}",
-        )
-    return names
 
 
 def _bound(day: str | np.datetime64 | None) -> int | None:
@@ -509,9 +486,11 @@ def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None])
     published = {str(day.day): day for day in cat.days(plan.dataset, states=["published"])}
     failed = {str(day.day): day for day in cat.days(plan.dataset, states=["failed"])}
     verified = {(str(day.day), day.key) for day in cat.days(plan.dataset, states=["verified"])}
-    by_day = delivery.by_day()
-    for day in within(by_day, span):
-        files = by_day[day]
+    by_day, (start, end) = delivery.by_day(), span
+    for day, files in by_day.items():
+        first, last = day_bounds(day)
+        if (start is not None and last <= start) or (end is not None and first >= end):
+            continue
         hashes = sorted(file.sha256 for file in files)
         key = idempotency_key(plan.dataset, day, INGEST_VERSION, delivery.key, hashes)
         plan.keys[day] = key
@@ -521,24 +500,19 @@ def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None])
         elif day in failed and failed[day].key == key and failed[day].cause == "repeatable":
             plan.failed[day] = dict(failed[day].report.get("problem", {"message": failed[day].message}))
         elif broken is not None:
-            plan.fresh_failures[day] = broken | {"day": day}
+            plan.new_failures[day] = broken | {"day": day}
         elif (day, key) in verified:
             plan.adopt.append(day)
         else:
             plan.todo.append(day)
-    _plan_empty(cat, plan, {*published, *failed})
+    if plan.keys:
+        # Days between the first and the last one that no file holds: each gap gets its cause.
+        recorded = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
+        known = {*by_day, *published, *failed}
+        between = map(str, day_range(min(plan.keys), max(plan.keys)))
+        plan.empty = [day for day in between if day not in known]
+        plan.new_empty = [day for day in plan.empty if day not in recorded]
     return plan
-
-
-def _plan_empty(cat: Catalog, plan: _Plan, known: set[str]) -> None:
-    """List the days between the first and the last one that no file holds, so that each gap has its cause."""
-    if not plan.keys:
-        return
-    first, last = min(plan.keys), max(plan.keys)
-    recorded = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
-    held = set(plan.delivery.by_day()) | known
-    plan.empty = [str(day) for day in day_range(first, last) if str(day) not in held]
-    plan.fresh_empty = [day for day in plan.empty if day not in recorded]
 
 
 def _jobs(
@@ -548,51 +522,26 @@ def _jobs(
         if run.adopt(plan.dataset, day, plan.keys[day]) is None:
             plan.todo.append(day)
     name = plan.delivery.instrument
-    files, instrument = mission.files(name), mission.instruments[name]
-    size = batch_days or days_of_batch(instrument)
-    by_day, todo = plan.delivery.by_day(), sorted(plan.todo)
-    jobs = []
-    for begin in range(0, len(todo), size):
-        days = todo[begin : begin + size]
-        needed = {file.name: file for day in days for file in by_day[day]}
-        jobs.append(
-            BatchJob(
-                workspace=cat.workspace,
-                run=run.id,
-                instrument_name=name,
-                instrument=instrument,
-                files=files,
-                sources=tuple(source_file(file, data) for file in needed.values()),
-                days=tuple(
-                    (
-                        day,
-                        plan.keys[day],
-                        tuple(file.name for file in by_day[day]),
-                        tuple(file.sha256 for file in by_day[day]),
-                    )
-                    for day in days
-                ),
-            )
+    size, todo = batch_days or days_of_batch(mission.instruments[name]), sorted(plan.todo)
+    batches = [todo[begin : begin + size] for begin in range(0, len(todo), size)]
+    return [
+        BatchJob(
+            workspace=cat.workspace,
+            data=data,
+            run=run.id,
+            instrument_name=name,
+            instrument=mission.instruments[name],
+            options=mission.files(name),
+            files=tuple(file for file in plan.delivery.files if not set(days).isdisjoint(file.days)),
+            keys={day: plan.keys[day] for day in days},
         )
-    return jobs
-
-
-def _make_days(
-    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, report_progress: Progress
-) -> None:
-    results = iter_results(client, make_batch, [(job,) for job in jobs])
-    for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
-        plan = plans[job.instrument_name]
-        if result.segment is not None:
-            run.attach(result.segment)
-        plan.fresh_failures |= result.failures
-        plan.notes |= result.notes
-        report_progress("ingest", count, len(jobs))
+        for days in batches
+    ]
 
 
 def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
     """Record failures, empty days and files; files count as taken in when the run publishes."""
-    for day, problem in plan.fresh_failures.items():
+    for day, problem in plan.new_failures.items():
         run.record(
             plan.dataset,
             day,
@@ -603,7 +552,7 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
             plan.keys[day],
         )
     run.record_no_work(
-        plan.dataset, dict.fromkeys(plan.fresh_empty, "no delivered file holds rows of this day")
+        plan.dataset, dict.fromkeys(plan.new_empty, "no delivered file holds rows of this day")
     )
     cat.record_files(
         run,
@@ -615,7 +564,11 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
                 size=file.size,
                 mtime_ns=file.mtime_ns,
                 days=tuple(map(str, file.days)),
-                report=file_report(file, plan.delivery.key, plan.notes.get(file.name, {})),
+                report={
+                    "key": plan.delivery.key,
+                    **({"problem": file.problem} if file.problem else {}),
+                    **plan.notes.get(file.name, {}),
+                },
                 run=run.id,
             )
             for file in plan.delivery.files
@@ -631,7 +584,7 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     problems = []
     for plan in plans:
         name = plan.delivery.instrument
-        failures = plan.failed | plan.fresh_failures
+        failures = plan.failed | plan.new_failures
         problems += [{"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())]
         problems += [
             {"instrument": name, **file.problem}
@@ -642,11 +595,11 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
         "planned": sum(len(plan.keys) for plan in plans),
         "done": len(published),
         "unchanged": sum(len(plan.unchanged) for plan in plans),
-        "failed": sum(len(plan.failed) + len(plan.fresh_failures) for plan in plans),
+        "failed": sum(len(plan.failed) + len(plan.new_failures) for plan in plans),
         "no_work": sum(len(plan.empty) for plan in plans),
     }
     extra = {
-        "datasets": {plan.dataset: _summary_of(plan, done[plan.dataset]) for plan in plans},
+        "datasets": {plan.dataset: plan.summary(done[plan.dataset]) for plan in plans},
         "files": {
             "read": sum(not file.known for plan in plans for file in plan.delivery.files),
             "unchanged": sum(file.known for plan in plans for file in plan.delivery.files),
@@ -657,18 +610,3 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     }
     outputs = sorted({day.segment for day in published})
     return RunReport("ingest", run=run, days=counts, problems=problems, outputs=outputs, extra=extra)
-
-
-def _summary_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
-    dropped: Counter[str] = Counter()
-    for notes in plan.notes.values():
-        dropped.update(notes["dropped"])
-    return {
-        "days": len(plan.keys),
-        "done": len(done),
-        "mean_coverage": round(float(np.mean([day.coverage for day in done])), 6) if done else None,
-        "first": min(plan.keys, default=""),
-        "last": max(plan.keys, default=""),
-        "dropped": dict(dropped),
-        "notes": sorted({note for notes in plan.notes.values() for note in notes["notes"]})[:20],
-    }

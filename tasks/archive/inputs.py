@@ -33,7 +33,7 @@ AMBIENT = "ambient"
 
 @dataclass(frozen=True, kw_only=True)
 class InputSettings:
-    """How far samples reach beyond their own day.
+    """How far samples reach beyond their own day, and what is kept in memory.
 
     Attributes
     ----------
@@ -44,12 +44,22 @@ class InputSettings:
         A channel's typical value comes from its own day when this part of it is known, else from other days
         (assumed).
     typical_value_days : int
-        Other days are looked for this far on both sides (assumed).
+        Other days are searched this far on both sides (assumed).
+    readings_per_turn : int
+        A channel resolves the spin with this many readings a turn (derived: twice the second harmonic).
+    cached_channels : int
+        Channels kept by `inflight.tasks.archive.samples.cached_readings`: those of some three days (assumed).
+    cached_days : int
+        Days kept by `inflight.tasks.archive.channels.ChannelReader`: a day, its history, and those of
+        placebos (assumed).
     """
 
     margin_cadences: int = 40
     least_coverage: float = 0.1
     typical_value_days: int = 15
+    readings_per_turn: int = 4
+    cached_channels: int = 48
+    cached_days: int = 12
 
 
 INPUTS = InputSettings()
@@ -61,14 +71,14 @@ class Need:
 
     Attributes
     ----------
-    part : Part, optional
+    part : ChannelFactor, optional
         What is made of the channel: a slow response or a play, which need earlier data.
     products : tuple of str
         Products of channels that the series is a factor of.
     smooth_ns : int
         Readings are averaged over this long, centred.
     replaceable : bool
-        A typical value may stand in where the channel is missing: see `replaceable_needs`.
+        A typical value may replace the channel where it is missing: see `replaceable_needs`.
     """
 
     name: str
@@ -121,7 +131,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
     Parameters
     ----------
     extra : iterable of str
-        More channels by name, derived ones too; those the mission has not are left out.
+        More channels by name, derived ones too; those the mission has not are skipped.
 
     Raises
     ------
@@ -133,23 +143,23 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         Need(name=role, instrument=name, channel="field", cadence_ns=mission.instruments[name].cadence)
         for role, name in roles.items()
     ]
-    known = _Known(mission)
-    needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
-    needs += ambient_of(mission, model.comparison)
+    for needed_by in (clock_of, axis_of, ambient_of):
+        needs += needed_by(mission, model.comparison)
+    known = _Names(mission)
     used = {channel for entry in model.effects for channel in entry.effect.channels}
-    if unknown := {base for name in used for base in known.bases(name)} - known.names:
+    if unknown := {base for name in used for base in known.bases(name)} - known.all:
         raise SamplesError(
             f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
-            remedy=f"the mission has {', '.join(sorted(known.names))}",
+            remedy=f"the mission has {', '.join(sorted(known.all))}",
         )
-    names = used | {name for name in extra if set(known.bases(name)) <= known.names}
+    names = used | {name for name in extra if set(known.bases(name)) <= known.all}
     return needs + known.needs(names)
 
 
 def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
     """Return needs, those marked whose typical value may stand in: what the model's effects are made from.
 
-    Attitudes and positions have no typical value, and fields are what it is all about.
+    Attitudes and positions have no typical value, and measured fields are not replaced.
     """
     used = {
         part.name
@@ -196,7 +206,22 @@ def clock_of(mission: Mission, comparison: str) -> list[Need]:
     SamplesError
         When the mission has no such channel, or several and the comparison names none.
     """
-    return _Known(mission).clock(comparison)
+    entry = mission.comparisons[comparison]
+    if entry.kind != "spin":
+        return []
+    found = [
+        name
+        for name, (instrument, channel) in channels_by_name(mission).items()
+        if mission.instruments[instrument].channels[channel].kind in ("sun_pulse", "spin_phase")
+        and entry.phase in (None, name)
+    ]
+    if len(found) != 1:
+        listed = f" by the name {entry.phase!r}" if entry.phase else f": {', '.join(found)}" if found else ""
+        raise SamplesError(
+            f"{len(found)} channels tell the phase of the spin{listed}",
+            remedy="give one channel the kind 'sun_pulse' or 'spin_phase' and name it as the 'phase'",
+        )
+    return [replace(_need_of(mission, found[0]), name=SPIN_PHASE)]
 
 
 def axis_of(mission: Mission, comparison: str) -> list[Need]:
@@ -207,7 +232,16 @@ def axis_of(mission: Mission, comparison: str) -> list[Need]:
     SamplesError
         When the comparison names a channel the mission has not, or one of another kind.
     """
-    return _Known(mission).axis(comparison)
+    entry = mission.comparisons[comparison]
+    if entry.kind != "spin" or not isinstance(entry.spin_axis, str):
+        return []
+    home = channels_by_name(mission).get(entry.spin_axis)
+    if home is None or mission.instruments[home[0]].channels[home[1]].kind != "spin_axis":
+        raise SamplesError(
+            f"no channel of kind 'spin_axis' has the name {entry.spin_axis!r}",
+            remedy="name one as the 'spin_axis' of the comparison, or state frame and direction there",
+        )
+    return [replace(_need_of(mission, entry.spin_axis), name=SPIN_AXIS)]
 
 
 def ambient_of(mission: Mission, comparison: str) -> list[Need]:
@@ -225,54 +259,13 @@ def ambient_of(mission: Mission, comparison: str) -> list[Need]:
     ]
 
 
-class _Known:
+class _Names:
     """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
         self.homes = channels_by_name(mission)
-        self.geometry = geometry_channels(mission)
-        self.position = position_channel(mission)
-        self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
-
-    def clock(self, comparison: str) -> list[Need]:
-        """Return the series of `clock_of`."""
-        entry = self.mission.comparisons[comparison]
-        if entry.kind != "spin":
-            return []
-        kinds = {
-            name: self.mission.instruments[home[0]].channels[home[1]].kind
-            for name, home in self.homes.items()
-        }
-        found = [name for name, kind in kinds.items() if kind in ("sun_pulse", "spin_phase")]
-        if entry.phase is not None:
-            found = [name for name in found if name == entry.phase]
-        if len(found) != 1:
-            raise SamplesError(
-                f"{len(found)} channels tell the phase of the spin"
-                + (
-                    f" by the name {entry.phase!r}"
-                    if entry.phase
-                    else f": {', '.join(found)}"
-                    if found
-                    else ""
-                ),
-                remedy="give one channel the kind 'sun_pulse' or 'spin_phase' and name it as the 'phase'",
-            )
-        return [replace(self._need(found[0], None, ()), name=SPIN_PHASE)]
-
-    def axis(self, comparison: str) -> list[Need]:
-        """Return the series of `axis_of`."""
-        entry = self.mission.comparisons[comparison]
-        if entry.kind != "spin" or not isinstance(entry.spin_axis, str):
-            return []
-        home = self.homes.get(entry.spin_axis)
-        if home is None or self.mission.instruments[home[0]].channels[home[1]].kind != "spin_axis":
-            raise SamplesError(
-                f"no channel of kind 'spin_axis' has the name {entry.spin_axis!r}",
-                remedy="name one as the 'spin_axis' of the comparison, or state frame and direction there",
-            )
-        return [replace(self._need(entry.spin_axis, None, ()), name=SPIN_AXIS)]
+        self.all = set(self.homes) | (set(GEOMETRY) if position_channel(mission) else set())
 
     def bases(self, name: str) -> tuple[str, ...]:
         """Return the channels a name is made from; a channel of the mission may be called anything."""
@@ -284,40 +277,43 @@ class _Known:
         for name in sorted(names):
             parts = (ChannelFactor(name),) if name in self.homes else parse_channel(name).parts
             for part in parts:
-                for need in self._of_part(part, (name,) if len(parts) > 1 else ()):
+                for need in self.needs_of_part(part, (name,) if len(parts) > 1 else ()):
                     before = found.get(need.name)
                     products = (*before.products, *need.products) if before else need.products
                     found[need.name] = replace(need, products=products)
         return [found[name] for name in sorted(found)]
 
-    def _of_part(self, part: ChannelFactor, products: tuple[str, ...]) -> list[Need]:
+    def needs_of_part(self, part: ChannelFactor, products: tuple[str, ...]) -> list[Need]:
         """Return the series a part is made from; what geometry adds comes from position and attitude."""
         if part.placebo:
             raise SamplesError(
                 f"'{part.name}' is a placebo, which only a search makes", remedy="drop it from the model"
             )
         if part.channel in self.homes:
-            return [self._need(part.channel, None if part.is_plain else part, products)]
-        needs = [self._need(name, None, products) for name in self.geometry]
+            return [_need_of(self.mission, part.channel, None if part.is_plain else part, products)]
+        needs = [_need_of(self.mission, name, None, products) for name in geometry_channels(self.mission)]
         if not part.is_plain:
-            needs.append(replace(self._need(self.position, part, products), name=part.name))
+            position = _need_of(self.mission, position_channel(self.mission), part, products)
+            needs.append(replace(position, name=part.name))
         return needs
 
-    def _need(self, name: str, part: ChannelFactor | None, products: tuple[str, ...]) -> Need:
-        instrument, channel = self.homes[name]
-        home = self.mission.instruments[instrument]
-        called = part.name if part else name
-        described = home.channels[channel]
-        return Need(
-            name=called,
-            instrument=instrument,
-            channel=channel,
-            cadence_ns=home.cadence,
-            lag_ns=described.lag,
-            part=part,
-            products=products,
-            smooth_ns=described.smooth,
-        )
+
+def _need_of(
+    mission: Mission, name: str, part: ChannelFactor | None = None, products: tuple[str, ...] = ()
+) -> Need:
+    """Return the need of one channel; `part` is what is made of it."""
+    instrument, channel = channels_by_name(mission)[name]
+    described = mission.instruments[instrument].channels[channel]
+    return Need(
+        name=part.name if part else name,
+        instrument=instrument,
+        channel=channel,
+        cadence_ns=mission.instruments[instrument].cadence,
+        lag_ns=described.lag,
+        part=part,
+        products=products,
+        smooth_ns=described.smooth,
+    )
 
 
 def position_channel(mission: Mission) -> str:
@@ -397,13 +393,19 @@ class ArchiveIndex:
         One before and one after, at most `INPUTS.typical_value_days` away; none when there is none. A day
         that hardly has the channel counts only when no other does.
         """
+
+        def coverage(source: Day) -> float:
+            """Return the part of a day with values; 1 where the archive does not state it."""
+            channels = source.report.get("channels", {})
+            return float(channels.get(need.channel, {}).get("coverage", 1.0))
+
         far = INPUTS.typical_value_days + 1
         for least in (INPUTS.least_coverage, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
                 found = []
                 for side in sides:
                     there = (self.get(need, day + step * _DAY) for step in side)
-                    good = (one for one in there if one is not None and _coverage(one, need) >= least)
+                    good = (one for one in there if one is not None and coverage(one) >= least)
                     found += list(itertools.islice(good, 1))
                 if found:
                     return found
@@ -437,8 +439,3 @@ class ArchiveIndex:
         if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
-
-
-def _coverage(day: Day, need: Need) -> float:
-    """Return the part of a day on which a channel has values; 1 where the archive does not state it."""
-    return float(day.report.get("channels", {}).get(need.channel, {}).get("coverage", 1.0))

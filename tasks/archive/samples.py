@@ -38,8 +38,9 @@ from inflight.model import (
     substitute,
 )
 from inflight.samples import FIELD_ROLES, ChannelFactor, align, channel_product, fold, parse_channel
-from inflight.spin import PhaseFault, SpinPhase, phase_from_angle, phase_from_pulses
+from inflight.spin import PhaseFault, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
+    INPUTS,
     SPIN_AXIS,
     SPIN_PHASE,
     ArchiveIndex,
@@ -70,15 +71,15 @@ class _Rows(NamedTuple):
 
 
 def channel_series(
-    cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
+    cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, margins: bool = True
 ) -> xr.DataArray | None:
-    """Return a channel of a day, with a margin of its neighbours unless it stands alone."""
+    """Return a channel of a day, with margins of its neighbours where asked for; None without the day."""
     today = index.get(need, day)
     if today is None:
         return None
     rows = _read(cat, today, need)
     parts = [rows]
-    if not alone:
+    if margins:
         reach = need.margin_ns
         start, end = day_bounds(day)
         for step in range(1, need.days_before + 1):
@@ -124,45 +125,32 @@ def _derived(series: xr.DataArray, part: ChannelFactor) -> xr.DataArray:
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
-    if part.channel in GEOMETRY and series.attrs.get("kind") == "position":
-        values = _from_positions(series, part)
-        attrs = {
-            "cadence_ns": attrs["cadence_ns"],
-            "lag_ns": attrs["lag_ns"],
-            "units": GEOMETRY[part.channel],
-        }
+    if part.channel in GEOMETRY and attrs.get("kind") == "position":
+        if part.channel not in SLOW_GEOMETRY:
+            raise SamplesError(
+                f"'{part.channel}' has no slow response here",
+                channel=part.name,
+                remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
+            )
+        orbit = xr.Dataset({"position": (("time", "axis"), values, attrs), "tt2000": ("time", stamps)})
+        values = np.asarray(add_geometry(orbit)[part.channel].values, dtype=np.float64)
+        attrs = {name: attrs[name] for name in ("cadence_ns", "lag_ns")} | {"units": GEOMETRY[part.channel]}
     made = part.of(values, np.diff(stamps) / SECOND)
     return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
 
 
-def _from_positions(series: xr.DataArray, part: ChannelFactor) -> Floats:
-    """Return sunlight or latitude at the positions' own stamps; (time,)."""
-    if part.channel not in SLOW_GEOMETRY:
-        raise SamplesError(
-            f"'{part.channel}' has no slow response here",
-            channel=part.name,
-            remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
-        )
-    position = (("time", "axis"), series.values, series.attrs)
-    geometry = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
-    return np.asarray(geometry[part.channel].values, dtype=np.float64)
-
-
 class _ReadingCache(threading.local):
-    """Channels that were read last, by place and name, where a batch of days asks for it."""
+    """The channels that a thread read last, by segment, rows and name; None outside `cached_readings`."""
 
     rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
 
 
 _CACHE = _ReadingCache()
 
-#: Channels kept: those of some three days.
-_CACHED_CHANNELS = 48
-
 
 @contextmanager
 def cached_readings() -> Iterator[None]:
-    """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
+    """Keep the channels read last in memory: a batch reads the margins of a day again with its neighbours."""
     before, _CACHE.rows = _CACHE.rows, OrderedDict()
     try:
         yield
@@ -189,7 +177,7 @@ def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
         found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
     if cache is not None:
         cache[key] = found
-        if len(cache) > _CACHED_CHANNELS:
+        if len(cache) > INPUTS.cached_channels:
             cache.popitem(last=False)
     return found
 
@@ -262,33 +250,26 @@ def substitute_missing(
     missing = missing_rows(model, samples)
     if not missing:
         return None
-    lacking = [need for need in needs if need.name in missing]
-    found = {
-        need.name: typical_value(cat, need, index.typical_days(need, day), day)
-        for need in lacking
-        if need.replaceable
-    }
-    channels = {
-        need.name: mission.instruments[need.instrument].channels[need.channel]
-        for need in lacking
-        if need.part is None
-    }
-    single = {name: channel for name, channel in channels.items() if not channel.axis_names}
-    ranges = {name: channel.range for name, channel in single.items() if channel.range is not None}
-    known = {name: one for name, one in found.items() if one is not None}
-    return substitute(model, samples, known, ranges, missing)
+    typical, ranges = {}, {}
+    for need in (need for need in needs if need.name in missing):
+        channel = mission.instruments[need.instrument].channels[need.channel]
+        if need.part is None and not channel.axis_names and channel.range is not None:
+            ranges[need.name] = channel.range
+        value = typical_value(cat, need, index.typical_days(need, day), day) if need.replaceable else None
+        if value is not None:
+            typical[need.name] = value
+    return substitute(model, samples, typical, ranges, missing)
 
 
-def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
+def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetime64) -> Typical | None:
     """Return what a channel usually reads, from days of the archive; None when they have too few values."""
-    known = list(days)
-    if not known:
+    if not days:
         return None
-    read = [cat.read(one, [need.channel], with_time=False) for one in known]
-    values = np.concatenate([np.asarray(one[need.channel].values, dtype=np.float64) for one in read])
-    stamps = np.concatenate([one["tt2000"].values for one in read])
-    own = [one.day for one in known] == [day]
-    return Typical.of(values, stamps, "the day" if own else " and ".join(str(one.day) for one in known))
+    read = [cat.read(source, [need.channel], with_time=False) for source in days]
+    values = np.concatenate([np.asarray(data[need.channel].values, dtype=np.float64) for data in read])
+    stamps = np.concatenate([data["tt2000"].values for data in read])
+    origin = [source.day for source in days]
+    return Typical.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
 
 
 def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: float) -> dict[str, Any]:
@@ -308,29 +289,27 @@ def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: fl
 
 
 def substitution_problems(days: Iterable[Day]) -> list[dict[str, str]]:
-    """Return the entries of a run's problems for days whose products have stand-ins.
+    """Return the entries of a run's problems for days whose products have typical values.
 
     Parameters
     ----------
     days : iterable of Day
         Products, as the catalog has them.
     """
-    return [
-        {
-            "day": str(day.day),
-            "channel": ", ".join(
-                sorted({name for one in day.report["stand_ins"].values() for name in one["channels"]})
-            ),
-            "cause": PARTIAL,
-            "remedy": _REMEDY,
-            "message": str(day.report[PARTIAL]),
-        }
-        for day in days
-        if day.report.get("stand_ins")
-    ]
+    out = []
+    for day in days:
+        if effects := day.report.get("stand_ins"):
+            channels = sorted({name for effect in effects.values() for name in effect["channels"]})
+            out.append(partial_problem(day.day, str(day.report[PARTIAL]), _REMEDY, ", ".join(channels)))
+    return out
 
 
-#: Entry of a day's report, of estimates and of products: what was not as it should be of its spin.
+def partial_problem(day: np.datetime64, message: str, remedy: str, channel: str = "") -> dict[str, str]:
+    """Return an entry of a run's problems for a day that is there, though not all of it was measured."""
+    return {"day": str(day), "channel": channel, "cause": PARTIAL, "remedy": remedy, "message": message}
+
+
+#: Entry of a day's report, of estimates and of products: the faults of its spin phase and sensor.
 SPIN_FAULTS = "spin_faults"
 
 
@@ -341,8 +320,8 @@ class PhaseOfDay:
     Attributes
     ----------
     phase : Variable (time,)
-        Radians, unwrapped; NaN where it is not known. Attributes: `kind`, `told`, `found` and `remedies`
-        (lists of sentences about what was not as it should be), `period_s` (0 when not known).
+        Radians, unwrapped; NaN where it is not known. Attributes: `kind`, `told` (a summary), `found` and
+        `remedies` (the faults, lists of sentences), `period_s` (0 when not known).
     flag : ndarray of uint32, shape (time,)
         NO_PHASE, PHASE_BRIDGED, PHASE_JUMP.
     """
@@ -354,9 +333,9 @@ class PhaseOfDay:
 def spin_phase(
     mission: Mission, comparison: str, need: Need, series: xr.DataArray | None, stamps: Int64
 ) -> PhaseOfDay:
-    """Return the phase of the spin at stamps, and what was not as it should be.
+    """Return the phase of the spin at stamps, and its faults.
 
-    A day without a known phase has none, and a fault states it: its field is still that of turning axes.
+    A day without a known phase has NaN and a fault that states it: its field stays in turning axes.
 
     Parameters
     ----------
@@ -379,38 +358,34 @@ def spin_phase(
             "the mission does not say how fast it spins", remedy="state 'spin' under the mission's periods"
         )
     kind = mission.instruments[need.instrument].channels[need.channel].kind
-    common = {"units": "rad", "kind": kind}
+    nominal = mission.periods["spin"] / SECOND
     try:
-        found = _phase_of(kind, series, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
+        if series is None:
+            raise CalibrationError(
+                "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
+            )
+        times = np.asarray(series["tt2000"].values, dtype=np.int64)
+        values = np.asarray(series.values, dtype=np.float64)
+        if kind == "sun_pulse":
+            mark, times = np.deg2rad(entry.phase_at_pulse), times[np.isfinite(values)]
+            found = phase_from_pulses(times, stamps, nominal_period=nominal, mark_phase=mark)
+        else:
+            found = phase_from_angle(times, values, stamps, nominal_period=nominal)
+        phase, flag, faults = found.phase, found.flag, list(found.faults)
+        period, summary = found.period, found.summary()
     except CalibrationError as error:
-        fault = PhaseFault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
-        attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
-        nothing = np.full(stamps.size, np.nan)
-        return PhaseOfDay(
-            xr.Variable("time", nothing, attrs), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
-        )
-    attrs = {**common, "told": found.summary(), **_listed(found.faults), "period_s": found.period}
-    return PhaseOfDay(xr.Variable("time", found.phase, attrs), found.flag)
-
-
-def _phase_of(
-    kind: str, series: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float
-) -> SpinPhase:
-    if series is None:
-        raise CalibrationError(
-            "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
-        )
-    times = np.asarray(series["tt2000"].values, dtype=np.int64)
-    values = np.asarray(series.values, dtype=np.float64)
-    if kind == "sun_pulse":
-        times = times[np.isfinite(values)]
-        return phase_from_pulses(times, stamps, nominal_period=period, mark_phase=np.deg2rad(at_pulse))
-    return phase_from_angle(times, values, stamps, nominal_period=period)
-
-
-def _listed(faults: Iterable[PhaseFault]) -> dict[str, list[str]]:
-    whole = list(faults)
-    return {"found": [one.found for one in whole], "remedies": [one.remedy for one in whole]}
+        summary = f"nothing tells the phase of the spin: {error.message}"
+        phase, flag = np.full(stamps.size, np.nan), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
+        period, faults = 0.0, [PhaseFault(summary, error.remedy)]
+    attrs = {
+        "units": "rad",
+        "kind": kind,
+        "told": summary,
+        "found": [fault.found for fault in faults],
+        "remedies": [fault.remedy for fault in faults],
+        "period_s": period,
+    }
+    return PhaseOfDay(xr.Variable("time", phase, attrs), flag)
 
 
 def saturation_flags(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
@@ -434,7 +409,7 @@ def saturation_flags(readings: npt.NDArray[np.float64], channel: Channel) -> npt
 def day_faults(
     samples: xr.Dataset, needs: Iterable[Need], index: ArchiveIndex, day: np.datetime64
 ) -> list[dict[str, str]]:
-    """Return what was not as it should be of a day's spin: `channel`, `message` and `remedy` of each.
+    """Return the faults of a day's spin phase and sensor: `channel`, `message` and `remedy` of each.
 
     Parameters
     ----------
@@ -475,13 +450,7 @@ def spin_problems(days: Iterable[Day]) -> list[dict[str, str]]:
         Estimates and products, as the catalog has them.
     """
     return [
-        {
-            "day": str(day.day),
-            "channel": fault["channel"],
-            "cause": PARTIAL,
-            "remedy": fault["remedy"],
-            "message": fault["message"],
-        }
+        partial_problem(day.day, fault["message"], fault["remedy"], fault["channel"])
         for day in days
         for fault in day.report.get(SPIN_FAULTS, ())
     ]
@@ -530,16 +499,27 @@ def load_samples(
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
-        series = channel_series(cat, clock, day, index, alone=False)
-        turned = spin_phase(mission, model.comparison, clock, series, samples["tt2000"].values)
-        _add_phase(samples, mission, base, day, turned)
+        series = channel_series(cat, clock, day, index)
+        found = spin_phase(mission, model.comparison, clock, series, samples["tt2000"].values)
+        samples[SPIN_PHASE] = found.phase
+        channel = mission.instruments[base.instrument].channels[base.channel]
+        flag = samples["flag"] | found.flag | saturation_flags(samples[base.name].values, channel)
+        samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
     for need in needs:
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
-    samples = _oriented(mission, model, _name_geometry(mission, samples))
-    wanted = GEOMETRY if geometry else _asked_geometry(model, needs)
-    if wanted:
-        samples = add_geometry(samples, wanted)
+    samples = _name_geometry(mission, samples)
+    for role, name in mission.comparisons[model.comparison].instruments().items():
+        if role in samples and samples[role].ndim == 2:
+            samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
+    geometry_names = set(GEOMETRY)
+    if not geometry:
+        # Only what the effects of the model and products of channels are made from.
+        names = {channel for entry in model.effects for channel in entry.effect.channels}
+        names |= {name for need in needs for name in need.products}
+        geometry_names &= {factor for name in names for factor in name.split("*")}
+    if geometry_names:
+        samples = add_geometry(samples, geometry_names)
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
     return samples if folding is None else fold(samples, folding, (start, end))
@@ -550,7 +530,7 @@ def _present(
 ) -> dict[str, xr.DataArray]:
     """Return the series of what is needed and there; refused where a field is not."""
     channels = {
-        need.name: channel_series(cat, need, day, index, index.shares_stamps(need, base, day))
+        need.name: channel_series(cat, need, day, index, not index.shares_stamps(need, base, day))
         for need in needs
     }
     missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
@@ -559,31 +539,6 @@ def _present(
             f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
         )
     return {name: series for name, series in channels.items() if series is not None}
-
-
-def _add_phase(
-    samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, found: PhaseOfDay
-) -> None:
-    """Add the spin phase to the samples, and flag what it, saturation and the flipper make unusable."""
-    samples[SPIN_PHASE] = found.phase
-    channel = mission.instruments[base.instrument].channels[base.channel]
-    flag = samples["flag"] | found.flag | saturation_flags(samples[base.name].values, channel)
-    samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
-
-
-def _asked_geometry(model: Model, needs: Sequence[Need]) -> set[str]:
-    """Return the factors of a model or a product that only geometry makes."""
-    names = {channel for entry in model.effects for channel in entry.effect.channels}
-    names |= {name for need in needs for name in need.products}
-    return {factor for name in names for factor in name.split("*")} & set(GEOMETRY)
-
-
-def _oriented(mission: Mission, model: Model, samples: xr.Dataset) -> xr.Dataset:
-    """Tell each vector reading how its sensor is mounted."""
-    for role, name in mission.comparisons[model.comparison].instruments().items():
-        if role in samples and samples[role].ndim == 2:
-            samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
-    return samples
 
 
 def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:

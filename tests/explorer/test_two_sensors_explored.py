@@ -7,7 +7,7 @@ import numpy as np
 from inflight.catalog import Catalog, Workspace
 from inflight.explorer.session import Days, ExplorerSession
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
@@ -18,7 +18,7 @@ def test_states_units_and_verdict_are_shown(tmp_path):
     text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 4 s")
     source.write_text(text, encoding="utf-8")
     made = Workspace.create(tmp_path / "w", source)
-    simulate_dual(DualSettings(days=2, seed=31, overrides={"cadence": 4.0}), made.data, workers=1)
+    simulate(DualSettings(days=2, seed=31, overrides={"cadence": 4.0}), made.data, workers=1)
     ingest(Catalog(made.root), made.mission(), made.data)
     reprocess(Catalog(made.root), made.mission())
     session = ExplorerSession(made)
@@ -45,7 +45,7 @@ def test_a_spacecraft_without_units_is_shown_as_such(tmp_path):
     made = Workspace.create(tmp_path / "w", source)
     silent = ("transmitter", "spectrometer", "camera", "survival_heater")
     settings = DualSettings(days=1, seed=41, without=silent, overrides={"cadence": 4.0})
-    simulate_dual(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     ingest(Catalog(made.root), made.mission(), made.data)
     reprocess(Catalog(made.root), made.mission())
     session = ExplorerSession(made)

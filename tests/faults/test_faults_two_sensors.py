@@ -10,7 +10,7 @@ from fault_cases import assert_whole, copied, view
 
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
@@ -53,7 +53,7 @@ def archived(memory):
     text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 8 s")
     source.write_text(text, encoding="utf-8")
     made = Workspace.create(memory / "boom", source)
-    simulate_dual(DualSettings(days=COUNT, seed=33, overrides={"cadence": 8.0}), made.data, workers=1)
+    simulate(DualSettings(days=COUNT, seed=33, overrides={"cadence": 8.0}), made.data, workers=1)
     assert ingest(Catalog(made.root), made.mission(), made.data).days["failed"] == 0
     return made.root
 

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from inflight.catalog import Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.tasks.archive import simulate_spinning
+from inflight.tasks.archive import simulate
 
 #: Size of a wrong gain ratio, and of the field of a coil at its usual current (nT), a case draws up to.
 _WRONG, _COIL_NT = (3e-4, 2e-3), (0.08, 0.5)
@@ -60,7 +60,7 @@ class TurningCase:
         """Write workspace and truth to folders of their own; return both paths."""
         label = f"{self.scenario.name}-{self.seed}"
         made = Workspace.create(root / "work" / label, self.scenario.craft)
-        simulate_spinning(self.settings, made.data, workers=1)
+        simulate(self.settings, made.data, workers=1)
         shutil.rmtree(made.data / "truth")
         if self.held is not None:
             hold(made.models / f"{self.scenario.craft}-preflight.yaml", self.held)

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 from inflight.simulate.dual.switching import UNITS, six_states
-from inflight.tasks.archive import simulate_dual
+from inflight.tasks.archive import simulate
 
 
 def test_a_day_does_not_depend_on_the_days_asked_for():
@@ -75,6 +75,6 @@ def test_an_effect_nobody_knows_is_refused():
 
 
 def test_files_and_truth_are_written_apart(tmp_path):
-    paths = simulate_dual(DualSettings(days=1), tmp_path, workers=1)
+    paths = simulate(DualSettings(days=1), tmp_path, workers=1)
     assert sorted(path.parent.name for path in paths) == ["hk", "ib", "ob", "slow"]
     assert [path.suffix for path in (tmp_path / "truth").glob("vex_truth_*")] == [".nc"]

@@ -13,7 +13,7 @@ import inflight.tasks.archive.deliveries as simulated_days
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.tasks.archive import simulate
-from inflight.tasks.archive.deliveries import INSTRUMENTS, delivered_path, preflight_model, truth_path
+from inflight.tasks.archive.deliveries import CHAMP, INSTRUMENTS
 from inflight.time import as_day, day_bounds
 
 SMALL = SimulationSettings(start="2005-01-03", days=2, cadence=10, hide=("day_night",))
@@ -33,7 +33,7 @@ def hashes(folder):
 
 def test_every_instrument_and_day_has_its_file(delivered):
     folder, paths = delivered
-    expected = [delivered_path(folder, name, day) for day in SMALL.day_list for name in INSTRUMENTS]
+    expected = [CHAMP.path(folder, name, day) for day in SMALL.day_list for name in INSTRUMENTS]
     assert paths == expected
     assert paths[0].relative_to(folder).as_posix() == "fgm/champ_fgm_20050103_v01.cdf"
 
@@ -42,7 +42,7 @@ def test_files_read_back_as_simulated(delivered):
     folder, _ = delivered
     day = SMALL.day_list[0]
     for name, data in simulate_day(SMALL, day).instruments.items():
-        file = cdflib.CDF(delivered_path(folder, name, day))
+        file = cdflib.CDF(CHAMP.path(folder, name, day))
         for variable, series in data.items():
             found = file.varget(variable)
             if variable == "Epoch":
@@ -56,7 +56,7 @@ def test_files_read_back_as_simulated(delivered):
 def test_a_leap_second_is_delivered_with_its_exact_time(tmp_path, day):
     wanted = SimulationSettings(start=day, days=1, defects=())
     simulate(wanted, tmp_path, workers=1)
-    epoch = cdflib.CDF(delivered_path(tmp_path, "fgm", as_day(day))).varget("Epoch")
+    epoch = cdflib.CDF(CHAMP.path(tmp_path, "fgm", as_day(day))).varget("Epoch")
     start, end = day_bounds(day)
     assert epoch.size == 86401
     assert (epoch[0], epoch[-1]) == (start, end - 1_000_000_000)
@@ -67,7 +67,7 @@ def test_a_leap_second_is_delivered_with_its_exact_time(tmp_path, day):
 
 def test_variables_carry_the_attributes_a_reader_needs(delivered):
     folder, _ = delivered
-    file = cdflib.CDF(delivered_path(folder, "fgm", SMALL.day_list[0]))
+    file = cdflib.CDF(CHAMP.path(folder, "fgm", SMALL.day_list[0]))
     attributes = file.varattsget("FGM_RAW")
     assert attributes["UNITS"] == "nT"
     assert attributes["DEPEND_0"] == "Epoch"
@@ -88,7 +88,7 @@ def test_truth_stands_apart_and_no_delivery_tells_of_it(delivered):
         content = path.read_bytes()
         for word in (b"truth", b"day_night", b"SUNLIT", b"STRAY"):
             assert word not in content
-    with xr.open_dataset(truth_path(folder, SMALL.day_list[0]), engine="h5netcdf") as truth:
+    with xr.open_dataset(CHAMP.truth_path(folder, SMALL.day_list[0]), engine="h5netcdf") as truth:
         assert json.loads(truth.attrs["hidden"]) == ["day_night"]
         assert truth.sizes["record"] == 8640
     settings = json.loads((folder / "truth" / "settings.json").read_text())
@@ -123,7 +123,7 @@ def test_a_stopped_run_is_completed_and_whole_days_are_kept(delivered, tmp_path,
     with pytest.raises(StorageError, match="No space left"):
         simulate(SMALL, tmp_path, workers=1)
     assert not list(tmp_path.rglob("*partial*"))
-    assert not delivered_path(tmp_path, "tq", SMALL.day_list[1]).exists()
+    assert not CHAMP.path(tmp_path, "tq", SMALL.day_list[1]).exists()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*20050103*")}
     assert len(kept) == 7
     monkeypatch.setattr(simulated_days, "write_cdf", real)
@@ -138,18 +138,3 @@ def test_a_longer_span_may_follow_but_other_settings_may_not(delivered):
     assert len(simulate(longer, folder, workers=1)) == len(INSTRUMENTS)
     with pytest.raises(CatalogError, match="other seed"):
         simulate(SMALL.model_copy(update={"seed": 99}), folder, workers=1)
-
-
-def test_preflight_model_does_not_name_what_is_hidden():
-    text = (
-        "model: m\neffects:\n"
-        "  - {effect: torquer, name: torquer_fgm, sensor: fgm}\n"
-        "  - {effect: vector_sensor, sensor: fgm}\n"
-        "  - {effect: torquer, name: torquer_ovm, sensor: ovm}\n"
-        "  - {effect: heading, sensor: ovm}\n"
-    )
-    left = preflight_model(text, SimulationSettings(hide=("torquer",), without=("heading",)))
-    assert "vector_sensor" in left
-    assert "torquer" not in left
-    assert "heading" not in left
-    assert preflight_model(text, SimulationSettings()).count("effect:") == 4

@@ -11,7 +11,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import SOURCES, write_cdf
+from inflight.tasks.archive.deliveries import SPINNING, write_cdf
 from inflight.time import SECOND, day_bounds
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=31, without=("zero_drift",))
@@ -34,7 +34,7 @@ def without(data: xr.Dataset, begin: float, end: float) -> xr.Dataset:
 
 def deliver(folder: Path, spoil: Spoil | None = None) -> None:
     """Write the first hours of each day; those of the bad day as `spoil` leaves them."""
-    source = SOURCES[SETTINGS.craft]
+    source = SPINNING[SETTINGS.craft]
     for day in SETTINGS.day_list:
         last = day_bounds(day)[0] + round(HOURS * 3600 * SECOND)
         made = simulate_spinning_day(SETTINGS, day).instruments

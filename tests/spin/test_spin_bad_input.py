@@ -9,7 +9,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.spin import NAMES, SPIN_RELATED
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import SOURCES
+from inflight.tasks.archive.deliveries import SPINNING
 from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND
 
@@ -207,7 +207,7 @@ def test_pulses_of_a_clock_that_runs_slow_are_held_against_the_field(tmp_path):
 
 def test_a_damaged_file_of_pulses_leaves_the_field_in_turning_axes(tmp_path):
     cat, mission, _ = mission_of(tmp_path / "damaged")
-    path = SOURCES["imp8"].path(tmp_path / "damaged" / "data", "sun", BAD)
+    path = SPINNING["imp8"].path(tmp_path / "damaged" / "data", "sun", BAD)
     path.write_bytes(path.read_bytes()[:4000])
     taken = ingest(cat, mission, tmp_path / "damaged" / "data")
     assert taken.days["failed"] == 1

@@ -6,7 +6,7 @@ from boom_mission import BENDS, make_boom_workspace
 
 from inflight.catalog import Catalog
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.relation.bending import unwrapped
+from inflight.tasks.pipelines.relation.tables import unwrap_phase
 
 
 @pytest.fixture(scope="module")
@@ -42,5 +42,5 @@ def test_the_same_days_again_change_nothing(boom):
 def test_a_phase_runs_on_across_a_gap():
     seconds = np.concatenate([np.arange(0.0, 60.0, 0.25), np.arange(97.3, 140.0, 0.25)])
     phase = 2.0 * np.pi * seconds / 3.1
-    found = unwrapped(np.mod(phase, 2.0 * np.pi), (seconds * 1e9).astype(np.int64))
+    found = unwrap_phase(np.mod(phase, 2.0 * np.pi), (seconds * 1e9).astype(np.int64))
     np.testing.assert_allclose(found - found[0], phase - phase[0], atol=1e-6)

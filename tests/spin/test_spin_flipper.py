@@ -10,7 +10,7 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES
-from inflight.tasks.archive import ingest, simulate_spinning, split_at_flips
+from inflight.tasks.archive import ingest, simulate, split_at_flips
 from inflight.tasks.archive.samples import flip_flags, longest_position, position_edges
 from inflight.tasks.pipelines import reprocess
 from inflight.time import day_bounds, to_tt2000
@@ -52,7 +52,7 @@ def flipped_workspace(folder, offset, events=FLIPS):
         overrides={"flips": [1.6, 3.3], "offset": offset},
     )
     made = Workspace.create(folder / "flipped", source)
-    simulate_spinning(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     cat, known = Catalog(made.root), made.mission()
     ingest(cat, known, made.data)
     return cat, settings.parameters, reprocess(cat, known)

@@ -9,8 +9,8 @@ from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings, ambient, attitude
-from inflight.tasks.archive import ingest, simulate_spinning
-from inflight.tasks.archive.deliveries import spinning_truth_path
+from inflight.tasks.archive import ingest, simulate
+from inflight.tasks.archive.deliveries import SPINNING
 from inflight.tasks.archive.inputs import axis_of
 from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND, to_tt2000
@@ -23,7 +23,7 @@ DAY = np.datetime64("2012-03-01")
 def themis(tmp_path_factory):
     """One day's workspace, made from all deliveries."""
     made = Workspace.create(tmp_path_factory.mktemp("frames") / "themis", "themis")
-    simulate_spinning(SETTINGS, made.data, workers=1)
+    simulate(SETTINGS, made.data, workers=1)
     cat, mission = Catalog(made.root), made.mission()
     ingest(cat, mission, made.data)
     assert reprocess(cat, mission).days["done"] == 1
@@ -55,7 +55,7 @@ def again(workspace, folder, old, new):
 def test_the_product_is_the_simulated_field_in_gse_and_gsm(themis):
     """The simulator turns by angles, from the spin axis to sidereal time; the product by vectors."""
     product = product_of(themis)
-    truth = xr.open_dataset(spinning_truth_path(SETTINGS, themis.data, DAY), decode_times=False)
+    truth = xr.open_dataset(SPINNING[SETTINGS.craft].truth_path(themis.data, DAY), decode_times=False)
     stamps = truth["Epoch"].values
     at = np.searchsorted(product["tt2000"].values, stamps)
     axes = attitude.payload_axes(ambient.position(stamps / SECOND, SETTINGS.parameters), SETTINGS.parameters)

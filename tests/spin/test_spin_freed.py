@@ -9,7 +9,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import spinning_sensor_of
 from inflight.tasks.analysis import Workbench
-from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.archive import ingest, simulate
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=41, without=("zero_drift",))
 HELD = SETTINGS.parameters.gain_ratio + 0.0011
@@ -24,7 +24,7 @@ def test_a_gain_ratio_held_at_a_wrong_value_is_found_and_freed_in_place(tmp_path
     text = file.read_text()
     assert BEFORE in text
     file.write_text(text.replace(BEFORE, AFTER))
-    simulate_spinning(SETTINGS, made.data, workers=1)
+    simulate(SETTINGS, made.data, workers=1)
     cat, mission = Catalog(made.root), made.mission()
     ingest(cat, mission, made.data)
     found, steps = Workbench(cat, mission).auto()

@@ -10,7 +10,7 @@ from inflight.errors import MissionError
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES, SPIN_RELATED
 from inflight.tasks.analysis.diagnosis import diagnose
-from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 SETTINGS = SpinningSettings(
@@ -20,7 +20,7 @@ SETTINGS = SpinningSettings(
 
 def workspace(folder, settings):
     made = Workspace.create(folder, settings.craft)
-    simulate_spinning(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     cat, mission = Catalog(folder), made.mission()
     assert ingest(cat, mission, made.data).days["failed"] == 0
     return cat, mission

@@ -7,7 +7,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.flows import run_plain
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES
-from inflight.tasks.archive import simulate_spinning
+from inflight.tasks.archive import simulate
 from inflight.tasks.pipelines.base.tables import month_edges
 from inflight.time import day_bounds
 
@@ -25,9 +25,9 @@ def settings(days):
 def closed(tmp_path_factory):
     """Three days of March, closed with the day after; then two of April, calibrated daily."""
     made = Workspace.create(tmp_path_factory.mktemp("months") / "imp8", "imp8")
-    simulate_spinning(settings(4), made.data, workers=1)
+    simulate(settings(4), made.data, workers=1)
     march = run_plain("monthly", made, {"month": "2012-03"}, workers=1)
-    simulate_spinning(settings(5), made.data, workers=1)
+    simulate(settings(5), made.data, workers=1)
     run_plain("ingest", made, {}, workers=1)
     daily = run_plain("reprocess", made, {"settings": {"table": "daily"}}, workers=1)
     return made, march, daily

@@ -12,7 +12,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import SOURCE, write_cdf
+from inflight.tasks.archive.deliveries import VENUS_EXPRESS, write_cdf
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
@@ -40,13 +40,13 @@ def deliver(made: Workspace, day: np.datetime64, spoil: Spoil | None = None) -> 
     """Write a day's files as `spoil` leaves them; an instrument that it takes away has none."""
     instruments = dict(simulate_dual_day(SETTINGS, day).instruments)
     for name in instruments:
-        SOURCE.path(made.data, name, day).unlink(missing_ok=True)
+        VENUS_EXPRESS.path(made.data, name, day).unlink(missing_ok=True)
     if spoil is not None:
         spoil(instruments)
     for name, data in instruments.items():
-        path = SOURCE.path(made.data, name, day)
+        path = VENUS_EXPRESS.path(made.data, name, day)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_cdf(path, SOURCE, name, data, day)
+        write_cdf(path, VENUS_EXPRESS, name, data, day)
 
 
 def copied(made: Workspace, folder: Path) -> Workspace:

@@ -8,7 +8,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings
 from inflight.tasks import to_json
 from inflight.tasks.analysis import Workbench, compare
-from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import reprocess
 
 
@@ -18,7 +18,7 @@ def coil(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare") / "coil"
     settings = SpinningSettings(craft="themis", days=2, seed=11, hide=("torquer",))
     made = Workspace.create(folder, settings.craft)
-    simulate_spinning(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     cat, mission = Catalog(folder), made.mission()
     ingest(cat, mission, made.data)
     reprocess(cat, mission)

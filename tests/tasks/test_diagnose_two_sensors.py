@@ -9,7 +9,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualParameters, DualSettings
 from inflight.simulate.dual.switching import UNITS
 from inflight.tasks.analysis import DiagnoseSettings, Workbench, diagnose_span
-from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive import ingest, simulate
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 
@@ -21,7 +21,7 @@ def diagnosed(folder, seed, **more):
     source.write_text(text, encoding="utf-8")
     made = Workspace.create(folder, source)
     settings = DualSettings(days=2, seed=seed, overrides={"cadence": 4.0}, **more)
-    simulate_dual(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     assert ingest(Catalog(folder), made.mission(), made.data).days["failed"] == 0
     return diagnose_span(made), made
 

@@ -13,7 +13,7 @@ from inflight.catalog import Catalog, Workspace, shipped_missions
 from inflight.errors import ConformanceError, MissionError
 from inflight.mission import Mission
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import (
     PIPELINES,
     Pipeline,
@@ -84,7 +84,7 @@ def test_two_sensors_told_apart_by_states_keep_the_contract(tmp_path):
     source = tmp_path / "boom.yaml"
     source.write_text(text.replace("cadence: 1 s", "cadence: 10 s"), encoding="utf-8")
     made = Workspace.create(tmp_path / "w", source)
-    simulate_dual(DualSettings(days=1, seed=31, overrides={"cadence": 10.0}), made.data, workers=1)
+    simulate(DualSettings(days=1, seed=31, overrides={"cadence": 10.0}), made.data, workers=1)
     ingest(Catalog(made.root), made.mission(), made.data)
     check_pipeline(BY_TAG["states"], made)
 

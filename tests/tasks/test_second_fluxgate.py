@@ -19,7 +19,7 @@ from inflight.tasks import current_model, preflight_model
 from inflight.tasks.analysis import DiagnoseSettings, compare
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.archive import ingest, simulate
-from inflight.tasks.archive.deliveries import truth_path
+from inflight.tasks.archive.deliveries import CHAMP
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.relation import relation_report
 
@@ -78,7 +78,7 @@ def test_each_comparison_begins_with_its_own_model(champ):
 
 
 def test_the_second_fluxgate_gets_its_own_nine_parameters(champ):
-    truth = xr.open_dataset(truth_path(champ.data, SETTINGS.day_list[1]), engine="h5netcdf").attrs
+    truth = xr.open_dataset(CHAMP.truth_path(champ.data, SETTINGS.day_list[1]), engine="h5netcdf").attrs
     for comparison, key in (("main", "nine_parameters"), ("second", "nine_parameters_second")):
         table = Catalog(champ.root).table(f"{comparison}-window", str(SETTINGS.day_list[1])).isel(interval=0)
         expected = np.concatenate([np.ravel(part) for part in json.loads(truth[key]).values()])

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from inflight.spin import GROUND, SPIN_RELATED, CalibrationParameters, ExternalValue, join_parameters
-from inflight.tasks.pipelines.spin.tables import _axial, _combined, _whole
+from inflight.tasks.pipelines.spin.tables import _axial_offset, _combine_days, _full_covariance
 from inflight.time import DAY
 
 PRIOR = np.full(8, 0.1)
@@ -21,7 +21,7 @@ def joined(sigma_axial):
 
 def test_an_uncertain_axial_offset_cancels_in_the_spin_plane():
     found, table, covariance, sigma = joined(3.0)
-    offsets = _whole(table, covariance, sigma)[-3:, -3:]
+    offsets = _full_covariance(table, covariance, sigma)[-3:, -3:]
     assert np.linalg.eigvalsh(offsets).min() > 0.0
     matrix = found.matrix()
     field = matrix @ offsets @ matrix.T
@@ -45,7 +45,7 @@ def zero(value, sigma):
 
 def test_a_span_has_the_mean_of_all_windows_that_tell():
     table = zero([1.0, 3.0, 1.2], [0.1, np.inf, 0.1])
-    found = _axial(table, 0, 30 * DAY)
+    found = _axial_offset(table, 0, 30 * DAY)
     assert found.value == pytest.approx(1.1)
     # They differ by 1.4 of their errors: chi square of two for one of freedom.
     assert found.sigma == pytest.approx(0.1 / np.sqrt(2) * np.sqrt(2.0))
@@ -54,10 +54,10 @@ def test_a_span_has_the_mean_of_all_windows_that_tell():
 
 def test_a_day_and_a_window_have_that_of_the_window_around_them():
     table = zero([1.0, 3.0, 1.2], [0.1, np.inf, 0.2])
-    assert _axial(table, 20 * DAY, 30 * DAY) == ExternalValue(1.2, 0.2, "mirror mode")
-    assert _axial(table, 3 * DAY, 4 * DAY) == ExternalValue(1.0, 0.1, "mirror mode")
-    assert _axial(table, 13 * DAY, 14 * DAY).source == GROUND
-    assert _axial(None, 0, DAY).source == GROUND
+    assert _axial_offset(table, 20 * DAY, 30 * DAY) == ExternalValue(1.2, 0.2, "mirror mode")
+    assert _axial_offset(table, 3 * DAY, 4 * DAY) == ExternalValue(1.0, 0.1, "mirror mode")
+    assert _axial_offset(table, 13 * DAY, 14 * DAY).source == GROUND
+    assert _axial_offset(None, 0, DAY).source == GROUND
 
 
 def day_of(value, sigma):
@@ -79,7 +79,7 @@ def test_days_that_tell_two_combinations_are_judged_by_these():
     random = np.random.default_rng(5)
     # They scatter by three times their errors.
     days = [day_of(np.concatenate([3e-3 * random.normal(size=2), np.zeros(6)]), sigma) for _ in range(40)]
-    value, covariance, excess = _combined(days, np.zeros(8), PRIOR)
+    value, covariance, excess = _combine_days(days, np.zeros(8), PRIOR)
     assert excess == pytest.approx(9.0, rel=0.35)
     assert np.allclose(value[2:], 0.0, atol=1e-9)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(3e-3 / np.sqrt(40), rel=0.2)

@@ -14,8 +14,8 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.spin import NAMES, SPIN_RELATED
 from inflight.tasks.pipelines.spin import SpinResults
-from inflight.tasks.pipelines.spin.compare import _Gathered, _tone_coordinates
-from inflight.tasks.pipelines.spin.day import together
+from inflight.tasks.pipelines.spin.compare import _tone_coordinates, _ToneRecord
+from inflight.tasks.pipelines.spin.day import pad_days
 from inflight.tasks.pipelines.spin.report import _phase
 from inflight.tasks.pipelines.spin.tables import zero_level_table
 from inflight.time import SECOND, day_bounds
@@ -69,14 +69,14 @@ def test_the_offset_along_the_axis_is_the_same_whatever_the_year(model):
 
 def test_means_that_fill_up_a_store_are_left_out(model):
     whole, short = day_of(OLD), day_of(OLD + 1).isel(mean_of=slice(0, 2000))
-    filled = together([whole, short])
+    filled = pad_days([whole, short])
     plain, padded = (zero_level_table(days, model, [OLD, OLD + 2]) for days in ([whole, short], filled))
     xr.testing.assert_identical(plain, padded)
 
 
 @pytest.mark.parametrize("day", [OLD, NEW])
 def test_sub_intervals_are_told_from_what_fills_up_a_store_in_any_year(day):
-    days = together([day_of(day, subs=30), day_of(day + 1, subs=20)])
+    days = pad_days([day_of(day, subs=30), day_of(day + 1, subs=20)])
     found = SpinResults(None, None, "main", {}, days, [], [])
     assert found.cloud.start.size == 50
     assert found.cloud.chosen.any()
@@ -115,13 +115,13 @@ def test_a_day_without_a_product_does_not_lend_its_flags_to_the_next():
 
 def test_a_day_without_housekeeping_keeps_its_place_in_what_tones_may_follow():
     mission = Mission.parse((ROOT / "themis.yaml").read_text(encoding="utf-8"))
-    found = _Gathered()
+    found = _ToneRecord()
     for number in range(3):
         start, _ = day_bounds(NEW + number)
         found.time.append(start + np.arange(4) * 300 * SECOND)
-        lacking = number == 1
-        found.named.append({"time of day": np.arange(4.0)})
-        found.wheels.append({} if lacking else {"coil_current at the spin": np.full(4, 1.0 + number + 0j)})
+        tone = {"coil_current at the spin": np.full(4, 1.0 + number + 0j)}
+        found.coordinates.append({"time of day": np.arange(4.0)})
+        found.channel_tones.append({} if number == 1 else tone)
     by_name = {one.name: one for one in _tone_coordinates(found, mission)}
     assert {one.values.size for one in by_name.values()} == {12}
     np.testing.assert_array_equal(np.isfinite(by_name["coil_current at the spin"].values[4:8]), False)

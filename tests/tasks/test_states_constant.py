@@ -19,15 +19,15 @@ from inflight.dual import (
 )
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 from inflight.tasks.pipelines.states import constant_sentences
 from inflight.tasks.pipelines.states.day import body_of, correction_of, table_of, window_readings
 from inflight.tasks.pipelines.states.tables import (
     constant_changes,
-    constant_of,
+    continue_table,
+    describe_constant,
     gradiometer_with_states,
-    joined,
 )
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
@@ -40,7 +40,7 @@ def days(tmp_path_factory):
     source = folder / "boom.yaml"
     source.write_text(MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 8 s"))
     made = Workspace.create(folder / "w", source)
-    simulate_dual(DualSettings(days=2, seed=102, overrides={"cadence": 8.0}), made.data, workers=1)
+    simulate(DualSettings(days=2, seed=102, overrides={"cadence": 8.0}), made.data, workers=1)
     cat, mission = Catalog(made.root), made.mission()
     assert ingest(cat, mission, made.data).days["failed"] == 0
     settings = ReprocessSettings(table="daily")
@@ -80,7 +80,7 @@ def test_a_gradiometer_has_the_constant_of_the_states_whichever_they_are_relativ
         both = states.known & found.known
         apart = (found.field - states.field)[both].mean(axis=0)
         assert np.all(np.abs(apart) < 2.0 * np.median(found.sigma[both], axis=0))
-        assert constant_of(table) == f"relative to state {number}"
+        assert describe_constant(table) == f"relative to state {number}"
         far.append(np.abs((free.field - states.field)[both].mean(axis=0) / np.abs(apart)))
     # Left where its median is zero it would be off by as much as the states differ.
     assert np.median(far) > 2.0
@@ -94,10 +94,10 @@ def test_a_gradiometer_tells_the_states_it_passes_through(days):
 
 
 def test_a_window_by_a_gradiometer_goes_on_from_one_by_states(days):
-    first = joined([], days[0][1]["states"])
+    first = continue_table([], days[0][1]["states"])
     readings, tables = days[1]
-    states, gradiometer = (joined([first], tables[method]) for method in ("states", "matrix"))
-    assert constant_of(states) == constant_of(gradiometer) == constant_of(first) == "relative to state 0"
+    states, gradiometer = (continue_table([first], tables[method]) for method in ("states", "matrix"))
+    assert {describe_constant(table) for table in (states, gradiometer, first)} == {"relative to state 0"}
     one, other = (correction_of(table, readings) for table in (states, gradiometer))
     both = one.known & other.known
     apart = (other.field - one.field)[both].mean(axis=0)
@@ -110,26 +110,26 @@ def test_a_window_that_leaves_alone_what_is_slow_has_no_constant_however_it_is_j
     table = tables[f"quick {method}"]
     found = correction_of(table, readings)
     for number in table["number"].values[:4].tolist():
-        later = joined([relative(table, number)], table)
+        later = continue_table([relative(table, number)], table)
         assert later.attrs["reference"] == number
         moved = (later["correction"] - table["correction"]).values[0]
         again = correction_of(later, readings)
-        assert constant_of(later) == "as measured"
+        assert describe_constant(later) == "as measured"
         np.testing.assert_allclose(again.field, found.field, atol=1e-6)
     assert np.abs(moved).max() > 0.1
 
 
 def test_a_window_that_was_left_alone_does_not_end_the_chain(days):
-    first = joined([], days[0][1]["states"])
+    first = continue_table([], days[0][1]["states"])
     # Learnt from one state that nobody knows, and not applied.
     lost = days[0][1]["states"].isel(state=[0], next=[0])
     lost = lost.assign(centre=lost["centre"] + 500.0).assign_attrs(applied="no", method="none", reference=0)
-    lost = joined([first], lost)
+    lost = continue_table([first], lost)
     (number,) = lost["number"].values
     assert number >= first.attrs["next_number"]
-    later = joined([lost, first], days[1][1]["states"])
+    later = continue_table([lost, first], days[1][1]["states"])
     assert later.attrs["goes_on"] == "yes"
-    assert constant_of(later) == constant_of(first)
+    assert describe_constant(later) == describe_constant(first)
     # Numbers are never given twice.
     assert later.attrs["next_number"] > number
     assert number not in later["number"].values
@@ -138,7 +138,7 @@ def test_a_window_that_was_left_alone_does_not_end_the_chain(days):
 def test_a_gradiometer_without_states_stands_alone_and_that_is_told(days):
     _, tables = days[0]
     bare = tables["matrix"].drop_vars("gradiometer_in_states")
-    told = constant_of(bare)
+    told = describe_constant(bare)
     assert told == "that of the window from 2006-05-14 alone"
     first, second = np.datetime64("2006-05-14"), np.datetime64("2006-05-15")
     changes = constant_changes({first: told, second: "relative to state 0"})
@@ -148,7 +148,7 @@ def test_a_gradiometer_without_states_stands_alone_and_that_is_told(days):
 
 
 def test_what_is_left_as_measured_is_told_as_such():
-    assert constant_of(xr.Dataset(attrs={"applied": "no"})) == "as measured"
+    assert describe_constant(xr.Dataset(attrs={"applied": "no"})) == "as measured"
 
 
 def test_the_error_of_the_constant_is_not_in_what_is_quick(days):

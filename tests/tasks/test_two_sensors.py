@@ -17,8 +17,8 @@ from inflight.flags import Flag
 from inflight.flows import plan_span
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.analysis import compare
-from inflight.tasks.archive import ingest, simulate_dual
-from inflight.tasks.archive.deliveries import dual_truth_path
+from inflight.tasks.archive import ingest, simulate
+from inflight.tasks.archive.deliveries import VENUS_EXPRESS
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.states import named_units
 
@@ -46,7 +46,7 @@ def workspace(folder, settings):
         text = text[: text.index("comparisons:")] + MONITOR
     source.write_text(text, encoding="utf-8")
     made = Workspace.create(folder, source)
-    simulate_dual(settings, made.data, workers=1)
+    simulate(settings, made.data, workers=1)
     cat, mission = Catalog(folder), made.mission()
     assert ingest(cat, mission, made.data).days["failed"] == 0
     return cat, mission, made
@@ -61,8 +61,8 @@ def boom(tmp_path_factory):
 
 def errors(cat, made, day, constants=False):
     """Return errors of the measured and the corrected outboard field every 10 s, without constants; nT."""
-    product = cat.read(day, with_time=False)
-    with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
+    product = cat.read(day, dated=False)
+    with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
         stamps, field = truth["Epoch"].values.astype(np.int64), truth["FIELD"].values
         known = field + truth["OFFSET_OUT"].values
     rows = np.searchsorted(product["tt2000"].values, stamps)
@@ -213,7 +213,7 @@ def test_the_plan_of_a_backfill_counts_what_would_be_made(three, tmp_path):
     assert plan_span(made, *span, {"table": "span"})["days"]["planned"] == 3
     shutil.copytree(made.root, tmp_path / "w")
     copied = Workspace.open(tmp_path / "w")
-    simulate_dual(DualSettings(days=4, seed=33, overrides=COARSE), copied.data, workers=1)
+    simulate(DualSettings(days=4, seed=33, overrides=COARSE), copied.data, workers=1)
     cat, mission = Catalog(copied.root), copied.mission()
     assert ingest(cat, mission, copied.data).days["failed"] == 0
     told = plan_span(copied, *span, {"table": "daily"})
@@ -233,8 +233,8 @@ def test_a_state_has_one_number_in_all_windows(three):
     cat, _, made, _ = three
     seen = {}
     for day in cat.days("l2/field", states=("published",)):
-        product = cat.read(day, with_time=False)
-        with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
+        product = cat.read(day, dated=False)
+        with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, true = truth["Epoch"].values.astype(np.int64), truth["STATE"].values
         rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)
         there = product["tt2000"].values[rows] == stamps
@@ -324,8 +324,8 @@ def test_a_known_ambient_field_tells_the_constant_part_and_later_windows_take_it
     assert (first.attrs["constant_known"], first.attrs["carried"]) == (1, 0)
     assert (second.attrs["constant_known"], second.attrs["carried"]) == (1, 1)
     for day, table in zip(cat.days("l2/field", states=("published",)), (first, second), strict=True):
-        product = cat.read(day, with_time=False)
-        with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
+        product = cat.read(day, dated=False)
+        with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, stray = truth["Epoch"].values.astype(np.int64), truth["STRAY_OUT"] + truth["OFFSET_OUT"]
             true = stray.values
         rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)

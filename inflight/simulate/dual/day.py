@@ -6,24 +6,32 @@ and noise. All random numbers follow from seed, stream and day, so that a day do
 
 from __future__ import annotations
 
-import json
 from functools import cached_property
 
 import numpy as np
 import xarray as xr
 
-from inflight.simulate.dipole import dipole_matrix
+from inflight.simulate.defects import cut_gaps
+from inflight.simulate.dipole import dipole_field
 from inflight.simulate.dual.settings import DualSettings
-from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, part_on, six_states, together
+from inflight.simulate.dual.switching import (
+    NEW_UNIT,
+    UNITS,
+    Calendar,
+    Unit,
+    align_switchings,
+    six_states,
+    switched_part,
+)
 from inflight.simulate.grid import Float, Int64, Sampling
-from inflight.simulate.mission import SimulatedDay
+from inflight.simulate.mission import SimulatedDay, delivery
 from inflight.simulate.randomness import drift, generator
 from inflight.simulate.spinning import SpinningParameters, solar_wind
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
 #: Seconds between currents and between temperatures.
 _CURRENTS, _SLOW = 8, 60
-_GAP_S, _VALVE_S = 900.0, 2.0
+_VALVE_S = 2.0
 #: Where the valve and the leads of the array are, m; the usual current of the array, mA.
 _VALVE, _ARRAY, _ARRAY_CURRENT = (0.1, -0.1, -0.2), (0.0, 0.5, -0.4), 6000.0
 #: Names of the delivered currents.
@@ -103,11 +111,11 @@ class _Scene:
             out[NEW_UNIT.name] = self.calendar.switchings(NEW_UNIT, 0, 10**6, self.number)
         if "simultaneous" in self.effects and {"camera", "spectrometer"} <= set(out):
             begins, times = out["camera"]
-            out["camera"] = begins, together(times, out["spectrometer"][1])
+            out["camera"] = begins, align_switchings(times, out["spectrometer"][1])
         return out
 
     def _on(self, unit: Unit, seconds: Float, rise: float) -> Float:
-        return part_on(seconds, *self._switchings[unit.name], rise)
+        return switched_part(seconds, *self._switchings[unit.name], rise)
 
     @cached_property
     def states(self) -> Int64:
@@ -126,12 +134,12 @@ class _Scene:
         """What the spacecraft adds at a sensor, nT, spacecraft axes."""
         place = self.parameters.inboard if sensor == "inboard" else self.parameters.outboard
         out = np.zeros((self.since.size, 3))
-        grown = 1.0
+        growth = 1.0
         if "ageing" in self.effects:
-            grown += self.parameters.ageing * (self.number - self.first)
+            growth += self.parameters.ageing * (self.number - self.first)
         for unit in self.units:
             part = self._on(unit, self.since, self.parameters.rise)
-            out += grown * part[:, None] * unit.field_at(place)
+            out += growth * part[:, None] * unit.field_at(place)
         if "six_states" in self.effects:
             out += six_states()[0 if sensor == "inboard" else 1][self.states]
         if "valve" in self.effects:
@@ -139,16 +147,11 @@ class _Scene:
                 self._random("valve").uniform(0.0, DAY / SECOND, round(self.parameters.valve_switches))
             )
             last = self.since - np.concatenate([[-np.inf], driven])[np.searchsorted(driven, self.since)]
-            out += (last < _VALVE_S)[:, None] * self._dipole(_VALVE, self.parameters.valve_moment, place)
+            out += (last < _VALVE_S)[:, None] * dipole_field(_VALVE, self.parameters.valve_moment, place)
         if "array_current" in self.effects:
             strength = self._array_current(self.since) / _ARRAY_CURRENT
-            out += strength[:, None] * self._dipole(_ARRAY, self.parameters.array_moment, place)
+            out += strength[:, None] * dipole_field(_ARRAY, self.parameters.array_moment, place)
         return out
-
-    @staticmethod
-    def _dipole(source: tuple[float, ...], moment: tuple[float, ...], place: tuple[float, ...]) -> Float:
-        arm = np.asarray(place) - np.asarray(source)
-        return np.asarray(dipole_matrix(arm) @ np.asarray(moment))
 
     def _temperature(self, seconds: Float) -> Float:
         """Temperature of the body, degC."""
@@ -176,24 +179,22 @@ class _Scene:
         reading = self.field + self.stray(sensor) + self.offset(sensor)
         noise = p.noise_inboard if inner else p.noise_outboard
         if inner:
-            extra = p.misalignment if "misalignment" in self.effects else 0.0
-            reading = _turned(reading, p.turned + extra)
+            angle = np.deg2rad(p.turned + (p.misalignment if "misalignment" in self.effects else 0.0))
+            c, s = np.cos(angle), np.sin(angle)
+            reading = np.asarray(reading @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
         random = self._random(sensor)
         reading = reading + noise * random.standard_normal(reading.shape)
         if "spikes" in self.settings.defects:
             reading[random.random(len(reading)) < 2e-4] += 5.0
         reading = np.rint(reading / p.resolution) * p.resolution
-        data = _delivery(self.times.tt2000, B_RAW=reading, FLAG=np.zeros(len(reading), dtype=np.uint8))
-        if "gaps" not in self.settings.defects:
-            return data
-        lost = self._random(f"{sensor} gaps").uniform(0.0, DAY / SECOND - _GAP_S, 3)
-        kept = ~np.any([(self.since >= one) & (self.since < one + _GAP_S) for one in lost], axis=0)
-        return data.isel(record=kept)
+        data = delivery(self.times.tt2000, B_RAW=reading, FLAG=np.zeros(len(reading), dtype=np.uint8))
+        gaps = "gaps" in self.settings.defects
+        return cut_gaps(data, self.start, self._random(f"{sensor} gaps")) if gaps else data
 
     def monitor(self) -> xr.Dataset:
         """What a spacecraft nearby measures of the ambient field, spacecraft axes."""
         noise = self._random("monitor").standard_normal(self.field.shape)
-        return _delivery(self.times.tt2000, B=self.field + self.parameters.noise_monitor * noise)
+        return delivery(self.times.tt2000, B=self.field + self.parameters.noise_monitor * noise)
 
     def currents(self) -> xr.Dataset:
         """Currents of the units whose housekeeping is delivered, mA, and of the array."""
@@ -207,51 +208,27 @@ class _Scene:
             on = self._on(unit, since, 0.0) if unit in self.units else np.zeros(since.size)
             amount = unit.current * on + 2.0 * random.standard_normal(since.size) + 20.0
             out[_CHANNELS[unit.name]] = np.rint(amount)
-        return _delivery(times.tt2000, **out)
+        return delivery(times.tt2000, **out)
 
     def slow(self) -> xr.Dataset:
         """Temperature of the body every minute."""
         times = Sampling.of_span(self.start, self.end, _SLOW * SECOND)
         warm = self._temperature((times.tt2000 - self.start) / SECOND)
-        return _delivery(times.tt2000, T_BODY=np.rint(warm / 0.02) * 0.02)
-
-    def _state_bits(self) -> Int64:
-        if "six_states" in self.effects:
-            return self.states
-        names = [*UNITS, NEW_UNIT]
-        bits = [
-            (self._on(unit, self.since, 0.0) > 0).astype(np.int64) << names.index(unit) for unit in self.units
-        ]
-        return np.asarray(sum(bits, np.zeros(self.since.size, dtype=np.int64)))
+        return delivery(times.tt2000, T_BODY=np.rint(warm / 0.02) * 0.02)
 
     def truth(self) -> xr.Dataset:
         """The truth, which is not delivered to the processing."""
-        truth = _delivery(
+        states = self.states if "six_states" in self.effects else np.zeros(self.since.size, dtype=np.int64)
+        for unit in self.units:
+            on = self._on(unit, self.since, 0.0) > 0
+            states = states + (on.astype(np.int64) << (*UNITS, NEW_UNIT).index(unit))
+        truth = delivery(
             self.times.tt2000,
             FIELD=self.field,
             STRAY_IN=self.stray("inboard"),
             STRAY_OUT=self.stray("outboard"),
             OFFSET_IN=self.offset("inboard"),
             OFFSET_OUT=self.offset("outboard"),
-            STATE=self._state_bits(),
+            STATE=states,
         )
-        return truth.assign_attrs(
-            day=str(self.day),
-            effects=json.dumps(sorted(self.effects)),
-            hidden=json.dumps(sorted(self.settings.hide)),
-            parameters=json.dumps(self.parameters.as_dict()),
-        )
-
-
-def _turned(vectors: Float, angle: float) -> Float:
-    """Return vectors in axes that are turned by an angle about z, deg."""
-    cosine, sine = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
-    return np.asarray(vectors @ np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
-
-
-def _delivery(stamps: Int64, **variables: np.ndarray) -> xr.Dataset:
-    named = {
-        name: (("record",) if values.ndim == 1 else ("record", "axis"), values)
-        for name, values in variables.items()
-    }
-    return xr.Dataset({"Epoch": ("record", stamps), **named})
+        return truth.assign_attrs(self.settings.truth_attributes(self.day))

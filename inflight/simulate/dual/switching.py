@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from inflight.simulate.dipole import dipole_matrix
+from inflight.simulate.dipole import dipole_field
 from inflight.simulate.grid import Float
 from inflight.simulate.randomness import generator
 
 #: Seconds of a day, and of the half of a commissioning day in which units are switched one by one.
-_DAY, _TURN_BY_TURN = 86_400.0, 43_200.0
+_DAY, _ONE_BY_ONE_S = 86_400.0, 43_200.0
 #: Commissioning: a unit is on and off for so long, as often.
 _ON_S, _CYCLES = 1200.0, 2
 #: Nothing switches this near to midnight or to the unit's last switching, s.
@@ -46,8 +46,7 @@ class Unit:
 
     def field_at(self, place: tuple[float, float, float]) -> Float:
         """Return its field when it is on at a place, nT, spacecraft axes; (3,)."""
-        arm = np.asarray(place) - np.asarray(self.position)
-        return np.asarray(dipole_matrix(arm) @ np.asarray(self.moment))
+        return dipole_field(self.position, self.moment, place)
 
 
 UNITS = (
@@ -117,11 +116,11 @@ class Calendar:
         """
         begins, ends = self._overnight(unit.name, day), self._overnight(unit.name, day + 1)
         is_first = self.first <= day < self.first + self.commissioning
-        low = _TURN_BY_TURN if is_first else 0.0
+        low = _ONE_BY_ONE_S if is_first else 0.0
         random = generator(self.seed, f"{unit.name} switching", day)
         turns: Float = np.empty(0)
         if is_first:
-            length = _TURN_BY_TURN / units
+            length = _ONE_BY_ONE_S / units
             turns = place * length + 600.0 + _ON_S * np.arange(2.0 * _CYCLES)
             first: Float = np.full(int(begins), 60.0)
             turns = np.concatenate([first, turns[turns < (place + 1) * length]])
@@ -155,17 +154,17 @@ def _spaced(times: Float) -> Float:
     return np.array(kept)
 
 
-def together(times: Float, with_: Float) -> Float:
+def align_switchings(times: Float, others: Float) -> Float:
     """Move every second switching to the nearest of another unit; two at one time undo each other."""
-    if not with_.size or not times.size:
+    if not others.size or not times.size:
         return times
     moved = times.copy()
-    moved[::2] = with_[np.argmin(np.abs(with_[None] - times[::2, None]), axis=1)]
+    moved[::2] = others[np.argmin(np.abs(others[None] - times[::2, None]), axis=1)]
     values, counts = np.unique(moved, return_counts=True)
     return np.asarray(values[counts % 2 == 1])
 
 
-def part_on(seconds: Float, begins: bool, times: Float, rise: float) -> Float:
+def switched_part(seconds: Float, begins: bool, times: Float, rise: float) -> Float:
     """Return how far a unit is switched on, 0 to 1; it needs `rise` seconds each time."""
     level = np.full(seconds.size, float(begins))
     sign = -1.0 if begins else 1.0

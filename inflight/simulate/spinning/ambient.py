@@ -91,7 +91,10 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
         return outside
     radius = np.linalg.norm(place, axis=1) / EARTH_RADIUS_KM
     sheath = _turbulent(seconds, seed, day, "sheath", _SHEATH_FIELD, _SHEATH_TURNING, _SHEATH_COMPRESSION)
-    inside = to_payload(_dipole(place), payload_axes(place, parameters))
+    moment = np.array([np.sin(_DIPOLE_TILT), 0.0, np.cos(_DIPOLE_TILT)])
+    along = place / np.linalg.norm(place, axis=1, keepdims=True)
+    dipole = -_DIPOLE_NT / radius[:, None] ** 3 * (3.0 * along * (along @ moment)[:, None] - moment)
+    inside = to_payload(np.asarray(dipole), payload_axes(place, parameters))
     # Currents of the magnetosphere: fluctuations that grow with the field.
     strength = np.linalg.norm(inside, axis=1, keepdims=True)
     fluctuation = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
@@ -100,10 +103,3 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
     between = (radius >= MAGNETOPAUSE) & (radius < BOW_SHOCK)
     out[between] = sheath[between]
     return out
-
-
-def _dipole(place: Float) -> Float:
-    moment = np.array([np.sin(_DIPOLE_TILT), 0.0, np.cos(_DIPOLE_TILT)])
-    radius = np.linalg.norm(place, axis=1, keepdims=True) / EARTH_RADIUS_KM
-    along = place / np.linalg.norm(place, axis=1, keepdims=True)
-    return np.asarray(-_DIPOLE_NT / radius**3 * (3.0 * along * (along @ moment)[:, None] - moment))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from functools import cached_property
 
 import numpy as np
 import xarray as xr
 from scipy.signal import lfilter
 
+from inflight.simulate.defects import cut_gaps
 from inflight.simulate.grid import Float, Int64, Sampling
-from inflight.simulate.mission import SimulatedDay
+from inflight.simulate.mission import SimulatedDay, delivery
 from inflight.simulate.randomness import generator
 from inflight.simulate.spinning import ambient, attitude, sensor
 from inflight.simulate.spinning.settings import SpinningSettings
-from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+from inflight.time import SECOND, DayLike, as_day, day_bounds
 
 #: Seconds between temperatures, and how long before the day heat balances start.
 _SLOW, _WARM_UP = 10, 24_000
@@ -24,7 +24,7 @@ _WARM, _COLD, _RELAX = 12.0, -45.0, 2400.0
 _SWING, _SWING_S = 0.4, 40_000.0
 #: The coil is driven in runs of so many seconds, every so many.
 _COIL_ON, _COIL_EVERY = 9_000.0, 26_000.0
-_GAP_S, _FALSE_S = 900.0, 0.37
+_FALSE_S = 0.37
 
 
 def simulate_spinning_day(settings: SpinningSettings, day: DayLike) -> SimulatedDay:
@@ -129,11 +129,6 @@ class _Scene:
     def offsets(self) -> Float:
         return sensor.zero(self.times.seconds, self.warm, self.first, self.parameters, self.effects)
 
-    def _turned(self) -> Float:
-        moved = self.number - int(np.datetime64(self.settings.start, "D").astype(np.int64))
-        late = "manoeuvre" in self.effects and moved >= self.parameters.manoeuvre_day
-        return np.asarray(self.parameters.manoeuvre_turn) if late else np.zeros(2)
-
     @cached_property
     def body_field(self) -> Float:
         """Field at the sensor in the turning body, with what the spacecraft adds."""
@@ -148,7 +143,10 @@ class _Scene:
     def magnetometer(self) -> xr.Dataset:
         """What the magnetometer delivers."""
         p, defects = self.parameters, self.settings.defects
-        rows = sensor.projection(p, self.effects, self._turned())
+        elapsed = self.number - int(np.datetime64(self.settings.start, "D").astype(np.int64))
+        moved = "manoeuvre" in self.effects and elapsed >= p.manoeuvre_day
+        turn = np.asarray(p.manoeuvre_turn) if moved else np.zeros(2)
+        rows = sensor.projection(p, self.effects, turn)
         raw = sensor.reading(self.body_field, rows, self.offsets, self.warm, p, self.effects)
         raw = raw + p.noise * self._random("magnetometer").standard_normal(raw.shape)
         if "spikes" in defects:
@@ -158,18 +156,13 @@ class _Scene:
             raw = np.clip(raw, -p.range, p.range)
         raw = np.rint(raw / p.resolution) * p.resolution
         warm = self.warm + p.reference_temperature
-        data = _delivery(
+        data = delivery(
             self.times.tt2000,
             FGM_RAW=raw,
             T_SENSOR=np.rint(warm / 0.02) * 0.02,
             FGM_FLAG=np.zeros(len(raw), dtype=np.uint8),
         )
-        if "gaps" not in defects:
-            return data
-        lost = self._random("gaps").uniform(0.0, DAY / SECOND - _GAP_S, 3)
-        since = (self.times.tt2000 - self.start) / SECOND
-        kept = ~np.any([(since >= one) & (since < one + _GAP_S) for one in lost], axis=0)
-        return data.isel(record=kept)
+        return cut_gaps(data, self.start, self._random("gaps")) if "gaps" in defects else data
 
     def pulses(self) -> xr.Dataset:
         """What the Sun sensor delivers: a pulse a turn in light, and none in the shadow."""
@@ -187,7 +180,7 @@ class _Scene:
             order = np.argsort(np.concatenate([stamps, false]), kind="stable")
             period = np.concatenate([period, np.full(false.size, _FALSE_S)])[order]
             stamps = np.concatenate([stamps, false])[order]
-        return _delivery(stamps, SPIN_PERIOD=np.rint(period * 1e5) / 1e5)
+        return delivery(stamps, SPIN_PERIOD=np.rint(period * 1e5) / 1e5)
 
     def _pulse_times(self) -> Int64:
         """Return when the Sun is seen, TT2000 to a microsecond: Newton's method turns the phase round."""
@@ -204,7 +197,7 @@ class _Scene:
 
     def currents(self) -> xr.Dataset:
         """Currents as recorded, mA, at the samples of the magnetometer."""
-        return _delivery(
+        return delivery(
             self.times.tt2000, I_COIL=np.rint(1e4 * self.coil) / 10.0, I_SOL=np.rint(1e3 * self.array)
         )
 
@@ -214,7 +207,7 @@ class _Scene:
         stamps = Sampling.of_span(self.start, self.end, _SLOW * SECOND).tt2000
         inside = slice(_WARM_UP // _SLOW, _WARM_UP // _SLOW + stamps.size)
         box = 20.0 + 4.0 * np.sin(2.0 * np.pi * (seconds - self.first) / 21_000.0)
-        return _delivery(
+        return delivery(
             stamps,
             T_ELECTRONICS=np.rint(box[inside] / 0.02) * 0.02,
             SHADOW=dark[inside].astype(np.uint8),
@@ -223,33 +216,20 @@ class _Scene:
     def orbit(self) -> xr.Dataset:
         """Position every minute, km."""
         times = Sampling.of_span(self.start, self.end, 60 * SECOND)
-        return _delivery(times.tt2000, POS_GSE=ambient.position(times.seconds, self.parameters))
+        return delivery(times.tt2000, POS_GSE=ambient.position(times.seconds, self.parameters))
 
     def spin_axis(self) -> xr.Dataset:
         """Direction of the spin axis every ten minutes."""
         stamps = Sampling.of_span(self.start, self.end, 600 * SECOND).tt2000
-        return _delivery(stamps, SPIN_AXIS=attitude.spin_direction(stamps, self.parameters))
+        return delivery(stamps, SPIN_AXIS=attitude.spin_direction(stamps, self.parameters))
 
     def truth(self) -> xr.Dataset:
         """The truth, which the calibration never reads."""
         begin = float(self._phase(np.array([self.start / SECOND]))[0])
-        truth = _delivery(
+        truth = delivery(
             self.times.tt2000,
             FIELD=self.field,
             PHASE=self.phase - 2.0 * np.pi * np.floor(begin / (2.0 * np.pi)),
             OFFSET=self.offsets,
         )
-        return truth.assign_attrs(
-            day=str(self.day),
-            effects=json.dumps(sorted(self.effects)),
-            hidden=json.dumps(sorted(self.settings.hide)),
-            parameters=json.dumps(self.parameters.as_dict()),
-        )
-
-
-def _delivery(stamps: Int64, **variables: np.ndarray) -> xr.Dataset:
-    named = {
-        name: (("record",) if values.ndim == 1 else ("record", "axis"), values)
-        for name, values in variables.items()
-    }
-    return xr.Dataset({"Epoch": ("record", stamps), **named})
+        return truth.assign_attrs(self.settings.truth_attributes(self.day))

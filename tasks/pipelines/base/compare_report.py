@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+import xarray as xr
 
-from inflight.figures import LazySection, Section, bullet_list, html_table
+from inflight.catalog import Catalog, Day
+from inflight.figures import LazySection, Section, bullet_list, daily_figure, html_table
 from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
 from inflight.tasks.pipelines.base.parts import TextLine
+from inflight.tasks.report import Progress
 
 _NO_FLOOR = "unknown: every stretch of the residual has missing samples"
 
@@ -178,6 +181,41 @@ class CompareResult(Generic[Report_co]):
     def sections(self) -> list[Section]:
         """Make everything that is shown."""
         return [(heading, *make()) for heading, make in self.parts]
+
+
+def each_day(days: Sequence[Day], progress: Progress) -> Iterator[Day]:
+    """Yield days one after the other; `progress` is called before each and after the last."""
+    for done, day in enumerate(days):
+        progress("compare", done, len(days))
+        yield day
+    progress("compare", len(days), len(days))
+
+
+def tables_in_use(cat: Catalog, comparison: str, day: Day) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the table of daily fits that holds on a day, and the one that products use."""
+    daily, used = (cat.table(f"{comparison}-{kind}", str(day.day)) for kind in ("daily", "window"))
+    return daily, used
+
+
+def day_summary(day: Day, before: Size, after: Size, **more: float) -> dict[str, Any]:
+    """Return the size of a day's residual before and after calibration, as plain fields; nT."""
+    return {
+        "day": str(day.day),
+        "version": day.version,
+        "before_nT": before.rms,
+        "after_nT": after.rms,
+        "before_less_mean_nT": before.std,
+        "after_less_mean_nT": after.std,
+        **more,
+        "samples": after.count,
+    }
+
+
+def daily_residual_figure(report: CompareReport) -> Any:
+    """Draw the rms of each day before and after calibration, and the noise floor."""
+    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
+    before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
+    return daily_figure(day, before, after, report.floor.level_nT)
 
 
 def structures_html(report: CompareReport) -> list[str]:

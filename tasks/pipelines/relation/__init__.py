@@ -1,8 +1,8 @@
 """Two vector sensors that comparisons of their own calibrate, against each other.
 
-In go the products of both, out come tables: how the sensors stand to each other and which of the three
-disagrees (`relation.py`), or how the boom between two spinning sensors bends (`bending.py`). No field comes
-of it. `pipeline.py` is the file to open first, `report.py` shows the tables.
+In go the products of both, out come tables (`tables.py`): how the sensors stand to each other and which of
+the three disagrees, or how the boom between two spinning sensors bends. There are no products. `pipeline.py`
+is the file to open first; `pair.py` finds the two comparisons, `report.py` shows the tables.
 """
 
 import lazy_loader

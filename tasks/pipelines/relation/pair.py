@@ -1,4 +1,4 @@
-"""Which comparisons calibrate both sensors of a pair, and what is asked of their products."""
+"""Which comparisons calibrate both sensors of a pair, and which tables are made of their products."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ import xarray as xr
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import product_of
-from inflight.tasks.pipelines.relation.bending import bending_day, bending_table
-from inflight.tasks.pipelines.relation.relation import (
+from inflight.tasks.pipelines.relation.tables import (
+    bending_day,
+    bending_table,
     corner_table,
-    daily_relations,
-    dual_day,
-    whole_relation,
+    daily_relation_table,
+    relation_day,
+    relation_table,
 )
 
-#: What is said where a product would be.
+#: Why two fluxgates have no product.
 NO_PRODUCT = (
     "two vector sensors against each other calibrate nothing: tables of how they stand to each other are "
     "made, products come from each one's comparison with a scalar sensor"
 )
 
-#: What is said of two spinning sensors where a product would be.
+#: Why two spinning sensors have no product.
 NO_PRODUCT_OF_BOOM = (
     "two sensors on a boom calibrate nothing between them: a table of the bend is made, products come from "
     "each one's own spin comparison"
@@ -35,7 +36,7 @@ NO_PRODUCT_OF_BOOM = (
 
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """What is asked of the products of two sensors, by how they are calibrated.
+    """What is made of the products of two sensors, by how they are calibrated.
 
     Attributes
     ----------
@@ -48,7 +49,7 @@ class Relation:
     tables : mapping of str to callable
         Makes each table from the statistics of all days.
     note : str
-        What is said where a product would be.
+        Why there is no product.
     """
 
     kind: str
@@ -58,13 +59,17 @@ class Relation:
     note: str
 
 
-#: In the order in which they are looked for.
+#: In the order of preference.
 RELATIONS = (
     Relation(
         kind="scalar",
         read=("field_spacecraft", "residual", "flag"),
-        make_day=dual_day,
-        tables={"relation": whole_relation, "relation-daily": daily_relations, "corners": corner_table},
+        make_day=relation_day,
+        tables={
+            "relation": relation_table,
+            "relation-daily": daily_relation_table,
+            "corners": corner_table,
+        },
         note=NO_PRODUCT,
     ),
     Relation(
@@ -79,7 +84,7 @@ RELATIONS = (
 
 @dataclass(frozen=True)
 class Pair:
-    """The comparisons that calibrate both sensors, the inboard one's first, and what is asked of them."""
+    """The comparisons that calibrate both sensors, the inboard one's first, and what is made of them."""
 
     first: str
     second: str

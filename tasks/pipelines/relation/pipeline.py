@@ -34,16 +34,15 @@ from inflight.tasks.pipelines.base import (
 from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, RELATIONS, Pair
 from inflight.time import DayLike, is_within
 
-#: Days listed at most; the newest.
-_MOST = 15
+#: Days that the command line lists, the newest.
+_LISTED = 15
 
 
 class RelationPipeline(Pipeline):
     """How two calibrated vector sensors stand to each other, or how the boom between them bends.
 
-    What is compared are the fields that both sensors' own comparisons made: this one calibrates nothing, so
-    that no field comes of it. Each day leaves a few Gram matrices, or the bend, and the tables are algebra of
-    these.
+    It compares the fields that both sensors' own comparisons made. It calibrates nothing and has no products.
+    The statistics of a day are a few Gram matrices, or the bend, and the tables are algebra of these.
     """
 
     tag = "relation"
@@ -54,7 +53,7 @@ class RelationPipeline(Pipeline):
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for two vector sensors of which others calibrate at least one.
 
-        Where one sensor is left without, `Pair.of` says which.
+        `Pair.of` raises when a comparison is missing for the other one.
         """
         entry = mission.comparisons[settings.comparison]
         kinds = {relation.kind for relation in RELATIONS}
@@ -102,13 +101,13 @@ class RelationPipeline(Pipeline):
         )
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
-        """Return what a day's two products say of each other."""
+        """Return the statistics of a day's two products; see `Relation.make_day`."""
         pair = Pair.of(batch.mission, batch.settings.comparison)
         sources = [batch.job.index.days[name, day] for name in pair.products]
         return pair.relation.make_day([batch.cat.read(source, pair.relation.read) for source in sources], day)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
-        """Make the tables of the planned days; those that cannot be made only say so."""
+        """Make the tables of the planned days; those that cannot be made have a note."""
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         planned = {day: days[day] for day in work.plan.days if day in days}
         read = [work.cat.read(day) for day in planned.values()]
@@ -118,7 +117,7 @@ class RelationPipeline(Pipeline):
         return Solved(model=work.plan.model, used={}, certify=keep.certify, kept=tuple(keep.ids), notes=notes)
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
-        """Return the key of a table: the days' keys say all it is made from."""
+        """Return the key of a table: a hash of the keys of the days it is made from."""
         return hashlib.sha256("".join([name, *(day.key for day in days.values())]).encode()).hexdigest()
 
     def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
@@ -127,7 +126,7 @@ class RelationPipeline(Pipeline):
         return [f"tables/{comparison}-{name}" for name in solved.kept] if solved else []
 
     def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
-        """Return what is said where a product would be, and the tables that could not be made."""
+        """Return why there is no product, and the tables that could not be made."""
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         return {
             "note": pair.relation.note,
@@ -166,7 +165,7 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     ]
     lines += [
         f"{one['day']} bend {one['value']:.4f} ± {one['sigma']:.2g} {one['unit']}"
-        for one in items.get("bending", [])[-_MOST:]
+        for one in items.get("bending", [])[-_LISTED:]
     ]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
     return [TextLine(title, "bold"), *(TextLine(f"  {line}") for line in [*lines, fields["note"]])]

@@ -1,4 +1,4 @@
-"""What two vector sensors against each other told: fields for programs, and one page."""
+"""Report of two vector sensors against each other: fields for the command line's JSON, and one page."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ def relation_report(
         When none is certified.
     """
     tables, parts = relation_parts(cat, comparison)
-    note, daily = _daily(tables)
+    # The table with one interval a day.
+    bends = "bending" in tables
+    note, daily = (NO_PRODUCT_OF_BOOM, tables["bending"]) if bends else (NO_PRODUCT, tables["relation-daily"])
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
     if output is not None:
         title = f"{mission.mission}: {comparison}, {days[0]} to {days[1]}"
@@ -58,7 +60,7 @@ def relation_report(
 
 
 def relation_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tuple[Part, ...]]:
-    """Return the newest tables of a dual comparison, and what is told of them.
+    """Return the newest tables of a dual comparison, and the sections about them.
 
     Raises
     ------
@@ -75,13 +77,6 @@ def relation_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset]
         f"no tables are published for comparison '{comparison}'",
         remedy=f"run 'inflight reprocess --comparison {comparison}' first",
     )
-
-
-def _daily(tables: Mapping[str, xr.Dataset]) -> tuple[str, xr.Dataset]:
-    """Return what is said where a product would be, and the table with one interval a day."""
-    if "bending" in tables:
-        return NO_PRODUCT_OF_BOOM, tables["bending"]
-    return NO_PRODUCT, tables["relation-daily"]
 
 
 def _bending(table: xr.Dataset) -> Part:
@@ -107,7 +102,13 @@ def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
         part.add_absent("Relation of all days", "too few days with both products")
     else:
         part.add_text(f"All days together leave {whole.attrs['rms_nT']:.4g} nT a component.")
-        part.fields = {"items": _items(whole), "rms_nT": float(whole.attrs["rms_nT"])}
+        items = []
+        for name, value, sigma in zip(
+            *(whole[one].values.tolist() for one in ("parameter", "value", "sigma")), strict=True
+        ):
+            _, factor, unit = PARTS[name.partition("[")[0]]
+            items.append({"name": name, "value": factor * value, "sigma": factor * sigma, "unit": unit})
+        part.fields = {"items": items, "rms_nT": float(whole.attrs["rms_nT"])}
         rows = [
             (one["name"], with_error(one["value"], one["sigma"]), one["unit"]) for one in part.fields["items"]
         ]
@@ -119,17 +120,6 @@ def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
         for name, one in zip(daily["parameter"].values, np.nanstd(daily["value"].values, axis=0), strict=True)
     }
     return part
-
-
-def _items(table: xr.Dataset) -> list[dict[str, Any]]:
-    """Return a relation's numbers in units people read."""
-    out = []
-    for name, value, sigma in zip(
-        *(table[one].values.tolist() for one in ("parameter", "value", "sigma")), strict=True
-    ):
-        _, factor, unit = PARTS[name.partition("[")[0]]
-        out.append({"name": name, "value": factor * value, "sigma": factor * sigma, "unit": unit})
-    return out
 
 
 def _corners(tables: Mapping[str, xr.Dataset]) -> Part:

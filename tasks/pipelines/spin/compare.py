@@ -1,4 +1,4 @@
-"""Compare of a spinning sensor: what of the products still goes with the spin, and what it follows.
+"""Compare of a spinning sensor: the spin tones of its products, and what they depend on.
 
 The residual of a spinning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
 folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the
@@ -19,7 +19,7 @@ from inflight.catalog import Catalog, Day
 from inflight.errors import InflightError, MissionError
 from inflight.figures import (
     LazySection,
-    daily_figure,
+    SectionBody,
     excess_scatter_figure,
     html_table,
     mean_turn_figure,
@@ -50,16 +50,40 @@ from inflight.tasks.pipelines.base import (
     Spans,
     blocks_of,
     channel_means,
+    daily_residual_figure,
+    day_summary,
+    each_day,
     geometry_means,
     scalar_channels,
     scatter_html,
     structures_html,
+    tables_in_use,
 )
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
-#: Tones drawn over time.
-_SHOWN = 2
+
+@dataclass(frozen=True, kw_only=True)
+class SpinCompareSettings:
+    """Numbers of a comparison of a spinning sensor.
+
+    Attributes
+    ----------
+    drawn_tones : int
+        Tones drawn over time, the strongest. Assumed.
+    fewest_periods : float
+        The phase of a period of the mission is a coordinate when the span holds so many. Assumed: of less,
+        it would be time by another name.
+    interval_sigmas : float
+        Half width of the interval of the noise floor, in its sigma: 95 % of a normal distribution.
+    """
+
+    drawn_tones: int = 2
+    fewest_periods: float = 1.5
+    interval_sigmas: float = 1.96
+
+
+SPIN_COMPARE = SpinCompareSettings()
 
 
 @dataclass
@@ -99,41 +123,15 @@ class SpinDrawn:
 def spin_parts(report: SpinCompareReport, drawn: SpinDrawn) -> list[LazySection]:
     """Return everything that is shown of a spin comparison, as the page and the explorer have it."""
     return [
-        ("Residual", lambda: (_told(report), _residual_figures(report, drawn))),
+        ("Residual", lambda: _residual(report, drawn)),
         ("Where it fails", lambda: (structures_html(report), [])),
-        (
-            "What the tones follow",
-            lambda: ([_legend(report), _in_step(drawn.found)], _dependence_figures(drawn)),
-        ),
+        ("What the tones follow", lambda: _dependences(report, drawn)),
         ("Parameters", lambda: ([scatter_html(report)], [excess_scatter_figure(report.daily_scatter)])),
     ]
 
 
-def _residual_figures(report: SpinCompareReport, drawn: SpinDrawn) -> list[Any]:
-    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
-    before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
-    daily = daily_figure(day, before, after, report.floor.level_nT)
-    daily.title.text = "What goes with the spin, each day"
-    strongest = np.argsort(-drawn.after.size)[:_SHOWN]
-    over_time = [
-        tones_over_time_figure(drawn.time, drawn.before, drawn.after, int(tone)) for tone in strongest
-    ]
-    return [daily, mean_turn_figure(*drawn.turns), *over_time]
-
-
-def _dependence_figures(drawn: SpinDrawn) -> list[Any]:
-    varying = [one for one in drawn.found if len(one.centre) > 1]
-    varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
-    return [tone_dependence_figure(one, one.strongest) for one in varying]
-
-
-def spin_title(report: SpinCompareReport, mission: Mission) -> str:
-    """Return what the page is headed with."""
-    first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
-    return f"{mission.mission}: what still goes with the spin, {first} to {last}"
-
-
-def _told(report: SpinCompareReport) -> list[str]:
+def _residual(report: SpinCompareReport, drawn: SpinDrawn) -> SectionBody:
+    """Return the size of the tones before and after, and how they vary over days and over a turn."""
     rows = [
         (tone_name(tone), f"{before:.5f}", f"{after:.5f}")
         for tone, (before, after) in enumerate(zip(*report.tones, strict=True))
@@ -146,41 +144,43 @@ def _told(report: SpinCompareReport) -> list[str]:
         f"{floor.low_nT:.5f} to {floor.high_nT:.5f}): how much a turn's tones differ from the next turn's. "
         f"{report.skipped} samples of turns with too few readings are left out."
     )
-    return [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), paragraph(note)]
+    daily = daily_residual_figure(report)
+    daily.title.text = "What goes with the spin, each day"
+    strongest = np.argsort(-drawn.after.size)[: SPIN_COMPARE.drawn_tones]
+    over_time = [
+        tones_over_time_figure(drawn.time, drawn.before, drawn.after, int(tone)) for tone in strongest
+    ]
+    text = [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), paragraph(note)]
+    return text, [daily, mean_turn_figure(*drawn.turns), *over_time]
 
 
-def _legend(report: SpinCompareReport) -> str:
-    return (
+def _dependences(report: SpinCompareReport, drawn: SpinDrawn) -> SectionBody:
+    """Return what the tones depend on; channels that show the spin themselves in a table."""
+    legend = (
         "Of each coordinate the tone that follows it most, less its mean: cosine and sine of the spin's "
         f"phase, clear ones first; bars are one sigma between blocks of one {report.block}."
     )
-
-
-def _in_step(found: Sequence[ToneDependence]) -> str:
-    """Return the table of channels that go with the spin themselves."""
     rows = []
-    for one in (one for one in found if one.coordinate.channel_tone is not None):
+    for one in (one for one in drawn.found if one.coordinate.channel_tone is not None):
         tone = one.strongest
         slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
         unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
-        told = f"{one.amplitude[tone]:.4f} +- {one.sigma_amplitude[tone]:.4f}"
-        rows.append((one.coordinate.name, tone_name(tone), told, f"{slope:.3g} +- {sigma:.1g} {unit}"))
-    if not rows:
-        return ""
+        amplitude = f"{one.amplitude[tone]:.4f} +- {one.sigma_amplitude[tone]:.4f}"
+        rows.append((one.coordinate.name, tone_name(tone), amplitude, f"{slope:.3g} +- {sigma:.1g} {unit}"))
     head = ("channel", "residual tone in step with it", "rms, nT", "size for each unit")
-    return html_table(head, rows)
+    varying = [one for one in drawn.found if len(one.centre) > 1]
+    varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
+    text = [legend, html_table(head, rows) if rows else ""]
+    return text, [tone_dependence_figure(one, one.strongest) for one in varying]
 
 
 _ONE_DAY = np.timedelta64(1, "D")
 
-#: Channels that show the spin are looked at, at the spin and at twice it.
-_TIMES = {"at the spin": 0, "at twice the spin": 1}
+#: Harmonics of the spin at which channels are compared with the residual, and their places among the tones.
+_HARMONICS = {"at the spin": 0, "at twice the spin": 1}
 
-#: Periods are looked at in spans of so many.
-_TURNS = 1.5
-
-#: What the field and time are called, with unit and kind.
-_OWN = {
+#: Unit and kind of the coordinates that are not channels.
+_COORDINATES = {
     "field along the spin axis": ("nT", "field_along"),
     "field across the spin axis": ("nT", "field_across"),
     "time of day": ("h", "time_of_day"),
@@ -194,15 +194,27 @@ _OWN = {
 
 
 @dataclass
-class _Gathered:
-    """What stays of the days: one row an interval."""
+class _ToneRecord:
+    """What is kept of the days, one row an interval.
+
+    Attributes
+    ----------
+    time : list of ndarray of int64
+        TT2000 of the intervals' middles, one array a day.
+    before, after : list of Tones
+        Of the pre-flight calibration and of the product.
+    sizes : list of tuple of Size
+        Of each day's residual before and after.
+    coordinates, channel_tones : list of dict
+        What the tones may follow: means over intervals, and the tones of channels that show the spin.
+    """
 
     time: list[Int64] = field(default_factory=list)
     before: list[Tones] = field(default_factory=list)
     after: list[Tones] = field(default_factory=list)
-    rows: list[tuple[Size, Size]] = field(default_factory=list)
-    named: list[dict[str, Floats]] = field(default_factory=list)
-    wheels: list[dict[str, Complex]] = field(default_factory=list)
+    sizes: list[tuple[Size, Size]] = field(default_factory=list)
+    coordinates: list[dict[str, Floats]] = field(default_factory=list)
+    channel_tones: list[dict[str, Complex]] = field(default_factory=list)
     skipped: int = 0
 
     @property
@@ -225,7 +237,7 @@ def compare_spin(
     mission: Mission,
     comparison: str,
     days: Sequence[Day],
-    tell: Progress,
+    progress: Progress,
 ) -> CompareResult[SpinCompareReport]:
     """Measure the tones of published products before and after calibration.
 
@@ -233,6 +245,8 @@ def compare_spin(
     ----------
     days : sequence of Day
         Of the products.
+    progress : callable
+        Called with (stage, done, total).
 
     Raises
     ------
@@ -245,23 +259,24 @@ def compare_spin(
             "the mission does not say how fast it spins", remedy="state 'spin' under its periods"
         )
     reader = _Reader.of(cat, mission, comparison, days, folding)
-    found = _Gathered()
-    for done, day in enumerate(days):
-        tell("compare", done, len(days))
-        reader.take(found, day)
-    tell("compare", len(days), len(days))
+    found = _ToneRecord()
+    for day in each_day(days, progress):
+        reader.add_day(found, day)
     before, after = found.tones("before"), found.tones("after")
     coordinates = {one.name: one for one in _tone_coordinates(found, mission)}
     block, block_name = blocks_of(found.stamps.astype(np.float64), len(days))
     failures, whole = find_tone_failures(after, coordinates, block)
-    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    daily, used = tables_in_use(cat, comparison, days[0])
     report = SpinCompareReport(
         comparison,
         days[-1].context or "",
-        _whole([one for one, _ in found.rows], before),
-        _whole([one for _, one in found.rows], after),
-        _floor(after, block),
-        [_spin_day_summary(*told) for told in zip(days, found.rows, found.after, strict=True)],
+        _total_size([size for size, _ in found.sizes], before),
+        _total_size([size for _, size in found.sizes], after),
+        _noise_floor(after, block),
+        [
+            day_summary(day, *sizes, noise_floor_nT=tones.floor)
+            for day, sizes, tones in zip(days, found.sizes, found.after, strict=True)
+        ],
         failures,
         [],
         [
@@ -278,7 +293,8 @@ def compare_spin(
     steady = coordinates["spin phase"]
     turns = [tone_dependence(one, steady, block) for one in (before, after)]
     drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
-    return CompareResult(report, spin_title(report, mission), spin_parts(report, drawn))
+    title = f"{mission.mission}: what still goes with the spin, {days[0].day} to {days[-1].day}"
+    return CompareResult(report, title, spin_parts(report, drawn))
 
 
 @dataclass(frozen=True)
@@ -305,7 +321,7 @@ class _Reader:
         index = ArchiveIndex.of(cat, needs, around)
         return cls(cat, mission, comparison, model, folding, needs, index, sources)
 
-    def take(self, found: _Gathered, day: Day) -> None:
+    def add_day(self, found: _ToneRecord, day: Day) -> None:
         """Add one day's tones and everything they may follow."""
         samples = load_samples(
             self.cat,
@@ -319,26 +335,37 @@ class _Reader:
         )
         span = day_bounds(day.day)
         raw = fold(samples, self.folding, span)
-        folded = fold(self._product(day, samples), self.folding, span)
+        folded = fold(self._product_samples(day, samples), self.folding, span)
         calibrated = np.asarray(folded["vector"].values, dtype=np.float64)
         after, good = spin_residual(self.folding, calibrated, folded)
         before = np.where(good[:, None], rows_of(self.model, raw).residual, np.nan)
-        # The weights that 'inflight reprocess' takes: both tell one number.
-        weight = np.where(good, raw["weight"].values, 0.0)
-        noise = raw["noise"].values
-        states = [self._tones(rows, weight, noise) for rows in (before, after)]
-        found.before.append(states[0])
-        found.after.append(states[1])
-        found.rows.append((_size(before, weight), _size(after, weight)))
+        # The weights that 'inflight reprocess' takes, so that both give the same residual.
+        weight, sectors = np.where(good, raw["weight"].values, 0.0), self.folding.sectors
+        for tones, rows in ((found.before, before), (found.after, after)):
+            value = tones_of(rows, sectors)
+            turns = slice(0, len(value) * sectors)
+            # A turn with a bad sample has no harmonics.
+            least = weight[turns].reshape(-1, sectors).min(axis=1)
+            tones.append(Tones(value, least, np.asarray(raw["noise"].values[turns][::sectors])))
+        found.sizes.append((_size(before, weight), _size(after, weight)))
         found.skipped += int((~good).sum())
         stamps = np.asarray(folded["tt2000"].values, dtype=np.int64)
         spans = Spans.of(stamps, self.folding.interval_ns / SECOND)
-        spans = replace(spans, stamps=stamps[: len(states[0].value) * self.folding.sectors])
+        count = len(found.before[-1].value)
+        spans = replace(spans, stamps=stamps[: count * sectors])
         found.time.append(spans.middle)
-        found.named.append(self._named(day.day, spans, calibrated))
-        found.wheels.append(self._wheels(day.day, len(states[0].value)))
+        turned = calibrated[: spans.numbers.size * sectors].reshape(-1, sectors, 3)
+        coordinates = {
+            "field along the spin axis": turned[:, :, 2].mean(axis=1),
+            "field across the spin axis": np.hypot(turned[:, :, 0], turned[:, :, 1]).mean(axis=1),
+            "time of day": (spans.middle - spans.midnight) / (3600.0 * SECOND),
+        }
+        coordinates |= channel_means(self.cat, self.mission, self.sources, day.day, spans, flags=True)
+        coordinates |= geometry_means(self.cat, self.mission, self.comparison, self.sources, day.day, spans)
+        found.coordinates.append(coordinates)
+        found.channel_tones.append(self._channel_tones(day.day, count))
 
-    def _product(self, day: Day, samples: xr.Dataset) -> xr.Dataset:
+    def _product_samples(self, day: Day, samples: xr.Dataset) -> xr.Dataset:
         """Return the product's field as samples to be folded, with the phase unwrapped as it was used."""
         product = self.cat.read(day, ["field_sensor", "flag", "tt2000"])
         if not np.array_equal(product["tt2000"].values, samples["tt2000"].values):
@@ -356,74 +383,53 @@ class _Reader:
             }
         )
 
-    def _tones(self, rows: Floats, weight: Floats, noise: Floats) -> Tones:
-        sectors = self.folding.sectors
-        value = tones_of(rows, sectors)
-        first = slice(0, len(value) * sectors, sectors)
-        # A turn with a bad sample has no harmonics.
-        each = weight[: len(value) * sectors].reshape(-1, sectors).min(axis=1)
-        return Tones(value, each, np.asarray(noise[first]))
-
-    def _named(self, day: np.datetime64, spans: Spans, field_: Floats) -> dict[str, Floats]:
-        """Return the coordinates of a day's intervals by name."""
-        count = spans.numbers.size * self.folding.sectors
-        turned = field_[:count].reshape(-1, self.folding.sectors, 3)
-        out = {
-            "field along the spin axis": turned[:, :, 2].mean(axis=1),
-            "field across the spin axis": np.hypot(turned[:, :, 0], turned[:, :, 1]).mean(axis=1),
-            "time of day": (spans.middle - spans.midnight) / (3600.0 * SECOND),
-        }
-        out |= channel_means(self.cat, self.mission, self.sources, day, spans, flags=True)
-        return out | geometry_means(self.cat, self.mission, self.comparison, self.sources, day, spans)
-
-    def _wheels(self, day: np.datetime64, count: int) -> dict[str, Complex]:
+    def _channel_tones(self, day: np.datetime64, count: int) -> dict[str, Complex]:
         """Return the tones of channels that show the spin; (interval,) by name."""
-        turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
+        clock = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         out: dict[str, Complex] = {}
-        if turning is None:
+        if clock is None:
             return out
         sectors, (start, _) = self.folding.sectors, day_bounds(day)
         edges = start + self.folding.cadence_ns * np.arange(count * sectors + 1, dtype=np.int64)
-        for name, (instrument, channel, told) in scalar_channels(self.mission).items():
+        for name, (instrument, channel, described) in scalar_channels(self.mission).items():
             source = self.sources.days.get((instrument, day))
             cadence = self.mission.instruments[instrument].cadence
-            if told.axis_names or source is None or not turning.is_resolved_by(cadence):
+            if described.axis_names or source is None or not clock.is_resolved_by(cadence):
                 continue
             data = self.cat.read(source, [channel])
             stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
             values = np.asarray(data[channel].values, dtype=np.float64)
-            folded = turning.folded(values, stamps, turning.phase(stamps), edges)
+            folded = clock.folded(values, stamps, clock.phase(stamps), edges)
             tones = tones_of(folded[:, None], sectors)
-            out |= {f"{name} {times}": tones[:, at] for times, at in _TIMES.items()}
+            out |= {f"{name} {times}": tones[:, at] for times, at in _HARMONICS.items()}
         return out
 
 
-def _tone_coordinates(found: _Gathered, mission: Mission) -> Iterator[ToneCoordinate]:
+def _tone_coordinates(found: _ToneRecord, mission: Mission) -> Iterator[ToneCoordinate]:
     """Yield everything the tones may follow: the spin itself, time, field, geometry, channels."""
     stamps = found.stamps
     yield ToneCoordinate("spin phase", "", "spin_phase", np.zeros(stamps.size))
     yield ToneCoordinate("time", "d", "time", (stamps - stamps[0]) / DAY)
     for name, period in mission.periods.items():
-        # Not of a period that the span is shorter than: it would be time by another name.
-        if name != "spin" and stamps[-1] - stamps[0] > _TURNS * period:
+        if name != "spin" and stamps[-1] - stamps[0] > SPIN_COMPARE.fewest_periods * period:
             phase = 360.0 * ((stamps - stamps[0]) / period % 1.0)
             yield ToneCoordinate(f"phase of the period '{name}'", "deg", "orbit_phase", phase)
     channels = scalar_channels(mission, flags=True)
     sizes = [one.size for one in found.time]
-    for name, values in _joined(found.named, sizes, np.nan).items():
+    for name, values in _joined(found.coordinates, sizes, np.nan).items():
         if name in channels:
             yield ToneCoordinate(name, channels[name][2].unit, channels[name][2].kind, values)
         else:
-            yield ToneCoordinate(name, *_OWN.get(name, ("deg", "sun_angle")), values)
-    for name, tone in _joined(found.wheels, sizes, np.nan + 0j).items():
-        told = channels[name.rsplit(" at ", 1)[0]][2]
-        # What is rounded to nothing has no tone to be in step with; what is missing may have one.
-        wheel = np.where(np.abs(tone) <= 0.5 * (told.resolution or 0.0), 0.0, tone)
-        yield ToneCoordinate(name, told.unit, told.kind, np.abs(wheel), wheel)
+            yield ToneCoordinate(name, *_COORDINATES.get(name, ("deg", "sun_angle")), values)
+    for name, tone in _joined(found.channel_tones, sizes, np.nan + 0j).items():
+        described = channels[name.rsplit(" at ", 1)[0]][2]
+        # A tone below the channel's resolution is none; a missing one stays missing.
+        kept = np.where(np.abs(tone) <= 0.5 * (described.resolution or 0.0), 0.0, tone)
+        yield ToneCoordinate(name, described.unit, described.kind, np.abs(kept), kept)
 
 
 def _joined(parts: Sequence[Mapping[str, Any]], sizes: Sequence[int], empty: complex) -> dict[str, Any]:
-    """Return series of all days, of so many intervals each; what a day has not is `empty` there."""
+    """Return series of all days, of so many intervals each; `empty` on the days that do not have one."""
     names = dict.fromkeys(name for part in parts for name in part)
     return {
         name: np.concatenate(
@@ -440,7 +446,7 @@ def _size(rows: Floats, weight: Floats) -> Size:
     if not len(values):
         return NO_SIZE
     rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
-    # Rows are less their turn's mean: nothing else is left.
+    # The rows have no mean: that of their turn is taken off.
     order = np.argsort(np.abs(values).max(axis=1), kind="stable")
     half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
     robust = 1.4826 * float(np.median(np.abs(values[order[: 2 * int(half) + 1]])))
@@ -455,7 +461,7 @@ def _size(rows: Floats, weight: Floats) -> Size:
     )
 
 
-def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
+def _total_size(sizes: Sequence[Size], tones: Tones) -> Size:
     """Return the size of all days together: rms by the intervals' weights."""
     rms = float(np.sqrt(np.sum(tones.size**2) / 2.0))
     known = [one for one in sizes if one.count]
@@ -472,30 +478,22 @@ def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
     )
 
 
-def _floor(tones: Tones, block: np.ndarray) -> NoiseFloor:
+def _noise_floor(tones: Tones, block: np.ndarray) -> NoiseFloor:
     """Return nature's noise by the intervals' weights, with its 95 % interval between blocks."""
     level = tones.floor
-    each = []
-    for one in np.unique(block):
-        rest = block != one
-        if rest.any():
-            each.append(Tones(tones.value[rest], tones.weight[rest], tones.noise[rest]).floor)
-    if len(each) < 2 or not level > 0.0:
-        return NO_FLOOR if not level > 0.0 else NoiseFloor(level, float("nan"), float("nan"))
-    count = len(each)
-    sigma = float(np.sqrt((count - 1) / count * np.sum((np.array(each) - np.mean(each)) ** 2)))
-    return NoiseFloor(level, max(level - 1.96 * sigma, 0.0), level + 1.96 * sigma)
-
-
-def _spin_day_summary(day: Day, sizes: tuple[Size, Size], after: Tones) -> dict[str, Any]:
-    before, now = sizes
-    return {
-        "day": str(day.day),
-        "version": day.version,
-        "before_nT": before.rms,
-        "after_nT": now.rms,
-        "before_less_mean_nT": before.std,
-        "after_less_mean_nT": now.std,
-        "noise_floor_nT": after.floor,
-        "samples": now.count,
-    }
+    if not level > 0.0:
+        return NO_FLOOR
+    others = [block != one for one in np.unique(block)]
+    # The delete-one-block jackknife.
+    each = np.array(
+        [
+            Tones(tones.value[rest], tones.weight[rest], tones.noise[rest]).floor
+            for rest in others
+            if rest.any()
+        ]
+    )
+    if each.size < 2:
+        return NoiseFloor(level, float("nan"), float("nan"))
+    sigma = float(np.sqrt((each.size - 1) / each.size * np.sum((each - np.mean(each)) ** 2)))
+    half = SPIN_COMPARE.interval_sigmas * sigma
+    return NoiseFloor(level, max(level - half, 0.0), level + half)

@@ -8,6 +8,7 @@ from what the mission states or a channel delivers.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,6 @@ from inflight.spin import (
     SPIN_RELATED,
     UNCALIBRATED_SIGMA,
     Attitude,
-    BlockLayout,
     CalibrationParameters,
     Exclusion,
     JointEstimate,
@@ -46,9 +46,46 @@ from inflight.tasks.pipelines.base import Batch, Job
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset
 
-#: The axis moves slowly: between two directions no farther apart than this, or than three cadences, it is
-#: carried along the straight line.
-_LONGEST_GAP = 7200 * SECOND
+
+@dataclass(frozen=True, kw_only=True)
+class SpinDaySettings:
+    """Numbers of a day of a spinning sensor.
+
+    Attributes
+    ----------
+    mean_s : float
+        Zero levels are found of averages over about so long, in whole turns, s. Assumed: long against a turn,
+        short against the 15 minutes of an interval of the zero level.
+    full_mean : float
+        Part of the usual readings that a mean needs at least. Assumed.
+    after_manoeuvre_ns : int
+        A manoeuvre disturbs the spin for so long, ns. Assumed: one hour.
+    joined_ns : int
+        Samples that are unusable for one reason are of one span when they are no further apart, ns. Assumed:
+        one minute, longer than a turn, because a saturated sensor is so once a turn.
+    longest_gap_ns : int
+        The spin axis moves slowly: it is interpolated between two directions no further apart than this, or
+        than three cadences, ns. Assumed: two hours.
+    """
+
+    mean_s: float = 30.0
+    full_mean: float = 0.9
+    after_manoeuvre_ns: int = 3600 * SECOND
+    joined_ns: int = 60 * SECOND
+    longest_gap_ns: int = 7200 * SECOND
+
+
+SPIN_DAY = SpinDaySettings()
+
+_TT2000 = {"scale": "TT2000"}
+
+_ESTIMATES, _MEANS = ("estimate", "uncertainty"), ("block", "mean_of", "axis")
+
+#: How an empty row reads.
+_EMPTY = {
+    **dict.fromkeys((*_ESTIMATES, "mean"), np.nan),
+    **dict.fromkeys(("sub_start", "sub_end", "mean_time"), 0),
+}
 
 
 def attitude_of(
@@ -60,12 +97,12 @@ def attitude_of(
     day: np.datetime64,
     samples: xr.Dataset,
 ) -> Attitude | None:
-    """Return where spin axis and Sun stand at samples; None where nothing states or tells the axis.
+    """Return the directions of spin axis and Sun at samples; None where neither mission nor channel has it.
 
     Parameters
     ----------
     needs : sequence of Need
-        With that of the axis, where a channel tells it.
+        With that of the axis, where a channel delivers it.
     samples : xarray.Dataset
         `tt2000` (time); `position` (time, axis) with attributes `units` and `frame`, where it is known.
 
@@ -81,30 +118,34 @@ def attitude_of(
     # All days of a store have the same variables: a day without directions has empty ones.
     axis: Floats = np.full((stamps.size, 3), np.nan)
     if isinstance(stated, list):
-        axis = _stated(stated, stamps)
+        axis = _stated_axis(stated, stamps)
     elif need is None:
         return None
-    elif (series := channel_series(cat, need, day, index, alone=False)) is not None:
-        axis = _delivered(series, need, mission, stamps)
-    return Attitude(axis, sun_direction_gse(stamps, _position(samples)))
+    elif (series := channel_series(cat, need, day, index)) is not None:
+        axis = _delivered_axis(series, need, mission, stamps)
+    # Positions, km, gse, where they are known in a frame that can be turned.
+    place: Floats | None = None
+    position = samples.get("position")
+    if position is not None and position.attrs.get("frame") in FRAMES:
+        factor, _ = factor_and_offset(str(position.attrs.get("units", "km")), "km")
+        values = np.asarray(position.values, dtype=np.float64) * factor
+        place = to_gse(values, stamps, str(position.attrs["frame"]))
+    return Attitude(axis, sun_direction_gse(stamps, place))
 
 
-def _stated(axes: Sequence[SpinAxis], stamps: Int64) -> Floats:
+def _stated_axis(axes: Sequence[SpinAxis], stamps: Int64) -> Floats:
     """Return the axis, gse, as the mission's file has it; NaN before the first one."""
     out = np.full((stamps.size, 3), np.nan)
-    for one in sorted(axes, key=_since):
-        here = stamps >= _since(one)
-        direction = np.broadcast_to(_unit(np.array([one.direction])), (int(here.sum()), 3))
-        out[here] = to_gse(np.array(direction), stamps[here], one.frame)
+    by_start = {np.iinfo(np.int64).min if axis.since is None else axis.since: axis for axis in axes}
+    for since, axis in sorted(by_start.items()):
+        valid = stamps >= since
+        direction = np.broadcast_to(_unit(np.array([axis.direction])), (int(valid.sum()), 3))
+        out[valid] = to_gse(np.array(direction), stamps[valid], axis.frame)
     return out
 
 
-def _since(axis: SpinAxis) -> int:
-    return np.iinfo(np.int64).min if axis.since is None else axis.since
-
-
-def _delivered(series: xr.DataArray, need: Need, mission: Mission, stamps: Int64) -> Floats:
-    """Return the axis, gse, as a channel has it, between its readings; NaN where they are too rare."""
+def _delivered_axis(series: xr.DataArray, need: Need, mission: Mission, stamps: Int64) -> Floats:
+    """Return the axis, gse, interpolated between the readings of a channel; NaN where they are too rare."""
     channel = mission.instruments[need.instrument].channels[need.channel]
     frame, values = channel.frame or "", np.asarray(series.values, dtype=np.float64)
     if frame not in FRAMES or values.ndim != 2 or values.shape[1] not in (2, 3):
@@ -119,18 +160,14 @@ def _delivered(series: xr.DataArray, need: Need, mission: Mission, stamps: Int64
     if not known.any():
         return np.full((stamps.size, 3), np.nan)
     times, axis = times[known], to_gse(_unit(values[known]), times[known], frame)
-    carried = np.stack([np.interp(stamps, times, one) for one in axis.T], axis=1)
-    return np.where(_is_near(times, stamps, need.cadence_ns)[:, None], carried, np.nan)
-
-
-def _is_near(times: Int64, stamps: Int64, cadence: int) -> np.ndarray:
-    """Return which stamps lie between readings that are near enough, or beside one."""
-    longest = max(_LONGEST_GAP, 3 * cadence)
+    between = np.stack([np.interp(stamps, times, component) for component in axis.T], axis=1)
+    # The readings on both sides have to be near enough; beyond the first and the last one, that one.
     after = np.searchsorted(times, stamps)
     before, beyond = np.maximum(after - 1, 0), np.minimum(after, times.size - 1)
     inside = (after > 0) & (after < times.size)
     apart = np.where(inside, times[beyond] - times[before], 2 * np.abs(stamps - times[before]))
-    return np.asarray(apart <= longest)
+    near = apart <= max(SPIN_DAY.longest_gap_ns, 3 * need.cadence_ns)
+    return np.where(near[:, None], between, np.nan)
 
 
 def _unit(directions: Floats) -> Floats:
@@ -142,37 +179,6 @@ def _unit(directions: Floats) -> Floats:
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def _position(samples: xr.Dataset) -> Floats | None:
-    """Return the positions, km, gse; None where they are not known in a frame that can be turned."""
-    position = samples.get("position")
-    if position is None or position.attrs.get("frame") not in FRAMES:
-        return None
-    factor, _ = factor_and_offset(str(position.attrs.get("units", "km")), "km")
-    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    place = np.asarray(position.values, dtype=np.float64) * factor
-    return to_gse(place, stamps, str(position.attrs["frame"]))
-
-
-#: Averages over about so long, whole turns, are what zero levels are found of.
-MEAN_S = 30.0
-
-#: A manoeuvre disturbs the spin for so long.
-_AFTER_MANOEUVRE = 3600 * SECOND
-
-#: Samples spoilt in one way are of one span when they are no further apart.
-_APART = 60 * SECOND
-
-#: How an empty row reads.
-_ESTIMATES, _MEANS = ("estimate", "uncertainty"), ("block", "mean_of", "axis")
-
-_TT2000 = {"scale": "TT2000"}
-
-_EMPTY = {
-    **dict.fromkeys((*_ESTIMATES, "mean"), np.nan),
-    **dict.fromkeys(("sub_start", "sub_end", "mean_time"), 0),
-}
-
-
 def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's estimates, and a report of what was used.
 
@@ -180,12 +186,12 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     -------
     xarray.Dataset
         Along ``block`` (one): `value`, `sigma` (block, parameter), `covariance` (block, parameter, other) of
-        the eight, jointly, in the units of the model, infinite where the day tells nothing; `estimate`,
+        the eight, jointly, in the units of the model, infinite without an estimate; `estimate`,
         `uncertainty` (block, sub, parameter) of each sub-interval, with `sub_start`, `sub_end`; `mean`
         (block, mean, axis) nT, payload axes, over whole turns, with `mean_time`; `start`, `end` TT2000.
 
-    A day whose field was measured, but of which nothing tells the phase, or too little is usable, tells
-    nothing: it gets its product with the parameters of the days around.
+    A day whose phase is not known, or of which too little is usable, has no estimates; its product is made
+    with the parameters of the days around.
 
     Raises
     ------
@@ -198,21 +204,26 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         batch.cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False
     )
     start, end = day_bounds(day)
-    present, known = ground_of(entry, (start + end) // 2)
+    prior, prior_sigma = ground_of(entry, (start + end) // 2)
+    # What the model holds fixed enters as a measurement without error.
+    fixed = {name for name in SPIN_RELATED if not entry.parameters[name.partition("[")[0]].free}
+    measured = {
+        name: UNCALIBRATED_SIGMA[name] * 1e-9 if name in fixed else prior_sigma[name] for name in SPIN_RELATED
+    }
     readings, good, _ = plain_readings(model, entry, samples)
     phase, stamps = np.asarray(samples["spin_phase"].values), np.asarray(samples["tt2000"].values)
-    excluded = [*exclusions_of(mission, start, end), *spoilt_spans(samples["flag"].values, stamps)]
-    told = samples["spin_phase"].attrs
-    report: dict[str, Any] = {"phase": str(told["told"]), "used": 0, "sub_intervals": 0}
+    excluded = [*exclusions_of(mission, start, end), *unusable_spans(samples["flag"].values, stamps)]
+    phase_info = samples["spin_phase"].attrs
+    report: dict[str, Any] = {"phase": str(phase_info["told"]), "used": 0, "sub_intervals": 0}
     try:
         layout = cut_into_blocks(readings, phase, stamps, good, SubIntervals(), excluded)
-        found = estimate_jointly(readings, phase, stamps, layout, present, _free(entry, known))
+        found = estimate_jointly(readings, phase, stamps, layout, prior, measured)
     except TooLittleError as error:
-        lost = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
-        report |= {"coverage": 0.0, "told": error.message, SPIN_FAULTS: [_fault(job, lost, error.remedy)]}
-        return _nothing(present, known, (start, end)), report
+        message = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
+        report |= {"coverage": 0.0, "told": error.message, SPIN_FAULTS: [_fault(job, message, error.remedy)]}
+        return _empty_estimates(prior, prior_sigma, (start, end)), report
     field = found.parameters.correct(readings)
-    means = _means(field, phase, stamps, good, told["period_s"], (start, end))
+    means = _payload_means(field, phase, stamps, good, phase_info["period_s"], (start, end))
     usable = found.tones.usable
     report |= {
         "coverage": float(good.sum() * np.median(np.diff(stamps)) / (end - start)),
@@ -222,26 +233,26 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         "excess": found.excess.tolist(),
         "settled": found.settled,
     }
-    rate = _rate(stamps, field, phase, good)
-    if rate is not None:
-        report["period"] = rate.summary()
-        if not rate.agrees:
-            report[SPIN_FAULTS] = [
-                _fault(job, rate.summary(), "see the stated spin period and the clock of its marks")
-            ]
-    return _dataset(found, layout, (start, end)).merge(means), report
+    check = _period_of_field(stamps, field, phase, good)
+    if check is not None:
+        report["period"] = check.summary()
+        if not check.agrees:
+            remedy = "see the stated spin period and the clock of its marks"
+            report[SPIN_FAULTS] = [_fault(job, check.summary(), remedy)]
+    return _estimates(found, (start, end)).merge(means), report
 
 
 def _fault(job: Job, message: str, remedy: str) -> dict[str, str]:
-    """Return what the run says of a day of the field's channel."""
+    """Return a fault of the field's channel, as the report of a day has it."""
     base = next(need for need in job.needs if need.name == "vector")
     return {"channel": f"{base.instrument}.{base.channel}", "message": message, "remedy": remedy}
 
 
-def _rate(stamps: Int64, field: Floats, phase: Floats, good: np.ndarray) -> PeriodCheck | None:
-    """Return the spin's period by field and phase where the phase is known longest; None for too little.
+def _period_of_field(stamps: Int64, field: Floats, phase: Floats, good: np.ndarray) -> PeriodCheck | None:
+    """Return the spin's period by field and by phase; None for too few samples.
 
-    Across a gap turns may be miscounted, which harms no fit and would look like another rate.
+    Only the longest run of known phase is used: across a gap turns may be miscounted, which harms no fit and
+    would look like another period.
     """
     known = np.flatnonzero(np.isfinite(phase))
     pieces = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
@@ -269,33 +280,31 @@ def require_spinning(model: Model) -> ModelEffect:
 
 
 def ground_of(entry: ModelEffect, tt2000: int) -> tuple[CalibrationParameters, dict[str, float]]:
-    """Return what the model knows of the twelve beforehand, and how well."""
+    """Return the twelve parameters that the model states before flight, and their sigmas by name."""
     values, sigmas = [], {}
     kinds = SpinningSensor.parameters()
     for name in NAMES:
         key, _, axis = name.partition("[")
         index = (kinds[key].axes or ("",)).index(axis.rstrip("]"))
-        told = entry.parameters[key]
-        values.append(float(told.at(tt2000)[index]))
-        stated = float(told.sigma[index, 0])
+        parameter = entry.parameters[key]
+        values.append(float(parameter.at(tt2000)[index]))
+        stated = float(parameter.sigma[index, 0])
         sigmas[name] = stated if np.isfinite(stated) else kinds[key].sigma
     return CalibrationParameters.from_values(values), sigmas
-
-
-def _free(entry: ModelEffect, known: dict[str, float]) -> dict[str, float]:
-    """Return what is put in as one more measurement; what the model holds fixed, as a sure one."""
-    fixed = {name for name in SPIN_RELATED if not entry.parameters[name.partition("[")[0]].free}
-    return {name: UNCALIBRATED_SIGMA[name] * 1e-9 if name in fixed else known[name] for name in SPIN_RELATED}
 
 
 def plain_readings(
     model: Model, entry: ModelEffect, samples: xr.Dataset
 ) -> tuple[Floats, np.ndarray, xr.Dataset]:
-    """Return readings as if the sensor's equation were all there is, (time, axis) nT, and which are good.
+    """Return readings with all of the model removed but the sensor's equation, and which of them are good.
 
-    The corrected samples they are made from come with them.
-
-    Everything else the model knows is taken out: what stands before the equation, and fields.
+    Returns
+    -------
+    readings : ndarray, shape (time, axis)
+        nT: what the sensor would read of the corrected field, without the model's other effects.
+    good : ndarray of bool, shape (time,)
+    corrected : Dataset
+        The samples corrected by the whole model, which the readings are made from.
     """
     corrected = model.correct(samples)
     field = np.asarray(corrected["field"].values, dtype=np.float64)
@@ -309,30 +318,30 @@ def plain_readings(
 def exclusions_of(mission: Mission, start: int, end: int) -> list[Exclusion]:
     """Return the spans of a mission's manoeuvres that touch [start, end), with the hour after each."""
     return [
-        Exclusion(event.at, event.at + _AFTER_MANOEUVRE, "manoeuvre")
+        Exclusion(event.at, event.at + SPIN_DAY.after_manoeuvre_ns, "manoeuvre")
         for event in mission.events
-        if event.kind in ("manoeuvre", "maneuver") and start - _AFTER_MANOEUVRE <= event.at < end
+        if event.kind in ("manoeuvre", "maneuver") and start - SPIN_DAY.after_manoeuvre_ns <= event.at < end
     ]
 
 
-def spoilt_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusion]:
-    """Return the spans in which the phase jumps, and those in which the sensor was full.
+def unusable_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusion]:
+    """Return the spans in which the phase jumps, and those in which the sensor is saturated.
 
-    No sub-interval may hold one: the turns on both sides of a jump are not of one phase, and those of a full
-    sensor lack their tops.
+    No sub-interval may hold one: the turns on both sides of a jump are not of one phase, and those of a
+    saturated sensor lack their tops.
     """
     found = []
     jump = Flag.PHASE_JUMP | Flag.NO_PHASE
     for bits, reason in ((jump, "phase jump"), (Flag.SATURATED, "saturated")):
         at = np.flatnonzero((flag & np.uint32(bits)) == np.uint32(bits))
-        # Runs that lie nearer than blocks are long are one span: a full sensor is so once a turn.
-        parts = np.split(at, np.flatnonzero(np.diff(stamps[at]) > _APART) + 1) if at.size else []
-        found += [Exclusion(int(stamps[one[0]]), int(stamps[one[-1]]) + 1, reason) for one in parts]
+        apart = np.flatnonzero(np.diff(stamps[at]) > SPIN_DAY.joined_ns) + 1
+        runs = np.split(at, apart) if at.size else []
+        found += [Exclusion(int(stamps[run[0]]), int(stamps[run[-1]]) + 1, reason) for run in runs]
     return found
 
 
-def together(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """Return days with empty rows behind their sub-intervals and means: a store's days are of one size."""
+def pad_days(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    """Return days padded with empty sub-intervals and means: all days of a store are of one size."""
     most = {name: max(day.sizes[name] for day in days) for name in ("sub", "mean_of")}
     return [
         day.pad({name: (0, most[name] - day.sizes[name]) for name in most}, constant_values=_EMPTY)
@@ -340,12 +349,14 @@ def together(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     ]
 
 
-def _nothing(present: CalibrationParameters, known: dict[str, float], span: tuple[int, int]) -> xr.Dataset:
-    """Return a day that tells nothing: the values known before, with covariances that add nothing."""
-    sigma = np.array([known[name] for name in SPIN_RELATED])
+def _empty_estimates(
+    prior: CalibrationParameters, prior_sigma: dict[str, float], span: tuple[int, int]
+) -> xr.Dataset:
+    """Return a day without estimates: the prior's values and covariance, infinite sigma, no rows."""
+    sigma = np.array([prior_sigma[name] for name in SPIN_RELATED])
     numbers, none = sigma.size, np.full((1, 0), 0, dtype=np.int64)
     parts: dict[str, Any] = {
-        "value": (("block", "parameter"), present.spin_related()[None]),
+        "value": (("block", "parameter"), prior.spin_related()[None]),
         "sigma": (("block", "parameter"), np.full((1, numbers), np.inf)),
         "covariance": (("block", "parameter", "other"), np.diag(sigma**2)[None]),
     }
@@ -357,7 +368,8 @@ def _nothing(present: CalibrationParameters, known: dict[str, float], span: tupl
     return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
 
 
-def _dataset(found: JointEstimate, layout: BlockLayout, span: tuple[int, int]) -> xr.Dataset:
+def _estimates(found: JointEstimate, span: tuple[int, int]) -> xr.Dataset:
+    """Return the joint estimate of a day and those of its sub-intervals; see `spin_day`."""
     unknown = np.array([UNCALIBRATED_SIGMA[name] for name in SPIN_RELATED])
     spread = uncertainty_of_pairs(np.where(np.isfinite(found.sigma), found.sigma, unknown))
     each = estimate_pairs(found.tones, spread)
@@ -382,11 +394,11 @@ def _span_of(span: tuple[int, int]) -> dict[str, Any]:
     return {name: ("block", np.array([one], dtype=np.int64), dict(_TT2000)) for name, one in both}
 
 
-def _means(
+def _payload_means(
     field: Floats, phase: Floats, stamps: Int64, good: np.ndarray, period: float, span: tuple[int, int]
 ) -> xr.Dataset:
     """Return means over whole turns in payload axes: (block, mean, axis) nT, and their times."""
-    turns = max(1, round(MEAN_S / period))
+    turns = max(1, round(SPIN_DAY.mean_s / period))
     known = good & np.isfinite(phase)
     payload = despin(field, phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
@@ -394,7 +406,7 @@ def _means(
     most = int(group[known].max()) + 1
     count = np.bincount(group[known], minlength=most + 1)[:most]
     usual = np.median(count[count > 0])
-    whole = count > 0.9 * usual
+    whole = count > SPIN_DAY.full_mean * usual
     sums = np.stack([np.bincount(group[known], part[known], most + 1)[:most] for part in payload.T], axis=1)
     times = np.bincount(group[known], (stamps[known] - span[0]) / SECOND, most + 1)[:most]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,4 +1,8 @@
-"""The pipeline of a sensor on a spinning spacecraft, calibrated by the spin itself."""
+"""The pipeline of a sensor on a spinning spacecraft, calibrated by the spin itself.
+
+`SpinPipeline` names the steps in the order of a reprocessing: statistics of a day (`day.py`), tables
+(`tables.py`), products (`product.py`), comparison and report.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,7 @@ from inflight.tasks.pipelines.base import (
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.pipelines.spin.day import spin_day, together
+from inflight.tasks.pipelines.spin.day import pad_days, spin_day
 from inflight.tasks.pipelines.spin.product import spin_product
 from inflight.tasks.pipelines.spin.tables import (
     TABLES,
@@ -47,16 +51,16 @@ from inflight.tasks.pipelines.spin.tables import (
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
-#: Replaced parameters listed at most; the newest.
-_MOST = 15
+#: Replaced parameters that the command line lists, the newest.
+_LISTED = 15
 
 
 class SpinPipeline(Pipeline):
-    """Eight of twelve parameters from the tones that they leave at the spin and at twice it.
+    """Eight of twelve parameters from the tones that their errors make at the spin and at twice it.
 
-    A day leaves its joint estimate, that of each sub-interval, and quiet averages (Plaschke et al. 2019); the
-    offset along the spin axis comes from many hours of natural fluctuations (`inflight.zero_level`). The
-    product is the despun field; its residual is what still goes with the spin.
+    The statistics of a day are its joint estimate, that of each sub-interval, and quiet averages (Plaschke et
+    al. 2019); the offset along the spin axis comes from many hours of natural fluctuations
+    (`inflight.zero_level`). The product is the despun field; its residual is its spin tones.
     """
 
     tag = "spin"
@@ -85,14 +89,14 @@ class SpinPipeline(Pipeline):
         return spin_day(batch, day)
 
     def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-        """Return days with empty rows behind their sub-intervals and means."""
-        return together(days)
+        """Return days padded with empty sub-intervals and means; see `pad_days`."""
+        return pad_days(days)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
         """Make the tables: zero levels, each day, windows, months, the whole span.
 
-        The offset along the spin axis takes many hours of wind: days and months have that of their calendar
-        month, windows and the span those of the windows. No window holds two positions of a flipper.
+        The offset along the spin axis needs many hours of solar wind: days and months use that of their
+        calendar month, windows and the span those of the windows. No window holds two positions of a flipper.
         """
         if not any(day.report["used"] for day in days.values()):
             earliest = days[min(days)]
@@ -177,7 +181,7 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     replaced = [
         one for one in sections["days"]["items"] if one["decision"] == "update" and one["day"] != first
     ]
-    lines += [f"{one['day']} replaced {one['name']}: {one['reason']}" for one in replaced[-_MOST:]]
+    lines += [f"{one['day']} replaced {one['name']}: {one['reason']}" for one in replaced[-_LISTED:]]
     lines += [f"drift of {name}: {one['sentence']}" for name, one in sections["zero_level"]["drift"].items()]
     lines += [f"{one['day']}: {one['told']}" for one in sections["phase"]["items"][-1:]]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"

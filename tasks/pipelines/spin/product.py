@@ -1,4 +1,4 @@
-"""The level-2 product of a day of a turning sensor, with the calibration table that holds."""
+"""The level-2 product of a day of a spinning sensor: the despun field, made with the table that holds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
-from inflight.model import Model, ModelEffect, rows_of
+from inflight.model import Model, rows_of
 from inflight.samples import fold
 from inflight.spin import NAMES, CalibrationParameters, make_spin_product
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
@@ -17,25 +17,28 @@ from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
 
-#: Flags of samples that are as good as the rest for the eye that asks what is there.
+#: Flags of samples that count in the coverage.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.PHASE_BRIDGED
 
 
 def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return one day's product of a turning sensor and a report.
+    """Return one day's product (`inflight.spin.make_spin_product`) and a report.
 
-    The report's residual is that of the synthetic turns: what still goes with the spin, before and after.
+    The report's residual is the rms of the spin tones of synthetic turns, before and after calibration.
     """
     cat, mission, model, table, job = batch.cat, batch.mission, batch.model, batch.table, batch.job
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
     span = day_bounds(day)
     bound = model.bind(table)
     entry = require_spinning(bound)
-    twelve, covariance = _holding(table, (span[0] + span[1]) // 2)
+    row = _row_at(table, (span[0] + span[1]) // 2)
+    twelve = CalibrationParameters.from_values(row["value"].values)
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
+    covariance = np.asarray(row["covariance"].values)
     product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
-    if not _settled(table, entry, (span[0] + span[1]) // 2):
+    free = np.array([entry.parameters[name.partition("[")[0]].free for name in NAMES])
+    if not np.all(row["determined"].values[free]):
         product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
@@ -43,27 +46,14 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
         "coverage": float(good.sum() * step / (span[1] - span[0])),
         "samples": int(good.sum()),
     }
-    report |= _tones(bound, batch.preflight, samples, span)
+    report |= _residual(bound, batch.preflight, samples, span)
     report["phase"] = str(samples["spin_phase"].attrs["told"])
     report[SPIN_FAULTS] = day_faults(samples, job.needs, job.index, day)
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return rounded(product), report
 
 
-def _settled(table: xr.Dataset, entry: ModelEffect, tt2000: int) -> bool:
-    """Return True when a table has a measured value of everything that the model leaves free."""
-    free = np.array([entry.parameters[name.partition("[")[0]].free for name in NAMES])
-    return bool(np.all(_row(table, tt2000)["determined"].values[free]))
-
-
-def _holding(table: xr.Dataset, tt2000: int) -> tuple[CalibrationParameters, np.ndarray]:
-    """Return the twelve that a table has for an instant, and their covariance."""
-    row = _row(table, tt2000)
-    assert row.sizes["parameter"] == len(NAMES)
-    return CalibrationParameters.from_values(row["value"].values), np.asarray(row["covariance"].values)
-
-
-def _row(table: xr.Dataset, tt2000: int) -> xr.Dataset:
+def _row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:
     """Return the interval of a table that holds an instant."""
     inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
     if not inside.size:
@@ -74,8 +64,11 @@ def _row(table: xr.Dataset, tt2000: int) -> xr.Dataset:
     return table.isel(interval=int(inside[-1]))
 
 
-def _tones(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:
-    """Return the weighted rms of what goes with the spin, before and after calibration, and its floor; nT."""
+def _residual(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:
+    """Return the weighted rms of the spin tones, before and after calibration, and the noise floor; nT.
+
+    Empty where nothing can be folded.
+    """
     assert bound.layout is not None
     if bound.layout.folding is None:
         return {}

@@ -1,8 +1,11 @@
-"""What the tables of a spinning sensor say: fields for programs, and one page."""
+"""What the tables of a spinning sensor contain: fields for the command line's JSON, and one page.
+
+Takes `SpinResults` (the tables and their days), makes `Part` sections: the twelve parameters, what each day
+decided, the estimates of sub-intervals, zero levels, and the spin phase.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,10 +70,10 @@ def spin_report(
 
 def spin_table_parts(found: SpinResults) -> list[Part]:
     """Return everything that is shown of a turning sensor's tables."""
-    return [_twelve(found), _days(found), _estimates(found), _zero(found), _phase(found)]
+    return [_parameters(found), _days(found), _estimates(found), _zero_levels(found), _phase(found)]
 
 
-def _twelve(found: SpinResults) -> Part:
+def _parameters(found: SpinResults) -> Part:
     part = Part("twelve", "The twelve parameters")
     table = found.tables["window"]
     part.fields = {"items": _items(table.isel(interval=-1)), "intervals": int(table.sizes["interval"])}
@@ -92,11 +95,10 @@ def _twelve(found: SpinResults) -> Part:
     )
     head = ("parameter", "unit", "pre-flight", "in use", "from", "decision", "why")
     part.text.append(html_table(head, rows, kind="wide told"))
-    remaining = ", ".join(one["name"] for one in part.fields["items"] if one["origin"] == "ground")
-    part.fields["ground"] = remaining.split(", ") if remaining else []
-    part.add_text(
-        f"These remain at their ground values: {remaining or 'none'}. The spin tells nothing of them."
-    )
+    ground = [one["name"] for one in part.fields["items"] if one["origin"] == "ground"]
+    part.fields["ground"] = ground
+    named = ", ".join(ground) or "none"
+    part.add_text(f"These remain at their ground values: {named}. The spin tells nothing of them.")
     return part
 
 
@@ -120,9 +122,9 @@ def _days(found: SpinResults) -> Part:
     part.fields = {"items": [one for one in items if one["decision"]]}
     update = [one for one in part.fields["items"] if one["decision"] == "update"]
     later = [one for one in update if one["day"] != days[0]]
-    looks = sum(one["day"] != days[0] for one in part.fields["items"])
+    decisions = sum(one["day"] != days[0] for one in part.fields["items"])
     part.add_text(
-        f"{len(later)} of {looks} decisions after the first day replace a value; the "
+        f"{len(later)} of {decisions} decisions after the first day replace a value; the "
         "rest would only add jitter, or the day does not tell. Each parameter keeps its "
         "value (red) until a day's own estimate warrants another."
     )
@@ -142,12 +144,11 @@ def _days(found: SpinResults) -> Part:
 def _estimates(found: SpinResults) -> Part:
     part = Part("estimates", "Selection against joint estimate")
     cloud = found.cloud
-    value, sigma = _joint(found.days)
+    value, sigma = _joint_estimate(found.days)
     if not len(cloud.start):
         part.add_absent("Estimates of sub-intervals", "no day has any")
         return part
-    rows, items = _side_by_side(found, value, sigma)
-    part.fields = {"items": items}
+    rows, part.fields["items"] = _selection_and_joint(found, value, sigma)
     part.add_text(
         "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
         "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
@@ -156,13 +157,15 @@ def _estimates(found: SpinResults) -> Part:
     )
     head = ("parameter", "unit", "pre-flight", "selection", "joint", "apart, sigma", "chosen", "threshold")
     part.text.append(html_table(head, rows))
-    covariance = np.mean([_correlation(day["covariance"].values[0]) for day in found.days], axis=0)
-    part.plots += [estimates_figure(cloud, (value, sigma)), correlation_figure(covariance)]
+    covariances = np.array([day["covariance"].values[0] for day in found.days])
+    errors = np.sqrt(np.maximum(np.einsum("dii->di", covariances), 1e-300))
+    correlation = np.mean(covariances / (errors[:, :, None] * errors[:, None, :]), axis=0)
+    part.plots += [estimates_figure(cloud, (value, sigma)), correlation_figure(correlation)]
     part.plots.append(uncertainty_figure(cloud))
     return part
 
 
-def _side_by_side(
+def _selection_and_joint(
     found: SpinResults, value: Floats, sigma: Floats
 ) -> tuple[list[tuple[str, ...]], list[dict[str, Any]]]:
     """Return the selection's and the joint estimate's values as rows of a table, and as JSON."""
@@ -186,13 +189,13 @@ def _side_by_side(
                 "threshold": float(cloud.threshold[at]),
             }
         )
-        told = with_error(cloud.value[at], cloud.sigma[at]) if count else "none chosen"
+        selection = with_error(cloud.value[at], cloud.sigma[at]) if count else "none chosen"
         rows.append(
             (
                 name,
                 UNITS[name],
                 with_error(prior, spread),
-                told,
+                selection,
                 with_error(value[at], sigma[at]),
                 f"{apart:.1f}" if count else "",
                 f"{count} of {int(np.isfinite(cloud.estimate[:, at]).sum())}",
@@ -202,7 +205,7 @@ def _side_by_side(
     return rows, items
 
 
-def _joint(days: list[xr.Dataset]) -> tuple[Floats, Floats]:
+def _joint_estimate(days: list[xr.Dataset]) -> tuple[Floats, Floats]:
     """Return the mean of the days' joint estimates and its error, widened where they scatter; (8,)."""
     value = np.array([day["value"].values[0] for day in days])
     weight = np.array([day["sigma"].values[0] for day in days]) ** -2.0
@@ -213,16 +216,11 @@ def _joint(days: list[xr.Dataset]) -> tuple[Floats, Floats]:
     return mean, np.sqrt(np.maximum(excess, 1.0) / total)
 
 
-def _correlation(covariance: Floats) -> Floats:
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    return np.asarray(covariance / np.outer(sigma, sigma))
-
-
-def _zero(found: SpinResults) -> Part:
+def _zero_levels(found: SpinResults) -> Part:
     part = Part("zero_level", "Zero levels")
     zero = found.tables["zero-level"]
     days = [str(one)[:10] for one in day_of(zero["start"].values)]
-    items = []
+    items: list[dict[str, Any]] = []
     for at, day in enumerate(days):
         row = zero.isel(interval=at)
         each = {
@@ -234,10 +232,10 @@ def _zero(found: SpinResults) -> Part:
             )
             if np.isfinite(sigma)
         }
-        told = {key: str(row[key].values) for key in ("method", "reason")}
+        text = {key: str(row[key].values) for key in ("method", "reason")}
         numbers = {key: float(row[key]) for key in ("value", "sigma")}
-        items.append({"from": day, "intervals": int(row["intervals"]), "methods": each} | told | numbers)
-    rates = _rates(found.tables["daily"])
+        items.append({"from": day, "intervals": int(row["intervals"]), "methods": each} | text | numbers)
+    rates = _offset_drift(found.tables["daily"])
     part.fields = {
         "items": items,
         "drift": {
@@ -250,22 +248,21 @@ def _zero(found: SpinResults) -> Part:
         "each window, by every method on the intervals of 15 minutes that suit it; days of a window share it."
     )
     head = ("window from", "combined", *COMBINED_METHODS, "intervals")
-    part.text.append(html_table(head, [_zero_row(one) for one in items]))
+    rows = []
+    for one in items:
+        combined = with_error(one["value"], one["sigma"]) if np.isfinite(one["sigma"]) else "not told"
+        methods = [one["methods"].get(name) for name in COMBINED_METHODS]
+        cells = [
+            f"{with_error(own['value'], own['sigma'])} ({own['intervals']})" if own else "not told"
+            for own in methods
+        ]
+        rows.append((one["from"], combined, *cells, str(one["intervals"])))
+    part.text.append(html_table(head, rows))
     part.plots += [zero_drift_figure(found.tables["daily"], rates), zero_methods_figure(zero)]
     return part
 
 
-def _zero_row(one: Mapping[str, Any]) -> tuple[str, ...]:
-    combined = with_error(one["value"], one["sigma"]) if np.isfinite(one["sigma"]) else "not told"
-    each = (one["methods"].get(name) for name in COMBINED_METHODS)
-    cells = (
-        f"{with_error(two['value'], two['sigma'])} ({two['intervals']})" if two else "not told"
-        for two in each
-    )
-    return (one["from"], combined, *cells, str(one["intervals"]))
-
-
-def _rates(table: xr.Dataset) -> dict[str, tuple[float, float]]:
+def _offset_drift(table: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Return the drift of offsets 1 and 2, nT a day, with its error; none of fewer than three days."""
     out = {}
     time = (table["start"].values // 2 + table["end"].values // 2) / DAY
@@ -280,8 +277,8 @@ def _rates(table: xr.Dataset) -> dict[str, tuple[float, float]]:
         spread = float(np.sum(weight * when**2))
         middle = np.average(value[known], weights=weight)
         rate = float(np.sum(weight * when * (value[known] - middle)) / spread)
-        left = value[known] - middle - rate * when
-        excess = max(1.0, float(np.sum(weight * left**2)) / (known.sum() - 2))
+        residual = value[known] - middle - rate * when
+        excess = max(1.0, float(np.sum(weight * residual**2)) / (known.sum() - 2))
         out[name] = (rate, float(np.sqrt(excess / spread)))
     return out
 
@@ -291,7 +288,7 @@ def _phase(found: SpinResults) -> Part:
     items: list[dict[str, Any]] = []
     products = {product.day: product for product in found.products}
     for record in found.records:
-        # A day whose product failed has its estimates all the same.
+        # A day without a product still has its estimates.
         product = products.get(record.day)
         flag = np.empty(0, np.uint32) if product is None else found.cat.read(product, ["flag"])["flag"].values
         items.append(
@@ -308,7 +305,10 @@ def _phase(found: SpinResults) -> Part:
     rows = [
         (
             one["day"],
-            *(_percent(one[name]) for name in ("bridged", "jump", "lost")),
+            *(
+                f"{100.0 * one[name]:.2f}" if np.isfinite(one[name]) else "no product"
+                for name in ("bridged", "jump", "lost")
+            ),
             one["told"],
             one["sub_intervals"],
         )
@@ -317,10 +317,6 @@ def _phase(found: SpinResults) -> Part:
     head = ("day", "bridged, %", "at a jump, %", "no phase, %", "what the phase tells", "sub-intervals")
     part.text.append(html_table(head, rows, kind="wide told"))
     return part
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2f}" if np.isfinite(share) else "no product"
 
 
 def _share(flag: np.ndarray, which: Flag) -> float:

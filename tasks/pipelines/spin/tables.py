@@ -9,7 +9,7 @@ their days.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,7 +43,7 @@ from inflight.spin import (
 from inflight.tasks.archive import flips_of
 from inflight.tasks.pipelines.base import equations_of, newest_tables, product_of
 from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
-from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
+from inflight.time import DAY, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     COMBINED_METHODS,
     PARTS,
@@ -54,29 +54,60 @@ from inflight.zero_level import (
     separate_flipped,
 )
 
-#: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
-ZERO_INTERVAL_S = 900.0
 
-#: Fewer quarter hours tell no offset: false zeros are found out, but of twenty in rough wind one mean in
-#: forty still lies beyond four of the stated errors (docs/science/zero-level.md).
-_FEWEST_INTERVALS = 24
+@dataclass(frozen=True, kw_only=True)
+class SpinTableSettings:
+    """Numbers of the tables of a spinning sensor.
 
-#: The offset along the axis is looked for within so many of the ground's sigmas.
-_REACH = 3.0
+    Attributes
+    ----------
+    zero_interval_s : float
+        Intervals that a zero level is found from, s. Assumed: long against the correlation of the solar
+        wind's fluctuations.
+    fewest_intervals : int
+        Fewer such intervals give no offset. Measured: false zeros are found out, but of twenty in rough wind
+        one mean in forty still lies beyond four of the stated errors (docs/science/zero-level.md).
+    reach : float
+        The offset along the axis is searched within so many sigmas of its pre-flight value. Assumed.
+    determined_part : float
+        A parameter is determined when its sigma is below this part of the prior's. Assumed.
+    published_sigmas : float
+        A published uncertainty is so many standard deviations of white noise (Plaschke et al. 2019, table 2).
+    """
 
-#: A value is determined when it is known this much better than before.
-_BETTER = 0.5
+    zero_interval_s: float = 900.0
+    fewest_intervals: int = 24
+    reach: float = 3.0
+    determined_part: float = 0.5
+    published_sigmas: float = 1.7
+
+
+SPIN_TABLE = SpinTableSettings()
 
 #: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
 _PRIOR, _DATA = 0, 2
 
-#: The parameter that the spin tells nothing of and nature does.
+#: The parameter that leaves no tone and is found from natural fluctuations.
 AXIAL = "offset[3]"
 
 
 @dataclass(frozen=True)
 class _Row:
-    """One interval: what is used in it, and what was decided; `own` is the estimate with its sigma, (12,)."""
+    """One interval of a table.
+
+    Attributes
+    ----------
+    twelve, covariance : ParameterTable and ndarray, shape (12, 12)
+        The values in use and their covariance.
+    decisions : mapping of str to Decision
+        What was decided on the interval's estimate of each parameter.
+    own : tuple of ndarray, each of shape (12,)
+        The interval's own estimates and their sigma; NaN and infinite for none.
+    days, used : int and float
+        Days, and sub-intervals used.
+    excess : float
+        Scatter of the days over its expectation, a factor of the variance.
+    """
 
     start: int
     end: int
@@ -89,6 +120,16 @@ class _Row:
     excess: float
 
 
+def _windows(
+    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64]
+) -> Iterator[tuple[int, int, list[xr.Dataset]]]:
+    """Yield TT2000 start and end of each window that has days, and its days."""
+    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
+        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
+        if inside:
+            yield start, end, inside
+
+
 def spin_table(
     days: Sequence[xr.Dataset],
     model: Model,
@@ -96,9 +137,9 @@ def spin_table(
     kind: str,
     zero: xr.Dataset | None = None,
 ) -> xr.Dataset:
-    """Return the table of windows of days; windows without a day are left out.
+    """Return the table of windows of days; windows without a day are skipped.
 
-    Days are weighted by what each tells beyond the prior. Where they scatter by more than their errors say,
+    Days are weighted by their information beyond the prior. Where they scatter by more than their errors,
     as after a change of the spin axis, the errors grow with the scatter. From window to window a parameter
     keeps its value unless the new estimate warrants another (`inflight.spin.update`).
 
@@ -118,20 +159,16 @@ def spin_table(
     xarray.Dataset
         Twelve parameters an interval, with the variables of `inflight.calibration.table`: the values in use.
         `own`, `own_sigma` are the interval's own estimates, infinite sigma where it has none; `decision`
-        (update, confirm, keep; empty for what stays as on the ground) and `reason` say what became of them.
+        (update, confirm, keep; empty for what stays as on the ground) and `reason` state what was decided.
     """
     entry = require_spinning(model)
-    bounds = [day_bounds(edge)[0] for edge in edges]
-    rows, book = list[_Row](), _Book.from_ground(entry, bounds[0])
-    for start, end in itertools.pairwise(bounds):
-        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
-        if inside:
-            rows.append(book.row(inside, entry, start, end, zero))
+    in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0])
+    rows = [in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges)]
     return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
 
 
 @dataclass
-class _Book:
+class _InUse:
     """The values in use, from one interval to the next."""
 
     eight: ValuesInUse
@@ -139,7 +176,8 @@ class _Book:
     source: str = GROUND
 
     @classmethod
-    def from_ground(cls, entry: ModelEffect, tt2000: int) -> _Book:
+    def from_ground(cls, entry: ModelEffect, tt2000: int) -> _InUse:
+        """Return the values in use before the flight."""
         ground, sigma = ground_of(entry, tt2000)
         axial = ValueInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
         return cls(ValuesInUse.from_ground(ground, sigma), axial)
@@ -147,18 +185,18 @@ class _Book:
     def row(
         self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
     ) -> _Row:
-        """Decide on what the days of an interval tell, and return what is used in it."""
+        """Decide on the estimates of an interval's days, and return what is used in it."""
         ground, sigma = ground_of(entry, (start + end) // 2)
         prior = np.array([sigma[name] for name in SPIN_RELATED])
-        value, covariance, excess = _combined(days, ground.spin_related(), prior)
+        value, covariance, excess = _combine_days(days, ground.spin_related(), prior)
         free = [entry.parameters[name.partition("[")[0]].free for name in SPIN_RELATED]
-        told = (np.sqrt(np.diag(covariance)) < _BETTER * prior) & free
-        step = self.eight.update(value, covariance, told, (start + end) // 2 / DAY)
+        determined = (np.sqrt(np.diag(covariance)) < SPIN_TABLE.determined_part * prior) & free
+        step = self.eight.update(value, covariance, determined, (start + end) // 2 / DAY)
         self.eight = step.used
-        known = _axial(zero, start, end)
-        about, self.axial, error = self.axial.update(known.value, known.sigma)
-        if about.verdict == "update":
-            self.source = known.source
+        axial = _axial_offset(zero, start, end)
+        decision, self.axial, error = self.axial.update(axial.value, axial.sigma)
+        if decision.verdict == "update":
+            self.source = axial.source
         stated = np.where(self.eight.from_flight, np.sqrt(np.diag(step.covariance)), np.inf)
         parameters = ground.changed(dict(zip(SPIN_RELATED, self.eight.value.tolist(), strict=True)))
         others = (
@@ -166,91 +204,93 @@ class _Book:
         )
         twelve = join_parameters((self.eight.value, stated, parameters), ground, sigma, others)
         used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
-        decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: about}
-        # As the values in use, the interval's own offsets go with the third one that is used beside them.
-        seen = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
-        own = _own(join_parameters((step.estimate, step.sigma, seen), ground, sigma, others), known)
-        whole = _whole(twelve, step.covariance, stated)
-        return _Row(start, end, twelve, whole, decisions, own, len(days), used, excess)
+        decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: decision}
+        # The interval's own offsets 1 and 2, too, are those for the third offset in use.
+        estimated = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
+        own = join_parameters((step.estimate, step.sigma, estimated), ground, sigma, others)
+        known = np.array([name in SPIN_RELATED for name in NAMES]) & own.determined
+        own_value, own_sigma = np.where(known, own.value, np.nan), np.where(known, own.sigma, np.inf)
+        if np.isfinite(axial.sigma):
+            own_value[NAMES.index(AXIAL)], own_sigma[NAMES.index(AXIAL)] = axial.value, axial.sigma
+        full = _full_covariance(twelve, step.covariance, stated)
+        return _Row(start, end, twelve, full, decisions, (own_value, own_sigma), len(days), used, excess)
 
 
-def _own(twelve: ParameterTable, axial: ExternalValue) -> tuple[Floats, Floats]:
-    """Return an interval's own estimates and their errors, (12,); NaN and infinite for none."""
-    known = np.array([name in SPIN_RELATED for name in NAMES]) & twelve.determined
-    value, error = np.where(known, twelve.value, np.nan), np.where(known, twelve.sigma, np.inf)
-    if np.isfinite(axial.sigma):
-        value[NAMES.index(AXIAL)], error[NAMES.index(AXIAL)] = axial.value, axial.sigma
-    return value, error
+def _combine_days(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
+    """Return values of the eight, their covariance, and the days' scatter over its expectation.
 
-
-def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
-    """Return values of the eight, their covariance, and the days' scatter over its expectation."""
+    Parameters
+    ----------
+    start, prior : ndarray, shape (8,)
+        The prior's values and sigmas, which each day's estimate holds, too.
+    """
     before = np.diag(prior**-2.0)
     information, right = before.copy(), before @ start
     parts, free = [], 0
     for day in days:
         own = np.linalg.inv(day["covariance"].values[0])
         if not np.isfinite(day["sigma"].values[0]).any():
-            continue  # it tells nothing
-        # In units of the prior's errors: what a combination is told by beside what the ground knew.
+            continue  # a day without estimates
+        # In units of the prior's sigmas: the combinations on which the day adds information.
         weight, vectors = np.linalg.eigh((own - before) * np.outer(prior, prior))
         known = vectors[:, weight > 0.0]
-        told = (known * weight[weight > 0.0]) @ known.T / np.outer(prior, prior)
+        added = (known * weight[weight > 0.0]) @ known.T / np.outer(prior, prior)
         free += int(np.count_nonzero(weight > 1.0))
-        # The day's own value holds the prior, too: what it adds is what is beyond.
-        alone = own @ day["value"].values[0] - before @ start
-        alone = known @ (known.T @ (alone * prior)) / prior
-        information, right = information + told, right + alone
-        parts.append((told, day["value"].values[0]))
+        # The day's value less the prior's part in it.
+        value_of_day = own @ day["value"].values[0] - before @ start
+        value_of_day = known @ (known.T @ (value_of_day * prior)) / prior
+        information, right = information + added, right + value_of_day
+        parts.append((added, day["value"].values[0]))
     covariance = np.linalg.inv(information)
     value = covariance @ right
-    square = sum(float((one - value) @ told @ (one - value)) for told, one in parts)
+    square = sum(float((one - value) @ added @ (one - value)) for added, one in parts)
     free -= int(np.count_nonzero(np.linalg.eigvalsh((information - before) * np.outer(prior, prior)) > 1.0))
     excess = max(1.0, square / free) if free > 0 else 1.0
     return value, np.asarray(covariance * excess), excess
 
 
-def _axial(zero: xr.Dataset | None, start: int, end: int) -> ExternalValue:
+def _axial_offset(zero: xr.Dataset | None, start: int, end: int) -> ExternalValue:
     """Return the offset along the spin axis: of the interval around a window, or of all those in it.
 
     The mean of several is weighted, its error widened where they scatter beyond theirs. The sigma is
-    infinite where nothing tells it.
+    infinite where there is none.
     """
-    nothing = ExternalValue(float("nan"), float("inf"), GROUND)
+    unknown = ExternalValue(float("nan"), float("inf"), GROUND)
     if zero is None:
-        return nothing
+        return unknown
     begins, ends = zero["start"].values, zero["end"].values
     middle = (start + end) // 2
     around = (begins <= middle) & (middle < ends)
     inside = (begins >= start) & (ends <= end)
     taken = np.flatnonzero((inside if inside.sum() > 1 else around) & np.isfinite(zero["sigma"].values))
     if not taken.size:
-        return nothing
+        return unknown
     value, sigma = (np.asarray(zero[name].values[taken], dtype=np.float64) for name in ("value", "sigma"))
     weight = sigma**-2.0
     mean = float(weight @ value / weight.sum())
     scatter = float(weight @ (value - mean) ** 2) / max(taken.size - 1, 1)
     method = str(zero["method"].values[taken[-1]])
-    told = method if taken.size == 1 else f"{method}, mean of {taken.size} windows"
-    return ExternalValue(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), told)
+    source = method if taken.size == 1 else f"{method}, mean of {taken.size} windows"
+    return ExternalValue(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), source)
 
 
-def _whole(twelve: ParameterTable, covariance: Floats, told: Floats) -> Floats:
-    """Return the covariance of the twelve: that of the eight, the variances of the rest beside it.
+def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) -> Floats:
+    """Return the covariance of the twelve: that of the eight, and the variances of the others.
 
-    Offsets 1 and 2 move with the error of the third, so that in the spin plane nearly all of it cancels.
+    Offsets 1 and 2 change with the error of the third, so that in the spin plane nearly all of it cancels.
+    The `sigma` of the eight is infinite for those that the flight has not determined.
     """
     out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
     places = [NAMES.index(name) for name in SPIN_RELATED]
-    known = np.isfinite(told)
+    known = np.isfinite(sigma)
     for row, column in itertools.product(np.flatnonzero(known), repeat=2):
         if row != column:
             out[places[row], places[column]] = covariance[row, column]
     offsets = [NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
     variance = out[offsets[2], offsets[2]]
     slope = axial_offset_slope(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
-    for at, moved in zip(offsets[:2], slope, strict=True):
-        out[at, offsets[2]] = out[offsets[2], at] = moved * variance
+    for at, rate in zip(offsets[:2], slope, strict=True):
+        out[at, offsets[2]] = out[offsets[2], at] = rate * variance
     both = slope[0] * slope[1] * variance
     out[offsets[0], offsets[1]] += both
     out[offsets[1], offsets[0]] += both
@@ -262,6 +302,10 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
     names = [f"{entry.name}.{name}" for name in NAMES]
     each, one = ("interval", "parameter"), ("interval",)
     from_ground = [[source == GROUND for source in row.twelve.source] for row in rows]
+    decided = [[row.decisions.get(name) for name in NAMES] for row in rows]
+    undecided = "nothing in flight tells it: as on the ground"
+    verdicts = [[one.verdict if one else "" for one in row] for row in decided]
+    reasons = [[one.reason if one else undecided for one in row] for row in decided]
     return xr.Dataset(
         {
             "value": (each, np.array([row.twelve.value for row in rows])),
@@ -272,8 +316,8 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "origin": (each, np.array([row.twelve.source for row in rows], dtype=np.str_)),
             "own": (each, np.array([row.own[0] for row in rows])),
             "own_sigma": (each, np.array([row.own[1] for row in rows])),
-            "decision": (each, np.array([_decided(row)[0] for row in rows], dtype="U8")),
-            "reason": (each, np.array([_decided(row)[1] for row in rows], dtype=np.str_)),
+            "decision": (each, np.array(verdicts, dtype="U8")),
+            "reason": (each, np.array(reasons, dtype=np.str_)),
             "prior": ("parameter", ground.values()),
             "prior_sigma": ("parameter", np.array([sigma[name] for name in NAMES])),
             "units": ("parameter", np.array([UNITS[name] for name in NAMES], dtype="U8")),
@@ -288,15 +332,8 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
     )
 
 
-def _decided(row: _Row) -> tuple[list[str], list[str]]:
-    """Return verdict and reason of each of the twelve; of what stays as on the ground, that."""
-    kept = "nothing in flight tells it: as on the ground"
-    found = [row.decisions.get(name) for name in NAMES]
-    return [one.verdict if one else "" for one in found], [one.reason if one else kept for one in found]
-
-
 def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64]) -> xr.Dataset:
-    """Return the offset along the spin axis in windows of days, from nature's own statistics.
+    """Return the offset along the spin axis in windows of days, from the statistics of natural fluctuations.
 
     Parameters
     ----------
@@ -308,18 +345,15 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
     Returns
     -------
     xarray.Dataset
-        dims interval: `value`, `sigma` (infinite where nothing tells it) nT, sensor axis 3, in units of the
+        dims interval: `value`, `sigma` (infinite without an estimate) nT, sensor axis 3, in units of the
         reading; `method`, `reason`; `method_value`, `method_sigma` (interval, method) nT and `method_used`,
         intervals of 15 minutes each method took, of each method by itself; `start`, `end` TT2000.
     """
     entry = require_spinning(model)
-    bounds = [day_bounds(edge)[0] for edge in edges]
     rows = []
-    for start, end in itertools.pairwise(bounds):
-        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
-        if inside:
-            ground, sigma = ground_of(entry, (start + end) // 2)
-            rows.append((start, end, _zero(inside, ground, _REACH * sigma["offset[3]"])))
+    for start, end, inside in _windows(days, edges):
+        ground, sigma = ground_of(entry, (start + end) // 2)
+        rows.append((start, end, _zero_level(inside, ground, SPIN_TABLE.reach * sigma[AXIAL])))
     one, each = ("interval",), ("interval", "method_name")
     return xr.Dataset(
         {
@@ -340,7 +374,7 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
 
 
 @dataclass(frozen=True)
-class _Zero:
+class _ZeroLevel:
     """A window's offset along the spin axis; `each` has value, sigma and intervals of `COMBINED_METHODS`."""
 
     value: float
@@ -351,45 +385,38 @@ class _Zero:
     each: Floats
 
 
-def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: float) -> _Zero:
+def _zero_level(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: float) -> _ZeroLevel:
     """Return a window's offset along the spin axis, of all methods and of each."""
     times = np.concatenate([day["mean_time"].values[0] for day in days])
     means = np.concatenate([day["mean"].values[0] for day in days])
-    known = np.isfinite(means).all(axis=1)
-    times, means = _sorted(times[known], means[known])
+    order = np.argsort(times, kind="stable")
+    order = order[np.isfinite(means[order]).all(axis=1)]
+    times, means = times[order], means[order]
     each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(COMBINED_METHODS))
     count, start = 0, float(ground.offset[2])
     search = OffsetSearch(free=(False, False, True), bound=bound)
     try:
-        intervals = Intervals.of(times, means, ZERO_INTERVAL_S)
+        intervals = Intervals.of(times, means, SPIN_TABLE.zero_interval_s)
         count = len(intervals.start)
-        if count < _FEWEST_INTERVALS:
-            why = f"{count} quarter hours, at least {_FEWEST_INTERVALS} needed"
-            return _Zero(start, float("inf"), GROUND, why, count, each)
+        if count < SPIN_TABLE.fewest_intervals:
+            why = f"{count} quarter hours, at least {SPIN_TABLE.fewest_intervals} needed"
+            return _ZeroLevel(start, float("inf"), GROUND, why, count, each)
         found = combine_methods(intervals, search)
     except InflightError as error:
-        return _Zero(start, float("inf"), GROUND, error.message, count, each)
-    # A field of no size along the axis reads as the matrix's last row makes of the offset.
-    turn = float(ground.matrix()[2, 2])
+        return _ZeroLevel(start, float("inf"), GROUND, error.message, count, each)
+    # The methods give the field along the axis, the calibration matrix times the error of the offset.
+    gain = float(ground.matrix()[2, 2])
     for one in (one for one in found.methods if one.method in COMBINED_METHODS):
-        told = start + one.value[2] / turn, one.sigma[2] / turn, int(one.used.sum())
-        each[:, COMBINED_METHODS.index(one.method)] = told
+        column = start + one.value[2] / gain, one.sigma[2] / gain, int(one.used.sum())
+        each[:, COMBINED_METHODS.index(one.method)] = column
     estimate = found.estimate
     if not estimate.determined[2]:
-        return _Zero(start, float("inf"), GROUND, "; ".join(estimate.reasons), count, each)
-    value, sigma = start + float(estimate.value[2]) / turn, float(estimate.sigma[2]) / turn
-    return _Zero(value, sigma, estimate.method, found.summary(), count, each)
-
-
-def _sorted(times: Int64, means: Floats) -> tuple[Int64, Floats]:
-    order = np.argsort(times, kind="stable")
-    return times[order], means[order]
+        return _ZeroLevel(start, float("inf"), GROUND, "; ".join(estimate.reasons), count, each)
+    value, sigma = start + float(estimate.value[2]) / gain, float(estimate.sigma[2]) / gain
+    return _ZeroLevel(value, sigma, estimate.method, found.summary(), count, each)
 
 
 TABLES = ("daily", "window", "zero-level")
-
-#: A published uncertainty is so many standard deviations of white noise (Plaschke et al. 2019, table 2).
-_PUBLISHED = 1.7
 
 
 @dataclass(frozen=True)
@@ -429,14 +456,12 @@ class SpinResults:
                 f"no tables are published for comparison '{comparison}'",
                 remedy=f"run 'inflight reprocess --comparison {comparison}' first",
             )
-        wanted = set(day_of(tables["daily"]["start"].values).tolist())
+        days = set(day_of(tables["daily"]["start"].values).tolist())
         records = [
-            day
-            for day in cat.days(equations_of(comparison), states=("published",))
-            if day.day.item() in wanted
+            day for day in cat.days(equations_of(comparison), states=("published",)) if day.day.item() in days
         ]
         products = [
-            day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in wanted
+            day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in days
         ]
         return cls(cat, mission, comparison, tables, [cat.read(day) for day in records], records, products)
 
@@ -464,7 +489,7 @@ class SpinResults:
         value, sigma = np.full(own.shape, np.nan), np.full(own.shape, np.inf)
         rows = self.tables["daily"]["start"].values.tolist()
         for day in self.days:
-            # A day of the table may be gone since.
+            # A day of the table may have been removed since.
             row, which = rows.index(int(day["start"].values[0])), _filled(day)
             one = cloud_of(
                 *(day[name].values[0][which] for name in ("sub_start", "sub_end", "estimate", "uncertainty"))
@@ -476,7 +501,7 @@ class SpinResults:
 
 
 def _filled(day: xr.Dataset) -> Bools:
-    """Return which of a day's sub-intervals are any, (sub,): rows that fill up a store have no length."""
+    """Return which of a day's sub-intervals are not padding, (sub,): that has no length."""
     return np.asarray(day["sub_end"].values[0] > day["sub_start"].values[0])
 
 
@@ -495,7 +520,7 @@ def cloud_of(
             continue
         mine, errors = estimate[chosen[:, at], at], uncertainty[chosen[:, at], at]
         threshold[at], value[at] = float(errors.max()), float(mine.mean())
-        expected = float(np.sqrt(np.sum((errors / _PUBLISHED) ** 2)) / mine.size)
+        expected = float(np.sqrt(np.sum((errors / SPIN_TABLE.published_sigmas) ** 2)) / mine.size)
         sigma[at] = max(expected, sigma_of_mean(mine))
     return SubintervalEstimates(start, end, estimate, uncertainty, chosen, threshold, value, sigma)
 
@@ -507,7 +532,7 @@ _X, _Z = NAMES.index("offset[1]"), NAMES.index("offset[3]")
 def flipper_table(
     days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64], mission: Mission
 ) -> xr.Dataset:
-    """Return what each flip tells of sensors and spacecraft, from the positions before and after it.
+    """Return the offsets of sensors and spacecraft that each flip separates, by the positions around it.
 
     Parameters
     ----------
@@ -530,56 +555,36 @@ def flipper_table(
     """
     zero = zero_level_table(days, model, edges)
     table = spin_table(days, model, edges, "positions", zero)
-    rows, missing = [], []
+    determined = np.where(table["determined"].values, table["value"].values, np.nan)
+    # Edges of positions lie within half a day of the flip.
+    middle = (table["start"].values + table["end"].values) // 2
+    rows: list[tuple[int, int, Flipped]] = []
+    missing = []
     for at, flipped in flips_of(mission):
-        before, after = _beside(table, at)
-        if before is None or after is None:
+        before, after = np.flatnonzero(middle < at), np.flatnonzero(middle >= at)
+        if not before.size or not after.size:
             missing.append(f"{utc_text(at)}: no day on one side")
             continue
-        plain, turned = (before, after) if flipped else (after, before)
+        places = np.array([before[-1], after[0]] if flipped else [after[0], before[-1]])
+        # The covariance of z and x, plain and flipped: positions are independent of each other.
+        covariance = np.zeros((4, 4))
+        for place, own in zip(places, (np.array([0, 2]), np.array([1, 3])), strict=True):
+            covariance[np.ix_(own, own)] = table["covariance"].values[place][np.ix_([_Z, _X], [_Z, _X])]
+        (z, z_flipped), (x, x_flipped) = (determined[places, axis].tolist() for axis in (_Z, _X))
         try:
-            found = separate_flipped(*_corrections(plain, turned), _covariance(plain, turned))
+            found = separate_flipped((z, z_flipped), (x, x_flipped), covariance)
         except CalibrationError as error:
             missing.append(f"{utc_text(at)}: {error.message}")
             continue
-        rows.append((max(at, int(table["start"].values[0])), int(after["end"].values), found))
+        rows.append((max(at, int(table["start"].values[0])), int(table["end"].values[after[0]]), found))
     if not rows:
         raise CalibrationError(
             f"no flip tells sensors and spacecraft apart: {'; '.join(missing)}",
             remedy="take a span with some days of wind in both positions",
         )
-    return _flipper_table(rows, model)
-
-
-def _beside(table: xr.Dataset, at: int) -> tuple[xr.Dataset | None, xr.Dataset | None]:
-    """Return the rows of the positions before and after a flip; edges lie within half a day of it."""
-    middle = (table["start"].values + table["end"].values) // 2
-    before, after = np.flatnonzero(middle < at), np.flatnonzero(middle >= at)
-    return (
-        table.isel(interval=int(before[-1])) if before.size else None,
-        table.isel(interval=int(after[0])) if after.size else None,
-    )
-
-
-def _corrections(plain: xr.Dataset, turned: xr.Dataset) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return (C', C'') and (D', D''), nT; NaN for what remains at its ground value."""
-    both = [np.where(one["determined"].values, one["value"].values, np.nan) for one in (plain, turned)]
-    return (float(both[0][_Z]), float(both[1][_Z])), (float(both[0][_X]), float(both[1][_X]))
-
-
-def _covariance(plain: xr.Dataset, turned: xr.Dataset) -> Floats:
-    """Return the covariance of (C', C'', D', D''), nT^2; positions are independent of each other."""
-    out = np.zeros((4, 4))
-    for at, one in enumerate((plain, turned)):
-        places = np.array([at, at + 2])
-        out[np.ix_(places, places)] = one["covariance"].values[np.ix_([_Z, _X], [_Z, _X])]
-    return out
-
-
-def _flipper_table(rows: Sequence[tuple[int, int, Flipped]], model: Model) -> xr.Dataset:
-    each, one = ("interval", "parameter"), ("interval",)
-    # A flip's parts hold until the next one, whatever days its position has.
+    # The offsets of a flip hold until the next one, whatever days its position has.
     ends = [*(later[0] for later in rows[1:]), rows[-1][1]]
+    each, one = ("interval", "parameter"), ("interval",)
     return xr.Dataset(
         {
             "value": (each, np.array([row[2].value for row in rows]), {"units": "nT"}),

@@ -1,10 +1,10 @@
-"""Two sensors on one boom and nothing else to hold them against: the spacecraft's states are told apart.
+"""Two sensors on one boom and no other reference: a correction by the spacecraft's states.
 
-In go the samples of both sensors and the housekeeping; out come a table of states a window, each with its
-units and whether its correction helps, and the field without the spacecraft's. `pipeline.py` is the file to
-open first; `day.py` looks through readings, learns from a window and corrects a day, `windows.py` joins
-windows in the order of time, `tables.py` has what tables say of units, constants and channels, `compare.py`
-measures what is left.
+In go the samples of both sensors and the housekeeping; out come a table of states for each window, with its
+units and whether its correction helps, and the field without that of the spacecraft. `pipeline.py` is the
+file to open first; `day.py` checks readings, fits a window and corrects a day, `windows.py` continues tables
+in the order of time, `tables.py` has the numbers, constants and channels of states, `compare.py` measures the
+remaining steps.
 """
 
 import lazy_loader

@@ -1,14 +1,14 @@
 """Compare of two sensors on one boom: by how far the field steps where the spacecraft switches.
 
-The steps of the corrected field are held against those of the measured one and against the field where
-nothing switches; what is left is regressed on housekeeping. The page shows steps, states, units, before and
-after.
+The steps of the corrected field are compared with those of the measured one and with the field where nothing
+switches; what remains is regressed on states, units and housekeeping. The page shows steps, states, units,
+and the field before and after.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from inflight.dual import (
 from inflight.figures import (
     PLANES,
     LazySection,
+    SectionBody,
     before_after_figure,
     bullet_list,
     correction_figure,
@@ -42,12 +43,13 @@ from inflight.figures import (
     timeline_figure,
 )
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import CompareResult, TextLine, scalar_channels
+from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, scalar_channels
 from inflight.tasks.pipelines.states.tables import (
     channel_changes,
+    concatenate_changes,
+    concatenate_signs,
     constant_changes,
     constant_sentences,
-    joined_signs,
     unit_signs,
 )
 from inflight.tasks.report import Progress
@@ -56,7 +58,6 @@ from inflight.time import SECOND, Int64, to_utc, usual_step
 #: Points of a curve that a browser can draw.
 _POINTS = 20_000
 
-#: Said where nothing switched.
 _NO_SWITCHING = "nothing switched in the span, so that its steps tell nothing of the correction"
 
 
@@ -83,7 +84,25 @@ class Stretches:
 
 @dataclass(frozen=True)
 class DualDayRows:
-    """What a comparison keeps of a day: its switchings, its stretches, a thin series."""
+    """What a comparison keeps of a day.
+
+    Attributes
+    ----------
+    method, applied, reason, constant : str
+        Attributes of the product.
+    at : Switchings
+    before, after, difference : ndarray, shape (switching, axis)
+        Steps of the outboard reading, of the corrected field and of the difference of both sensors, nT.
+    quiet : ndarray, shape (time, axis)
+        Steps of the corrected field where nothing switches, nT.
+    signs : ndarray, shape (switching, unit)
+        See `unit_signs`.
+    changes : mapping of str to ndarray
+        See `channel_changes`.
+    stretches : Stretches
+    stamps, outboard, field : ndarray
+        A thinned series of outboard reading and corrected field.
+    """
 
     day: Day
     method: str
@@ -122,14 +141,35 @@ class DualCompareReport:
     tables: list[xr.Dataset]
     path: Path | None = None
 
-    def joined(self, name: str) -> Floats:
-        """Return an array of all days, (switching, axis)."""
-        return np.concatenate([getattr(one, name) for one in self.days])
+    def concatenated(self, name: str) -> Floats:
+        """Return an array of all days, such as (switching, axis)."""
+        return np.concatenate([getattr(day, name) for day in self.days])
 
     @property
     def signs(self) -> Floats:
         """Which units are switched at each switching of all days; (switching, number of unit)."""
-        return joined_signs([one.signs for one in self.days])
+        return concatenate_signs([day.signs for day in self.days])
+
+    @property
+    def stretches(self) -> Stretches:
+        """The stretches of all days."""
+        names = (one.name for one in fields(Stretches))
+        return Stretches(
+            *(np.concatenate([getattr(day.stretches, name) for day in self.days]) for name in names)
+        )
+
+    @property
+    def changes(self) -> dict[str, Floats]:
+        """How housekeeping changed at each switching of all days, by channel; (switching,)."""
+        return concatenate_changes([day.changes for day in self.days], [len(day.at) for day in self.days])
+
+    @property
+    def by_reason(self) -> dict[tuple[str, str], list[str]]:
+        """The days, by whether they are corrected and why."""
+        days: dict[tuple[str, str], list[str]] = {}
+        for one in self.days:
+            days.setdefault((one.applied, one.reason), []).append(str(one.day.day))
+        return days
 
     @property
     def constants(self) -> list[dict[str, str]]:
@@ -138,7 +178,8 @@ class DualCompareReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON; a residual is a step's rms component, nT."""
-        before, after, floor = (rms_of_steps(self.joined(name)) for name in ("before", "after", "quiet"))
+        sizes = (rms_of_steps(self.concatenated(name)) for name in ("before", "after", "quiet"))
+        before, after, floor = sizes
         known = bool(np.isfinite(before))
         return {
             "command": "compare",
@@ -154,7 +195,7 @@ class DualCompareReport:
                 "switchings": int(sum(len(one.at) for one in self.days)),
                 "note": "" if known else _NO_SWITCHING,
             },
-            "by_day": [told_of_day(one) for one in self.days],
+            "by_day": [day_fields(one) for one in self.days],
             "fails_where": [
                 {
                     "coordinate": one.coordinate,
@@ -168,45 +209,43 @@ class DualCompareReport:
             "verdict": {
                 "applied": sorted({one.applied for one in self.days}),
                 "reasons": sorted({one.reason for one in self.days if one.reason}),
-                "told": verdict_told(self),
+                "told": verdict_sentences(self),
             },
             "path": str(self.path) if self.path else "",
         }
 
     def summary(self) -> list[TextLine]:
-        """Return how far the field steps at switchings, before and after, and what is left."""
-        fields = self.as_json()
-        residual = fields["residual"]
+        """Return how far the field steps at switchings before and after, and what the rest depends on."""
+        content = self.as_json()
+        residual = content["residual"]
         if residual["note"]:
             out = [TextLine(residual["note"])]
         else:
             out = [TextLine(f"{residual['what']} ({residual['switchings']} switchings):")]
             for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
                 out.append(TextLine(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", "bold"))
-        out += [TextLine(f"  {told}") for told in fields["verdict"]["told"]]
-        return out + [TextLine(f"  {failing['sentence']}") for failing in fields["fails_where"]]
+        out += [TextLine(f"  {sentence}") for sentence in content["verdict"]["told"]]
+        return out + [TextLine(f"  {failing['sentence']}") for failing in content["fails_where"]]
 
 
 def compare_dual(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
+    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
 ) -> CompareResult[DualCompareReport]:
-    """Measure what is left at the switchings of published products.
+    """Measure the steps of published products at switchings.
 
     Parameters
     ----------
     days : sequence of Day
         Of the products.
-    tell : callable
+    progress : callable
         Called with (stage, done, total).
     """
     rows = []
     tables: dict[int, xr.Dataset] = {}
-    for done, day in enumerate(days):
-        tell("compare", done, len(days))
+    for day in each_day(days, progress):
         table = cat.table(f"{comparison}-states", str(day.day))
         tables.setdefault(int(table.attrs["table_id"]), table)
         rows.append(day_rows(cat, mission, day, table, thin=max(1, 86_400 * len(days) // _POINTS)))
-    tell("compare", len(days), len(days))
     report = DualCompareReport(comparison, days[-1].context or "", rows, [], list(tables.values()))
     report.fails_where = sorted(
         fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
@@ -216,7 +255,7 @@ def compare_dual(
 
 
 def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: int) -> DualDayRows:
-    """Return what is kept of a day; every `thin`-th sample is drawn."""
+    """Return what is kept of a day; one of `thin` samples is drawn."""
     product = cat.read(day, with_time=False)
     stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
     state = np.asarray(product["state"].values, dtype=np.int64)
@@ -263,15 +302,15 @@ def stretches_of(
 
 
 def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[ResidualStep, str]]:
-    """Yield what the steps that are left go with, and its unit: states, units, currents."""
-    steps = report.joined("after")
+    """Yield what the remaining steps depend on, with its unit: states, units, currents."""
+    steps = report.concatenated("after")
     at = Switchings(
         *(
             np.concatenate([getattr(one.at, name) for one in report.days])
             for name in ("last", "first", "before", "after", "room")
         )
     )
-    floor = rms_of_steps(report.joined("quiet"))
+    floor = rms_of_steps(report.concatenated("quiet"))
     for one in residual_steps_by_state(at, steps):
         if one.is_clear:
             yield one, "nT"
@@ -281,8 +320,7 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
         if found is not None and found.is_clear:
             yield found, "nT"
     known = scalar_channels(mission)
-    for name in sorted({name for one in report.days for name in one.changes}):
-        change = np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
+    for name, change in report.changes.items():
         found = regress_steps(name, steps, change)
         # A change of noise alone makes a slope of any size: it must matter at the channel's usual change.
         usual = float(np.nanmax(np.abs(change), initial=0.0))
@@ -290,7 +328,7 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
             yield found, f"nT/{known[name][2].unit if name in known else 'unit'}"
 
 
-def told_of_day(one: DualDayRows) -> dict[str, Any]:
+def day_fields(one: DualDayRows) -> dict[str, Any]:
     """Return a day's steps before and after, and what was applied, as plain fields."""
     return {
         "day": str(one.day.day),
@@ -307,86 +345,75 @@ def told_of_day(one: DualDayRows) -> dict[str, Any]:
 def states_parts(report: DualCompareReport) -> list[LazySection]:
     """Return everything that is shown of two sensors, as the page and the explorer have it."""
     return [
-        ("Steps at switchings", lambda: (_residual_text(report), _step_figures(report))),
-        ("Where it fails", lambda: (_fails_text(report), [])),
+        ("Steps at switchings", lambda: _steps(report)),
+        ("Where it fails", lambda: (_failures_text(report), [])),
         ("States", lambda: (_states_text(report), _state_figures(report))),
         ("Units", lambda: (_units_text(report), [])),
-        ("Before and after", lambda: ([], _series_figures(report))),
+        ("Before and after", lambda: _before_and_after(report)),
     ]
 
 
-def _residual_text(report: DualCompareReport) -> list[str]:
-    rows = [
-        (
-            one["day"],
-            one["method"] if one["applied"] == "yes" else "none",
-            str(one["switchings"]),
-            *(_number(one[name]) for name in ("before_nT", "after_nT", "noise_floor_nT")),
-            _verdict(of_day) if one["applied"] == "yes" else "left as measured, see below",
+def _steps(report: DualCompareReport) -> SectionBody:
+    """Return the steps of each day, and why a day is corrected or not."""
+    rows = []
+    for one in report.days:
+        content, corrected = day_fields(one), one.applied == "yes"
+        # The method has a column of its own.
+        reason = one.reason.removeprefix(f"{one.method}: ").replace("+-", "±")
+        sizes = (content[name] for name in ("before_nT", "after_nT", "noise_floor_nT"))
+        rows.append(
+            (
+                content["day"],
+                one.method if corrected else "none",
+                str(content["switchings"]),
+                *(f"{size:.4f}" if np.isfinite(size) else "none" for size in sizes),
+                reason if corrected else "left as measured, see below",
+            )
         )
-        for one, of_day in ((told_of_day(one), one) for one in report.days)
-    ]
     head = ("day", "method", "switchings", "as measured, nT", "corrected, nT", "floor, nT", "verdict")
-    told = [
+    text = [
         "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
         "there no more than elsewhere: that is the floor. A constant error is not in these numbers.",
         "A correction is judged on stretches that it was not learnt from (held out). The slope tells how "
         "much of what it takes off is in the outboard reading: one where it is right.",
         html_table(head, rows, kind="wide told"),
     ]
-    if not np.isfinite(report.joined("before")).any():
-        told.append("Nothing switched in the span between readings: there are no steps to draw.")
+    difference, before, after = (report.concatenated(name) for name in ("difference", "before", "after"))
+    switched = bool(np.isfinite(before).any())
+    if not switched:
+        text.append("Nothing switched in the span between readings: there are no steps to draw.")
     # What speaks against each correction that was tried, for the days of one reason.
-    listed = [
-        bullet_list(reason.replace("+-", "±").split("; "), before=f"{_days_told(days)} left as measured:")
-        for (applied, reason), days in _reasons(report).items()
+    listed: list[str] = [
+        bullet_list(reason.replace("+-", "±").split("; "), before=f"{_name_days(days)} left as measured:")
+        for (applied, reason), days in report.by_reason.items()
         if applied != "yes"
     ]
-    sentences = [_sentence(one) for one in constant_sentences(report.constants)]
-    return [*told, bullet_list([*listed, *sentences])] if listed or sentences else told
+    listed += [_capitalised(sentence) for sentence in constant_sentences(report.constants)]
+    if listed:
+        text.append(bullet_list(listed))
+    axes = range(3) if switched else ()
+    return text, [switching_steps_figure(difference, before, after, axis) for axis in axes]
 
 
-def _verdict(one: DualDayRows) -> str:
-    """Return why a day is corrected; its method has a column of its own."""
-    return one.reason.removeprefix(f"{one.method}: ").replace("+-", "±")
-
-
-def _number(value: float) -> str:
-    return f"{value:.4f}" if np.isfinite(value) else "none"
-
-
-def verdict_told(report: DualCompareReport) -> list[str]:
+def verdict_sentences(report: DualCompareReport) -> list[str]:
     """Return which days are corrected or left alone and why, and where the field may step by a constant."""
-    told = [
-        f"{_days_told(days)}: {'corrected' if applied == 'yes' else 'LEFT AS MEASURED'}, {reason}."
-        for (applied, reason), days in _reasons(report).items()
+    sentences = [
+        f"{_name_days(days)}: {'corrected' if applied == 'yes' else 'LEFT AS MEASURED'}, {reason}."
+        for (applied, reason), days in report.by_reason.items()
         if reason
     ]
-    return told + [_sentence(one) for one in constant_sentences(report.constants)]
+    return sentences + [_capitalised(sentence) for sentence in constant_sentences(report.constants)]
 
 
-def _reasons(report: DualCompareReport) -> dict[tuple[str, str], list[str]]:
-    """Return the days by whether they are corrected and why."""
-    days: dict[tuple[str, str], list[str]] = {}
-    for one in report.days:
-        days.setdefault((one.applied, one.reason), []).append(str(one.day.day))
-    return days
-
-
-def _days_told(days: list[str]) -> str:
+def _name_days(days: list[str]) -> str:
     return days[0] if len(days) == 1 else f"{len(days)} days from {days[0]} to {days[-1]}"
 
 
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
+def _capitalised(sentence: str) -> str:
+    return f"{sentence[:1].upper()}{sentence[1:]}."
 
 
-def _step_figures(report: DualCompareReport) -> list[Any]:
-    parts = report.joined("difference"), report.joined("before"), report.joined("after")
-    return [switching_steps_figure(*parts, axis) for axis in range(3)] if np.isfinite(parts[1]).any() else []
-
-
-def _fails_text(report: DualCompareReport) -> list[str]:
+def _failures_text(report: DualCompareReport) -> list[str]:
     if not report.fails_where:
         return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
     return [bullet_list([one.sentence(unit) for one, unit in report.fails_where], ordered=True)]
@@ -394,24 +421,18 @@ def _fails_text(report: DualCompareReport) -> list[str]:
 
 def _states_text(report: DualCompareReport) -> list[str]:
     """Return the states: how long and how often each held, its units, its difference and its correction."""
-    seconds: dict[int, float] = {}
-    times: dict[int, int] = {}
-    for one in report.days:
-        for state, begin, end in zip(
-            one.stretches.state.tolist(), one.stretches.begin, one.stretches.end, strict=True
-        ):
-            seconds[state] = seconds.get(state, 0.0) + float(end - begin) / SECOND
-            times[state] = times.get(state, 0) + 1
-    known = _of_states(report.tables)
-    rows = [
-        (
-            {-1: "unknown", -2: "transient"}.get(state, str(state)),
-            *known.get(state, ("", "", "")),
-            str(times.get(state, 0)),
-            f"{seconds.get(state, 0.0) / 3600.0:.2f}",
-        )
-        for state in sorted({*seconds, *known})
-    ]
+    known = {
+        int(number): _state_cells(table, row)
+        for table in report.tables
+        for row, number in enumerate(table["number"].values)
+        if np.isfinite(table["centre"].values[row]).all()
+    }
+    stretches, rows = report.stretches, []
+    for state in sorted({*stretches.state.tolist(), *known}):
+        held = stretches.state == state
+        hours = float(np.sum((stretches.end - stretches.begin)[held] / SECOND)) / 3600.0
+        name = {-1: "unknown", -2: "transient"}.get(state, str(state))
+        rows.append((name, *known.get(state, ("", "", "")), str(int(held.sum())), f"{hours:.2f}"))
     head = ("state", "units on", "difference x, y, z (nT)", "outboard x, y, z (nT)", "stretches", "hours")
     return [
         "A state is what is switched on together. It has one place in the space of the difference of both "
@@ -424,26 +445,15 @@ def _states_text(report: DualCompareReport) -> list[str]:
     ]
 
 
-def _of_states(tables: Sequence[xr.Dataset]) -> dict[int, tuple[str, str, str]]:
-    """Return units on, difference and outboard field of each state, as text, from the last table with it."""
-    return {
-        int(number): (
-            _units_on(table, at),
-            _vector(table["centre"].values[at]),
-            _vector(
-                table["correction"].values[at],
-                np.sqrt(np.clip(np.diag(table["covariance"].values[at]), 0.0, None)),
-            ),
-        )
-        for table in tables
-        for at, number in enumerate(table["number"].values)
-        if np.isfinite(table["centre"].values[at]).all()
-    }
-
-
-def _units_on(table: xr.Dataset, row: int) -> str:
-    on = table["unit_number"].values[table["occupancy"].values[row] > 0.5]
-    return ", ".join(str(unit) for unit in sorted(on.tolist())) or "none"
+def _state_cells(table: xr.Dataset, row: int) -> tuple[str, str, str]:
+    """Return units on, difference and outboard field of a state as text."""
+    on = sorted(table["unit_number"].values[table["occupancy"].values[row] > 0.5].tolist())
+    error = np.sqrt(np.clip(np.diag(table["covariance"].values[row]), 0.0, None))
+    return (
+        ", ".join(map(str, on)) or "none",
+        _vector(table["centre"].values[row]),
+        _vector(table["correction"].values[row], error),
+    )
 
 
 def _vector(value: Floats, sigma: Floats | None = None) -> str:
@@ -462,13 +472,8 @@ def _units_text(report: DualCompareReport) -> list[str]:
     }
     if not signs.shape[1]:
         return ["There are no units: nothing was seen to switch by itself."]
-    names = sorted({name for one in report.days for name in one.changes})
-    changes = {
-        name: np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
-        for name in names
-    }
     rows = []
-    for one in match_channels_to_units(signs, changes):
+    for one in match_channels_to_units(signs, report.changes):
         if one.unit not in known:
             continue
         table, row = known[one.unit]
@@ -495,29 +500,25 @@ def _units_text(report: DualCompareReport) -> list[str]:
 
 
 def _state_figures(report: DualCompareReport) -> list[Any]:
-    parts = [one.stretches for one in report.days]
-    begin, end, state, sure, mean = (
-        np.concatenate([getattr(one, name) for one in parts])
-        for name in ("begin", "end", "state", "probability", "difference")
-    )
+    stretches = report.stretches
+    state, mean = stretches.state, stretches.difference
     settled = (state != -2) & np.isfinite(mean).all(axis=1)
-    known = {
-        int(number): (table["centre"].values[at], _spread(table, at))
-        for table in report.tables
-        for at, number in enumerate(table["number"].values)
-    }
+    # Centre of each state's points and their covariance, nT^2: of the centre, and their scatter beyond noise.
+    known = {}
+    for table in report.tables:
+        scatter = float(table.attrs["scatter"]) ** 2 * np.eye(3)
+        for row, number in enumerate(table["number"].values):
+            spread = np.asarray(table["centre_covariance"].values[row] + scatter)
+            known[int(number)] = (table["centre"].values[row], spread)
     planes = [difference_figure(mean[settled], state[settled], known, plane) for plane in PLANES]
-    return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
+    return [
+        *planes,
+        timeline_figure(to_utc(stretches.begin), to_utc(stretches.end), state, stretches.probability),
+    ]
 
 
-def _spread(table: xr.Dataset, row: int) -> Floats:
-    """Return the covariance of a state's points: of its centre and of their scatter beyond noise; nT^2."""
-    scatter = float(table.attrs["scatter"]) ** 2
-    return np.asarray(table["centre_covariance"].values[row] + scatter * np.eye(3))
-
-
-def _series_figures(report: DualCompareReport) -> list[Any]:
-    time = to_utc(np.concatenate([one.stamps for one in report.days]))
-    outboard, field = report.joined("outboard"), report.joined("field")
+def _before_and_after(report: DualCompareReport) -> SectionBody:
+    time = to_utc(report.concatenated("stamps"))
+    outboard, field = report.concatenated("outboard"), report.concatenated("field")
     both = [before_after_figure(time, outboard, field, axis) for axis in range(3)]
-    return [*both, correction_figure(time, outboard - field)]
+    return [], [*both, correction_figure(time, outboard - field)]

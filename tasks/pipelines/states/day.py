@@ -1,16 +1,16 @@
-"""What a window and a day of two sensors on one boom tell: readings looked through, table of states, product.
+"""Steps of the pipeline of two sensors on one boom: readings checked, table of a window, product of a day.
 
-Before anything is learnt, readings that are no measurements are flagged (`boom_samples`): a sensor that is
-dead or not plugged in reads one value, and so does an axis that is stuck or full. The difference to the other
-sensor is then the ambient field itself, and a gradiometer would take that off. `states_window` learns the
-table of a window of days and judges on held-out stretches whether its correction helps (`inflight.dual`);
-`states_day` corrects a day with the table that holds.
+Before anything is fitted, readings that are no measurements are flagged (`two_sensor_samples`): a sensor that
+is dead or not plugged in reads one value, and so does an axis that is stuck or saturated. The difference to
+the other sensor is then the ambient field itself, and a gradiometer would take that off. `states_window`
+makes the table of a window of days and decides on held-out stretches whether its correction helps
+(`inflight.dual`); `states_day` corrects a day with the table that holds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -67,8 +67,8 @@ from inflight.tasks.archive import (
 )
 from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
 from inflight.tasks.pipelines.states.tables import (
-    constant_of,
     constant_part,
+    describe_constant,
     gradiometer_in_states,
     gradiometer_with_states,
     with_remark,
@@ -76,29 +76,51 @@ from inflight.tasks.pipelines.states.tables import (
 from inflight.time import SECOND, Int64, day_bounds, usual_step
 from inflight.units import factor_and_offset
 
-#: So many samples in which an axis reads the very same: noise does not do that.
-_STILL = 100
 
-#: The other sensor moves by so many of the smallest steps that the still axis takes before and after, noise
-#: averaged over so many parts of the time.
-_MOVES, _PARTS = 5.0, 10
+@dataclass(frozen=True, kw_only=True)
+class TwoSensorSettings:
+    """Numbers of the readings of two sensors before anything is fitted.
 
-#: Part of the inboard sensor's moves that the outboard one makes at least: units are nearer to the former.
-_SEEN_OUTBOARD = 0.05
+    Attributes
+    ----------
+    still_samples : int
+        An axis that reads exactly the same for so many samples is still: noise does not do that. Assumed.
+    moves : float
+        It is flagged when the other sensor changes by more than so many of the smallest steps that the axis
+        takes before and after. Assumed.
+    parts : int
+        The change of the other sensor is the range of means over so many parts of the time, which averages
+        its noise. Assumed.
+    seen_outboard : float
+        Least part of the inboard sensor's changes that the outboard one sees: units are nearer to the former.
+        Assumed.
+    nearby_steps : int
+        Steps before and after that show how small steps are: a sensor may change its range. Assumed.
+    same : float
+        Readings nearer than this part of the largest are the same: between two stamps they are computed.
+        Derived from the precision of a double.
+    largest_reading : float
+        No sensor on a boom reads more, nT: a fill value that nobody declared. Assumed.
+    most_samples : int
+        Samples that a window is fitted to at most; of faster records means are taken. Assumed, for memory.
+    """
 
-#: Steps before and after that tell how small steps are: a sensor may change its range.
-_NEARBY = 1000
+    still_samples: int = 100
+    moves: float = 5.0
+    parts: int = 10
+    seen_outboard: float = 0.05
+    nearby_steps: int = 1000
+    same: float = 1e-12
+    largest_reading: float = 1e7
+    most_samples: int = 3_000_000
 
-#: Readings that are nearer than this part of the largest are the same: those between two stamps are computed.
-_SAME = 1e-12
 
-#: nT; no sensor on a boom reads this: a fill value that nobody declared.
-_IMPOSSIBLE = 1e7
+TWO_SENSORS = TwoSensorSettings()
 
 _ROLES = ("inboard", "outboard")
 
 
-def boom_samples(
+def two_sensor_samples(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -118,17 +140,26 @@ def boom_samples(
     flag = np.asarray(samples["flag"].values, dtype=np.uint32).copy()
     for role in _ROLES:
         with np.errstate(invalid="ignore"):
-            wild = np.asarray((np.abs(values[role]) > _IMPOSSIBLE).any(axis=1))
+            wild = np.asarray((np.abs(values[role]) > TWO_SENSORS.largest_reading).any(axis=1))
         flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
         values[role] = np.where(wild[:, None], np.nan, values[role])
     turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
     for role, other in (_ROLES, _ROLES[::-1]):
-        need = next(one for one in needs if one.name == role)
+        need = next(need for need in needs if need.name == role)
         flag |= saturation_flags(values[role], mission.instruments[need.instrument].channels[need.channel])
-        # In the axes of the sensor: one of those is what sticks.
+        # In the axes of the sensor: it is one of these that sticks.
         seen = turns[role].inv().apply(turns[other].apply(values[other]))
-        still = still_axes(values[role], seen * (_SEEN_OUTBOARD if role == "outboard" else 1.0))
-        _refuse_stuck(still, values[role], role, need.instrument, day)
+        still = still_axes(values[role], seen * (TWO_SENSORS.seen_outboard if role == "outboard" else 1.0))
+        read = np.isfinite(values[role]).all(axis=1)
+        stuck = still[read].all(axis=0) if read.any() else np.zeros(3, dtype=bool)
+        if stuck.any():
+            along = "" if stuck.all() else f" along {'xyz'[int(np.argmax(stuck))]}, an axis of its own,"
+            raise SamplesError(
+                f"'{need.instrument}', the {role} sensor, reads one and the same value{along} while the "
+                "other one's change",
+                day=str(day),
+                remedy="its readings are no measurements: leave the day's file out, or flag it ('good_when')",
+            )
         flag[still.any(axis=1)] |= np.uint32(Flag.STILL)
     samples["flag"] = samples["flag"].copy(data=flag)
     return samples
@@ -162,39 +193,28 @@ def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     """
     out = np.zeros(values.shape, dtype=bool)
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if rows.size < _STILL:
+    if rows.size < TWO_SENSORS.still_samples:
         return out
     for axis in range(values.shape[1]):
         own = values[rows, axis]
         steps = np.abs(np.diff(own))
-        steps[steps <= _SAME * float(np.abs(own).max())] = 0.0
+        steps[steps <= TWO_SENSORS.same * float(np.abs(own).max())] = 0.0
         edges = np.concatenate([[0], np.flatnonzero(steps) + 1, [rows.size]])
         for first, last in pairwise(edges.tolist()):
-            if last - first < _STILL:
+            if last - first < TWO_SENSORS.still_samples:
                 continue
-            before, after = steps[max(first - _NEARBY, 0) : first], steps[last - 1 : last - 1 + _NEARBY]
-            least = _MOVES * max(_smallest(before), _smallest(after))
-            if _moved(other[rows[first:last], axis]) > least:
+            seen = other[rows[first:last], axis]
+            seen = seen[np.isfinite(seen)]
+            if seen.size < TWO_SENSORS.parts:
+                continue
+            change = np.ptp([part.mean() for part in np.array_split(seen, TWO_SENSORS.parts)])
+            near = TWO_SENSORS.nearby_steps
+            around = steps[max(first - near, 0) : first], steps[last - 1 : last - 1 + near]
+            taken = [part[part > 0.0] for part in around]
+            smallest = max((float(part.min()) for part in taken if part.size), default=0.0)
+            if change > TWO_SENSORS.moves * smallest:
                 out[rows[first:last], axis] = True
     return out
-
-
-def _smallest(steps: Floats) -> float:
-    """Return the smallest step that is one, nT; 0 for none."""
-    taken = steps[steps > 0.0]
-    return float(taken.min()) if taken.size else 0.0
-
-
-def _moved(values: Floats) -> float:
-    """Return how far a component moves, nT: the range of means over parts of the time; 0 without readings."""
-    known = values[np.isfinite(values)]
-    if known.size < _PARTS:
-        return 0.0
-    return float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)]))
-
-
-#: Samples that are learnt from at most; of faster records means are taken.
-_MOST = 3_000_000
 
 
 def states_window(
@@ -210,11 +230,10 @@ def states_window(
     Returns
     -------
     Dataset
-        Of `inflight.dual.tracking.training_to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
-        `benefit`,
-        `chance_of_harm` over `candidate` say what held-out stretches tell of each correction, `share` and
-        `slower` which part of it is sure to help. Attributes
-        `method`, `applied` (yes or no), `verdict`, `remark`.
+        Of `inflight.dual.tracking.training_to_dataset`, with a gradiometer. Over `candidate`: `slope`,
+        `slope_sigma`, `benefit` (nT2) and `chance_of_harm` of each correction on held-out stretches, `share`
+        and `slower` (s) of the part of it that helps with confidence. Attributes `method`, `applied` (yes or
+        no), `verdict`, `remark`.
     """
     with threadpool_limits(1), cached_readings():
         try:
@@ -227,17 +246,17 @@ def states_window(
 
 
 def body_of(mission: Mission, comparison: str) -> Body | None:
-    """Return where both sensors and the spacecraft's units are, m; None where the mission is silent."""
-    told = mission.comparisons[comparison]
-    if not isinstance(told, DualComparison) or told.body is None:
+    """Return the places of both sensors and of the spacecraft's units, m; None where they are not stated."""
+    entry = mission.comparisons[comparison]
+    if not isinstance(entry, DualComparison) or entry.body is None:
         return None
-    roles = told.instruments()
-    places = [mission.instruments[roles[role]].position for role in ("inboard", "outboard")]
+    roles = entry.instruments()
+    places = [mission.instruments[roles[role]].position for role in _ROLES]
     if any(place is None for place in places):
         return None
     factor, _ = factor_and_offset(mission.positions.unit, "m")
     sensors, middle, size = (
-        np.asarray(one, dtype=np.float64) * factor for one in (places, told.body.middle, told.body.size)
+        np.asarray(one, dtype=np.float64) * factor for one in (places, entry.body.middle, entry.body.size)
     )
     return Body(sensors, middle, 0.5 * size)
 
@@ -257,45 +276,43 @@ def window_readings(
     needs: Sequence[Need],
     index: ArchiveIndex,
 ) -> WindowReadings:
-    """Return the readings of a window in spacecraft axes; days that cannot be read are left out.
+    """Return the readings of a window in spacecraft axes; days that cannot be read are skipped.
 
     Raises
     ------
     SamplesError
         When no day can be read.
     """
-    parts, ambient, last = [], [], None
+    parts: list[Readings] = []
+    ambient: list[Floats] = []
+    last: InflightError | None = None
+    monitor = next(iter(ambient_of(mission, model.comparison)), None)
     for day in days:
         try:
-            samples = boom_samples(cat, mission, model, day, needs, index)
+            samples = two_sensor_samples(cat, mission, model, day, needs, index)
             parts.append(readings_of(model, samples)[0])
-            ambient.append(_ambient(mission, model.comparison, samples))
         except InflightError as error:
             last = error
+            continue
+        field = np.full((samples.sizes["time"], 3), np.nan)
+        if monitor is not None:
+            turn = Rotation.from_quat(mission.instruments[monitor.instrument].orientation)
+            field = np.asarray(turn.apply(np.asarray(samples[AMBIENT].values, dtype=np.float64)))
+        ambient.append(field)
     if not parts:
         raise last or SamplesError("no day of the window has both sensors", remedy="ingest both")
-    joined = Readings(
-        np.concatenate([one.stamps for one in parts]),
-        np.concatenate([one.inboard for one in parts]),
-        np.concatenate([one.outboard for one in parts]),
+    stamps, inboard, outboard = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("stamps", "inboard", "outboard")
     )
-    return thinned(joined, np.concatenate(ambient), -(-len(joined) // _MOST))
+    size = -(-stamps.size // TWO_SENSORS.most_samples)
+    return average_samples(Readings(stamps, inboard, outboard), np.concatenate(ambient), size)
 
 
-def _ambient(mission: Mission, comparison: str, samples: xr.Dataset) -> Floats:
-    """Return the known ambient field of samples, (time, axis) nT, spacecraft axes; NaN where it is not."""
-    (need,) = ambient_of(mission, comparison) or (None,)
-    if need is None:
-        return np.full((samples.sizes["time"], 3), np.nan)
-    turn = Rotation.from_quat(mission.instruments[need.instrument].orientation)
-    return np.asarray(turn.apply(np.asarray(samples[AMBIENT].values, dtype=np.float64)))
-
-
-def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
-    """Return means of `size` neighbouring samples; means over a gap or a missing reading are left out."""
-    told = ambient if np.isfinite(ambient).all(axis=1).any() else None
+def average_samples(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
+    """Return means of `size` neighbouring samples; means over a gap or a missing reading are skipped."""
+    has_ambient = bool(np.isfinite(ambient).all(axis=1).any())
     if size <= 1:
-        return WindowReadings(readings, told)
+        return WindowReadings(readings, ambient if has_ambient else None)
     count = len(readings) // size
     cut = slice(0, count * size)
     stamps = readings.stamps[cut].reshape(count, size)
@@ -305,11 +322,11 @@ def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
         for one in (readings.inboard, readings.outboard, ambient)
     )
     middle: Int64 = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
-    return WindowReadings(Readings(middle[whole], inboard, outboard), None if told is None else known)
+    return WindowReadings(Readings(middle[whole], inboard, outboard), known if has_ambient else None)
 
 
 def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
-    """Return the table of what was learnt from a window and of what was said of its correction."""
+    """Return the table of a window: its training, its gradiometer, and the scores of all candidates."""
     scores = list(found.scores.values())
     one = ("candidate",)
     table = training_to_dataset(candidates.training)
@@ -318,7 +335,7 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_to_dataset(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
-    told = table.assign(
+    table = table.assign(
         slope=(one, np.array([each.slope for each in scores])),
         slope_sigma=(one, np.array([each.sigma for each in scores])),
         benefit=(one, np.array([each.benefit for each in scores]), {"units": "nT2"}),
@@ -334,34 +351,34 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
         verdict=found.correction.reason,
     )
     if chosen in FORMS:
-        told = gradiometer_in_states(told, candidates.readings)
+        table = gradiometer_in_states(table, candidates.readings)
     part = found.scores[chosen].part if chosen in found.scores else WHOLE
     if part == WHOLE:
-        return told
-    whole = whole_correction(told, candidates.readings)
-    return told.merge(applied_part_to_dataset(whole, candidates.readings, part, constant_part(told)))
+        return table
+    full = full_correction(table, candidates.readings)
+    return table.merge(applied_part_to_dataset(full, candidates.readings, part, constant_part(table)))
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
-    """Return what a table takes off a day's readings, by the method it chose and as much as is sure to help.
+    """Return the correction of a day's readings by the method that a table chose, the part of it of low risk.
 
-    One that does not help is kept, and not applied.
+    A correction that does not help is kept, and not applied.
     """
-    found = whole_correction(table, readings)
+    found = full_correction(table, readings)
     method = str(table.attrs["method"])
-    told = _told_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
-    if not found.applied or told is None:
+    score = _score_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
+    if not found.applied or score is None:
         return found
-    part = AppliedPart(float(told["share"]), float(told["slower"]))
+    part = AppliedPart(float(score["share"]), float(score["slower"]))
     slow, middle = slow_part_of_day(table, found, readings, part, constant_part(table))
-    return partial_correction(found, part, float(told["share_away"]), slow, middle)
+    return partial_correction(found, part, float(score["share_away"]), slow, middle)
 
 
-def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
-    """Return the correction by the method that a table chose, all of it.
+def full_correction(table: xr.Dataset, readings: Readings) -> Correction:
+    """Return the whole correction by the method that a table chose.
 
-    In states that the table does not know a gradiometer stands in when held-out stretches say that it helps
-    by itself.
+    In states that the table does not know, a gradiometer is used when it helps by itself on held-out
+    stretches.
     """
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
@@ -377,21 +394,21 @@ def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
     return replace(found, reason=verdict) if str(table.attrs["applied"]) == "yes" else found.withheld(verdict)
 
 
-def _told_of(table: xr.Dataset, candidate: str) -> xr.Dataset | None:
-    """Return what was said of one candidate; None where it was not tried."""
+def _score_of(table: xr.Dataset, candidate: str) -> xr.Dataset | None:
+    """Return the held-out scores of one candidate; None where it was not tried."""
     names = table["candidate"].values.tolist()
     return table.isel(candidate=names.index(candidate)) if candidate in names else None
 
 
 def gradiometer_helps(table: xr.Dataset) -> bool:
-    """Return True when held-out stretches say that a table's gradiometer helps by itself."""
+    """Return True when a table's gradiometer helps by itself on held-out stretches."""
     if not has_gradiometer(table):
         return False
-    told = _told_of(table, str(table.attrs.get("gradiometer_form")))
-    return told is not None and bool(told["helps"])
+    score = _score_of(table, str(table.attrs.get("gradiometer_form")))
+    return score is not None and bool(score["helps"])
 
 
-#: Flags of samples that are as good as the rest for the eye that asks what is there.
+#: Flags of samples that count in the coverage.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.NOT_CORRECTED
 
 
@@ -402,23 +419,22 @@ def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dic
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
     mission, model, job = batch.mission, batch.model, batch.job
-    samples = boom_samples(batch.cat, mission, model, day, job.needs, job.index)
+    samples = two_sensor_samples(batch.cat, mission, model, day, job.needs, job.index)
     readings, flag = readings_of(model, samples)
     correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
-    product = dual_level2(readings, correction, flag, model.comparison)
-    product = rounded(product)
+    product = rounded(dual_level2(readings, correction, flag, model.comparison))
     product.attrs |= {
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
         "day": str(day),
-        "constant": constant_of(batch.table),
+        "constant": describe_constant(batch.table),
     }
-    return product, report_of(product, day)
+    return product, product_report(product, day)
 
 
-def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
-    """Return what a product tells of itself, as plain numbers."""
+def product_report(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
+    """Return the report of a day's product as plain numbers; see `states_day`."""
     stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
     step = usual_step(stamps, SECOND)
     state = np.asarray(product["state"].values, dtype=np.int64)

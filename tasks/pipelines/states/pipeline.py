@@ -1,4 +1,8 @@
-"""The pipeline of two sensors on one boom and nothing else: what the spacecraft's states add is taken off."""
+"""The pipeline of two sensors on one boom and nothing else: subtracts the field of states.
+
+`StatesPipeline` names the steps in the order of a reprocessing: tables of windows (`windows.py`, `day.py`),
+products (`day.py`) and comparison (`compare.py`). No statistics of days are kept.
+"""
 
 from __future__ import annotations
 
@@ -28,20 +32,20 @@ from inflight.tasks.pipelines.base import (
 )
 from inflight.tasks.pipelines.states.day import states_day
 from inflight.tasks.pipelines.states.tables import (
-    Chain,
-    chained_key,
+    TablesBefore,
     constant_changes,
-    constant_of,
     constant_sentences,
+    continued_key,
+    describe_constant,
     named_units,
 )
 from inflight.tasks.pipelines.states.windows import (
-    KnownTables,
-    joined_steps,
+    StoredTables,
+    combine_steps,
     solve_windows,
     table_name,
-    verdicts,
     window_key,
+    window_verdicts,
     windows,
 )
 from inflight.tasks.report import Progress
@@ -49,11 +53,11 @@ from inflight.time import DayLike
 
 
 class StatesPipeline(Pipeline):
-    """States of the spacecraft told apart in the difference of two sensors, and their field taken off.
+    """States of the spacecraft found in the difference of two sensors, and their field subtracted.
 
-    Windows of days are learnt from independently, then joined in the order of time, and each leaves one
-    certified table; then every day is corrected with the table that holds (`inflight.dual`). No statistics of
-    days are kept. The residual is the step of the outboard field where the spacecraft switches.
+    Each window of days is fitted by itself and then continues one before it; its table is certified, and
+    every day is corrected with the table that holds (`inflight.dual`). No statistics of days are kept. The
+    residual is the step of the outboard field where the spacecraft switches.
     """
 
     tag = "states"
@@ -83,28 +87,29 @@ class StatesPipeline(Pipeline):
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
         """Return the days whose products a run would make, and those it would leave alone.
 
-        A window that is to be learnt from changes those behind it: they are joined to it anew.
+        A window that is to be fitted changes those behind it: they are continued anew.
         """
         name = table_name(plan)
-        known = KnownTables.of(cat, name)
+        stored = StoredTables.of(cat, name)
         current = {day.day: day.key for day in cat.days(plan.product, states=("published",))}
         groups = windows(plan.days, plan.settings)
-        chain = Chain.before(cat, name, groups[0][0])
+        before = TablesBefore.of_day(cat, name, groups[0][0])
         todo: list[np.datetime64] = []
         same: list[np.datetime64] = []
         for group in groups:
-            key = chained_key(window_key(plan, group, self.versions.tables), chain.keys)
+            key = continued_key(window_key(plan, group, self.versions.tables), before.keys)
+            record = stored.continued.get(key)
             for day in group:
                 own = product_key(self, plan, day, UsedTable(0, (key,), xr.Dataset()))
-                (same if key in known.joined and current.get(day) == own else todo).append(day)
-            if key in known.joined:
-                chain.add(key, cat.table_by_id(known.joined[key].id))
+                (same if record is not None and current.get(day) == own else todo).append(day)
+            if record is None:
+                before.add_key(key)
             else:
-                chain.add_unknown(key)
+                before.add(key, cat.table_by_id(record.id))
         return todo, same
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
-        """Learn from each window of days, and join the tables in order; see `solve_windows`."""
+        """Fit each window of days, and continue the tables in order; see `solve_windows`."""
         return solve_windows(work, self.versions.tables)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -116,7 +121,7 @@ class StatesPipeline(Pipeline):
         return [plan.product, f"tables/{table_name(plan)}"] if made else []
 
     def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
-        """Return the steps at switchings, what each window says, and where the constant part changes.
+        """Return the steps at switchings, the verdict of each window, and where the constant part changes.
 
         ``residual`` is the step of the outboard field where the spacecraft switches, rms of a component, as
         measured and corrected, and ``floor_nT`` that of the corrected field where nothing switches.
@@ -124,15 +129,15 @@ class StatesPipeline(Pipeline):
         tables = solved.used if solved else {}
         plan, published = work.plan, work.cat.days(work.plan.product, states=("published",))
         return {
-            "residual": joined_steps([day.report for day in published if day.day in plan.keys]),
-            "windows": verdicts(tables),
+            "residual": combine_steps([day.report for day in published if day.day in plan.keys]),
+            "windows": window_verdicts(tables),
             "constant_changes": constant_changes(
-                {day: constant_of(one.table) for day, one in tables.items()}
+                {day: describe_constant(used.table) for day, used in tables.items()}
             ),
         }
 
     def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
-        """Yield which windows are left as measured and why, and where the field may step."""
+        """Yield which windows are not corrected and why, and where the field may step."""
         for one in fields.get("windows", []):
             if one["applied"] != "yes":
                 yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
@@ -155,7 +160,7 @@ class StatesPipeline(Pipeline):
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
-        """Refuse: what a table of states says stands beside what it does to the measurements."""
+        """Refuse: `compare` shows the tables of states with their effect on the measurements."""
         raise CatalogError(
             f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
             "other",
@@ -163,7 +168,7 @@ class StatesPipeline(Pipeline):
         )
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
-        """Return none: what a table of states says stands beside what it does to the measurements."""
+        """Return none: `compare` shows the tables of states with their effect on the measurements."""
         return []
 
     def units(

@@ -1,23 +1,23 @@
-"""What tables of states say across windows: numbers that run on, the constant part, units and channels.
+"""Tables of states across windows: numbers that run on, the constant part, units and channels.
 
-Windows are learnt from independently, in any order. Afterwards each goes on from one of those before it
-(`joined`, `inflight.dual.tracking`), so that the same state and unit have one number in all of them. This can
-be undone: a window that changed is learnt from again, and those behind it are only joined anew. A window with
-few states does not end the sequence: the next one may go on from one before that.
+Each window is fitted by itself, in any order. Afterwards its table continues one of those before it
+(`continue_table`, `inflight.dual.tracking`), so that the same state and unit have one number in all of them.
+When a window changes, only that window is fitted again; those behind it are continued anew. A window with few
+states does not end the sequence: the next one may continue one before that.
 
-The constant part (`constant_of`): corrections by states are relative to one state, and windows that know it
-go on from each other. A gradiometer is determined from changes alone, and its constant is arbitrary: it is
-put where the states of the same window have it, so that the field does not step where one method follows the
+The constant part (`describe_constant`): corrections by states are relative to one state, and windows that
+know it continue each other. A gradiometer is determined from changes alone, and its constant is arbitrary: it
+is set to that of the states of the same window, so that the field does not step where one method follows the
 other.
 
-Units beside housekeeping (`named_units`): which channel switches with which unit. `with_remark` notes sensors
-that look exchanged.
+`named_units` finds the housekeeping channel that switches with each unit. `with_remark` notes sensors that
+look exchanged.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -49,27 +49,50 @@ from inflight.dual import (
     training_to_dataset,
 )
 from inflight.mission import Mission
+from inflight.tasks.archive import partial_problem
 from inflight.tasks.pipelines.base import UsedTable, product_of, scalar_channels
 from inflight.time import SECOND, DayLike, Int64, day_bounds, day_of, usual_step
 
-#: Characters of a key that tell a window's own inputs; the others tell the windows before it, too.
-OWN = 32
+#: Characters of a key that depend on a window's own inputs; the others depend on the windows before it.
+OWN_KEY = 32
 
-#: So many windows before it a window may go on from.
-OFFERED = 5
+
+@dataclass(frozen=True, kw_only=True)
+class StateTableSettings:
+    """Numbers of tables of states across windows.
+
+    Attributes
+    ----------
+    most_before : int
+        So many windows before it a window may continue. Assumed.
+    near_cadences : float
+        A reading of housekeeping is this many of its cadences away from a switching at most. Assumed.
+    clear_sigmas : float
+        A unit counts in `with_remark` when it changes the outboard reading by so many sigmas. Assumed.
+    exchanged_ratio : float
+        Sensors look exchanged when the outboard one sees so much more of the units. Assumed.
+    """
+
+    most_before: int = 5
+    near_cadences: float = 2.5
+    clear_sigmas: float = 4.0
+    exchanged_ratio: float = 1.5
+
+
+STATE_TABLES = StateTableSettings()
 
 _CHANGES = ("change", "change_sigma", "aged")
 
 
-def chained_key(own: str, before: Sequence[str]) -> str:
-    """Return the key of a joined table, from that of its own inputs and the joined ones before it."""
-    told = "".join([own, *before])
-    return own[:OWN] + hashlib.sha256(told.encode()).hexdigest()[: 64 - OWN]
+def continued_key(own: str, before: Sequence[str]) -> str:
+    """Return the key of a continued table, from that of its own inputs and those of the tables before it."""
+    content = "".join([own, *before])
+    return own[:OWN_KEY] + hashlib.sha256(content.encode()).hexdigest()[: 64 - OWN_KEY]
 
 
 @dataclass
-class Chain:
-    """The tables that the next window may go on from.
+class TablesBefore:
+    """The tables that the next window may continue.
 
     Attributes
     ----------
@@ -82,56 +105,55 @@ class Chain:
     tables: list[xr.Dataset] = field(default_factory=list)
 
     @classmethod
-    def before(cls, cat: Catalog, name: str, day: np.datetime64) -> Chain:
-        """Return the chain of the certified tables of a name that began before a day."""
+    def of_day(cls, cat: Catalog, name: str, day: np.datetime64) -> TablesBefore:
+        """Return the certified tables of a name that began before a day."""
         begin, _ = day_bounds(day)
         found = [
-            (start, one.id, one)
-            for one in cat.tables(name)
-            for context, start, _ in one.certified
-            if context is None and start < begin and not one.damaged
+            (start, record.id, record)
+            for record in cat.tables(name)
+            for context, start, _ in record.certified
+            if context is None and start < begin and not record.damaged
         ]
-        keys: list[str] = []
-        tables: list[xr.Dataset] = []
-        for _, _, one in sorted(found, key=lambda each: each[:2], reverse=True):
-            table = cat.table_by_id(one.id)
+        out = cls()
+        for _, number, record in sorted(found, key=lambda one: one[:2], reverse=True):
+            table = cat.table_by_id(number)
             if table.sizes["state"]:
-                keys.append(one.key)
-                tables.append(table)
-            if len(keys) == OFFERED:
+                out.keys.append(record.key)
+                out.tables.append(table)
+            if len(out.keys) == STATE_TABLES.most_before:
                 break
-        return cls(keys, tables)
+        return out
 
     def add(self, key: str, table: xr.Dataset) -> None:
-        """Put the next window's joined table in front; one without states tells the next ones nothing."""
+        """Put the next window's continued table in front; one without states is nothing to continue."""
         if table.sizes["state"]:
-            self.keys[:] = [key, *self.keys[: OFFERED - 1]]
-            self.tables[:] = [table, *self.tables[: OFFERED - 1]]
+            self.add_key(key)
+            self.tables[:] = [table, *self.tables[: STATE_TABLES.most_before - 1]]
 
-    def add_unknown(self, key: str) -> None:
-        """Put a key in front whose table is still to be made."""
-        self.keys[:] = [key, *self.keys[: OFFERED - 1]]
+    def add_key(self, key: str) -> None:
+        """Put the key in front of a table that is still to be made."""
+        self.keys[:] = [key, *self.keys[: STATE_TABLES.most_before - 1]]
 
 
-def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
-    """Return a window's table that goes on from one of those before it.
+def continue_table(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
+    """Return a window's table with the numbers and the constant part of one of those before it.
 
     Parameters
     ----------
     before : sequence of Dataset
-        Joined themselves, the newest first; the chain begins here without any. Those whose correction is
-        applied come first: a window that was left alone may have learnt little, and its constant is in no
-        product. Of these the newest with which the constant goes on is taken.
+        Continued themselves, the newest first; without any, the sequence begins here. Those whose correction
+        is applied come first: a window that is not corrected may have few states, and its constant is in no
+        product. Of these the newest is taken with which the constant part stays the same.
     table : Dataset
-        As it was learnt, or joined to any other.
+        As it was fitted, or continued from any other.
 
     Returns
     -------
     Dataset
         Numbers and constant part of `inflight.dual.tracking.continue_training`. Of states that both windows
-        know `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what
-        all have in common, nT, and `aged` (state,) where that is more than noise. Attribute `goes_on` is
-        ``yes`` or ``no``.
+        know: `change` and `change_sigma` (state, axis), nT, by how much the outboard correction changed
+        beyond what all have in common, and `aged` (state,) where that is more than noise. Attribute `goes_on`
+        is ``yes`` or ``no``.
     """
     later = training_from_dataset(table)
     bare = table.drop_vars([name for name in _CHANGES if name in table])
@@ -139,57 +161,44 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
     known = [(one, training_from_dataset(one)) for one in before if one.sizes["state"]]
     if not known or not len(later):
         return _with_training(bare, standalone_training(later), "no")
-    going = _continued(known, later)
-    told = _with_training(bare, going.training, "yes" if len(going.matched) else "no")
-    return told.assign(_changes(going))
+    ageing = _best_continuation(known, later)
+    change, sigma = np.full((2, len(ageing.training), 3), np.nan)
+    aged, rows = np.zeros(len(ageing.training), np.int64), ageing.matched[:, 1]
+    change[rows], sigma[rows], aged[rows] = ageing.change, ageing.sigma, ageing.aged
+    continued = _with_training(bare, ageing.training, "yes" if len(ageing.matched) else "no")
+    return continued.assign(
+        change=(("state", "axis"), change, {"units": "nT"}),
+        change_sigma=(("state", "axis"), sigma, {"units": "nT"}),
+        aged=("state", aged),
+    )
 
 
-def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) -> ContinuedTraining:
-    """Return how a window goes on from the best of those before it."""
+def _best_continuation(known: Sequence[tuple[xr.Dataset, Training]], later: Training) -> ContinuedTraining:
+    """Return how a window continues the best of those before it."""
     # A number that any window before has given is given to nothing else.
-    number = max(one.next_number for _, one in known)
-    unit = max(one.next_unit for _, one in known)
-    order = sorted(known, key=lambda one: str(one[0].attrs.get("applied")) != "yes")
+    number = max(training.next_number for _, training in known)
+    unit = max(training.next_unit for _, training in known)
     tried: list[ContinuedTraining] = []
-    for _, earlier in order:
-        going = continue_training(replace(earlier, next_number=number, next_unit=unit), later)
-        if _keeps_constant(earlier, going):
-            return going
-        tried.append(going)
-    return next((one for one in tried if len(one.matched)), tried[0])
-
-
-def _keeps_constant(earlier: Training, going: ContinuedTraining) -> bool:
-    """Return True when the constant part of the correction is that of the window before."""
-    if not len(going.matched):
-        return False
-    if going.training.constant_known:
-        return True
-    return not earlier.constant_known and going.training.reference == earlier.reference
+    for _, earlier in sorted(known, key=lambda one: str(one[0].attrs.get("applied")) != "yes"):
+        ageing = continue_training(replace(earlier, next_number=number, next_unit=unit), later)
+        training = ageing.training
+        same_reference = not earlier.constant_known and training.reference == earlier.reference
+        if len(ageing.matched) and (training.constant_known or same_reference):
+            return ageing
+        tried.append(ageing)
+    return next((ageing for ageing in tried if len(ageing.matched)), tried[0])
 
 
 def _with_training(table: xr.Dataset, training: Training, goes_on: str) -> xr.Dataset:
-    fresh = training_to_dataset(training)
-    return table.assign(fresh.data_vars).assign_attrs({**fresh.attrs, "goes_on": goes_on})
-
-
-def _changes(going: ContinuedTraining) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
-    count = len(going.training)
-    change, sigma, aged = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.zeros(count, np.int64)
-    rows = going.matched[:, 1]
-    change[rows], sigma[rows], aged[rows] = going.change, going.sigma, going.aged
-    both = ("state", "axis")
-    return {
-        "change": (both, change, {"units": "nT"}),
-        "change_sigma": (both, sigma, {"units": "nT"}),
-        "aged": (("state",), aged, {}),
-    }
+    """Return a table whose states and units are those of a training."""
+    stored = training_to_dataset(training)
+    return table.assign(stored.data_vars).assign_attrs({**stored.attrs, "goes_on": goes_on})
 
 
 #: What the gradiometer takes off in each state of its window, nT.
 IN_STATES = "gradiometer_in_states"
 
-#: What is said of the constant part of a field.
+#: Descriptions of the constant part of a field; see `describe_constant`.
 MEASURED, ABSOLUTE = "as measured", "absolute"
 
 
@@ -201,7 +210,7 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     table : Dataset
         With states and a gradiometer.
     readings : Readings
-        Those it was learnt from.
+        Those it was fitted to.
 
     Returns
     -------
@@ -224,23 +233,23 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
 def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction:
     """Return the correction by a table's gradiometer, with the constant part and the numbers of its states.
 
-    The field is the gradiometer's; flags about states do not concern it. Where only what is quick will be
-    taken off, the error of the constant is none of its own.
+    The field is the gradiometer's; flags about states do not concern it. Where only quick changes are taken
+    off, the error of the constant is not part of its covariance.
     """
     found = correction_by_stored_gradiometer(table, readings)
     training = training_from_dataset(table)
     if not len(training) or not readings.good.any():
         return found
     states = correction_by_states(readings, training)
-    told = replace(found, state=states.state, probability=states.probability)
+    found = replace(found, state=states.state, probability=states.probability)
     constant = _constant(table)
     if constant is None:
-        return told
+        return found
     value, sigma = constant
     return replace(
-        told,
-        field=told.field + value,
-        covariance=told.covariance + (not omits_slow_part(table)) * np.diag(sigma**2),
+        found,
+        field=found.field + value,
+        covariance=found.covariance + (not omits_slow_part(table)) * np.diag(sigma**2),
         constant_known=training.constant_known,
     )
 
@@ -248,26 +257,25 @@ def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction
 def constant_part(table: xr.Dataset) -> Floats:
     """Return the constant that a table's correction has, nT, but for one that is always the same; (axis,).
 
-    It moves when the window is joined to those before it.
+    It changes when the window continues one before it.
     """
     if str(table.attrs["method"]) == "gradiometer":
         constant = _constant(table)
         return np.zeros(3) if constant is None else constant[0]
     training = training_from_dataset(table)
-    # All states move alike.
+    # The constant is that of every state.
     return training.correction[0] if len(training) else np.zeros(3)
 
 
-def constant_of(table: xr.Dataset) -> str:
-    """Return what the constant part of the field is that a table makes: where it changes the field may step.
+def describe_constant(table: xr.Dataset) -> str:
+    """Describe the constant part of the field that a table makes: where it changes, the field may step.
 
     Returns
     -------
     str
         ``as measured`` where nothing is taken off, or only what changes quickly; ``absolute`` where the
-        ambient field was known,
-        ``relative to state N``, or ``that of the window from DAY alone`` where a gradiometer has no state
-        to go by.
+        ambient field was known, ``relative to state N``, or ``that of the window from DAY alone`` where a
+        gradiometer has no state.
     """
     if str(table.attrs["applied"]) != "yes" or omits_slow_part(table):
         return MEASURED
@@ -284,7 +292,7 @@ def constant_changes(constants: Mapping[np.datetime64, str]) -> list[dict[str, s
     Parameters
     ----------
     constants : mapping of day to str
-        As `constant_of` tells.
+        As `describe_constant` returns them.
     """
     days = sorted(constants)
     return [
@@ -295,7 +303,7 @@ def constant_changes(constants: Mapping[np.datetime64, str]) -> list[dict[str, s
 
 
 def constant_sentences(changes: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return in words where the field may step by a constant."""
+    """Return a sentence for each time at which the field may step by a constant."""
     return [
         f"at the beginning of {one['day']} the field may step by a constant: before it is {one['before']}, "
         f"from then on {one['after']}"
@@ -306,9 +314,9 @@ def constant_sentences(changes: Sequence[Mapping[str, str]]) -> list[str]:
 def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     """Return what is added to the gradiometer's correction, and its standard deviation; (axis,), nT.
 
-    Each state says how far its correction is from what the gradiometer takes off there: the mean by their
-    errors. What all states have in common does not average out: the error is that of one state, or by how
-    much they differ where that is more.
+    It is the weighted mean, over states, of a state's correction less what the gradiometer takes off there.
+    What all states have in common does not average out: the error is that of one state, or the scatter of the
+    states where that is larger.
     """
     if IN_STATES not in table:
         return None
@@ -331,14 +339,10 @@ def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     return value, np.sqrt(np.maximum(np.sum(weight * variance, axis=0), scatter))
 
 
-#: A reading is this many of its cadences away from a switching at most.
-_NEAR = 2.5
-
-
 def unit_signs(table: xr.Dataset, at: Switchings) -> Floats:
     """Return which units are switched on (+1) or off (-1) at each switching; (switching, number of unit).
 
-    Nothing is known of switchings to or from a state that is not in the table: 0.
+    Switchings to or from a state that is not in the table have 0.
     """
     member = np.asarray(table["occupancy"].values, dtype=np.float64)
     number = np.asarray(table["number"].values, dtype=np.int64)
@@ -357,10 +361,20 @@ def unit_signs(table: xr.Dataset, at: Switchings) -> Floats:
     return out
 
 
-def joined_signs(signs: Sequence[Floats]) -> Floats:
+def concatenate_signs(signs: Sequence[Floats]) -> Floats:
     """Return `unit_signs` of several days together; days that do not know the last units have zeros."""
     width = max(one.shape[1] for one in signs)
     return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in signs])
+
+
+def concatenate_changes(changes: Sequence[Mapping[str, Floats]], counts: Sequence[int]) -> dict[str, Floats]:
+    """Return `channel_changes` of days of so many switchings together; NaN on days without a channel."""
+    return {
+        name: np.concatenate(
+            [one.get(name, np.full(count, np.nan)) for one, count in zip(changes, counts, strict=True)]
+        )
+        for name in sorted({name for one in changes for name in one})
+    }
 
 
 def housekeeping_channels(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -389,38 +403,33 @@ def channel_changes(
         The first reading after less the last one before, in the channel's unit; NaN where one is far.
     """
     out: dict[str, Floats] = {}
-    wanted = housekeeping_channels(mission)
-    for instrument in dict.fromkeys(home for home, _ in wanted.values()):
-        names = {name: channel for name, (home, channel) in wanted.items() if home == instrument}
-        found = [
-            one
-            for one in cat.days(
-                f"l1/{instrument}", slice(str(day), str(day + np.timedelta64(1, "D"))), states=("published",)
-            )
-            if one.day == day
-        ]
-        if not found:
+    channels, span = housekeeping_channels(mission), slice(str(day), str(day + np.timedelta64(1, "D")))
+    for instrument in dict.fromkeys(home for home, _ in channels.values()):
+        names = {name: channel for name, (home, channel) in channels.items() if home == instrument}
+        published = cat.days(f"l1/{instrument}", span, states=("published",))
+        source = next((one for one in published if one.day == day), None)
+        if source is None:
             continue
-        data = cat.read(found[0], list(names.values()), with_time=False)
+        data = cat.read(source, list(names.values()), with_time=False)
         stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
-        reach = _NEAR * mission.instruments[instrument].cadence
+        reach = STATE_TABLES.near_cadences * mission.instruments[instrument].cadence
         for name, channel in names.items():
             values = np.asarray(data[channel].values, dtype=np.float64)
-            out[name] = _change(
-                stamps[np.isfinite(values)], values[np.isfinite(values)], before, after, reach
-            )
+            known = np.isfinite(values)
+            out[name] = _change_across(stamps[known], values[known], before, after, reach)
     return out
 
 
-def _change(stamps: Int64, values: Floats, before: Int64, after: Int64, reach: float) -> Floats:
+def _change_across(stamps: Int64, values: Floats, before: Int64, after: Int64, reach: float) -> Floats:
+    """Return the first value after less the last one before each switching; NaN beyond `reach`, ns."""
     if not stamps.size:
         return np.full(before.size, np.nan)
-    left = np.searchsorted(stamps, before, side="right") - 1
-    right = np.searchsorted(stamps, after, side="left")
-    inside = (left >= 0) & (right < stamps.size)
-    left, right = np.clip(left, 0, None), np.clip(right, None, stamps.size - 1)
-    near = inside & (before - stamps[left] <= reach) & (stamps[right] - after <= reach)
-    return np.where(near, values[right] - values[left], np.nan)
+    last = np.searchsorted(stamps, before, side="right") - 1
+    first = np.searchsorted(stamps, after, side="left")
+    inside = (last >= 0) & (first < stamps.size)
+    last, first = np.clip(last, 0, None), np.clip(first, None, stamps.size - 1)
+    near = inside & (before - stamps[last] <= reach) & (stamps[first] - after <= reach)
+    return np.where(near, values[first] - values[last], np.nan)
 
 
 def named_units(
@@ -428,7 +437,7 @@ def named_units(
 ) -> list[dict[str, Any]] | None:
     """Return the units of the span's states and the channels behind them, as plain fields.
 
-    None of a comparison without products. Units without a channel are told as such.
+    None for a comparison without products. Units without a channel are marked as such.
     """
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = cat.days(product_of(comparison), span, states=("published",))
@@ -445,98 +454,77 @@ def named_units(
         tables |= dict.fromkeys(table["unit_number"].values.tolist(), table)
         signs.append(unit_signs(table, at))
         changes.append(channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]))
-    joined = joined_signs(signs)
-    names = sorted({name for one in changes for name in one})
-    series = {
-        name: np.concatenate(
-            [one.get(name, np.full(len(sign), np.nan)) for one, sign in zip(changes, signs, strict=True)]
+    series = concatenate_changes(changes, [len(one) for one in signs])
+    out = []
+    for unit in match_channels_to_units(concatenate_signs(signs), series):
+        # The vectors are those of the last table that knows the unit.
+        if unit.unit not in tables:
+            continue
+        table = tables[unit.unit]
+        (row,) = np.flatnonzero(table["unit_number"].values == unit.unit)
+        out.append(
+            {
+                "unit": unit.unit,
+                "switchings": unit.switchings,
+                "channels": list(unit.channels),
+                "agreement": list(unit.agreement),
+                "change_when_on": list(unit.per_unit),
+                "sentence": describe_unit(unit),
+                "difference_nT": table["unit"].values[row].tolist(),
+                "outboard_nT": table["unit_correction"].values[row].tolist(),
+            }
         )
-        for name in names
-    }
-    return [
-        _told(one, tables[one.unit]) for one in match_channels_to_units(joined, series) if one.unit in tables
-    ]
+    return out
 
 
-def _told(one: UnitChannels, table: xr.Dataset) -> dict[str, Any]:
-    """Return a unit's fields; its vectors are those of the last table that knows it."""
-    fields = {
-        "unit": one.unit,
-        "switchings": one.switchings,
-        "channels": list(one.channels),
-        "agreement": list(one.agreement),
-        "change_when_on": list(one.per_unit),
-        "sentence": sentence(one),
-    }
-    (row,) = np.flatnonzero(table["unit_number"].values == one.unit)
-    for name, variable in (("difference_nT", "unit"), ("outboard_nT", "unit_correction")):
-        fields[name] = table[variable].values[row].tolist()
-    return fields
+def describe_unit(unit: UnitChannels) -> str:
+    """Return a sentence about a unit and the channels that switch with it."""
+    begin = f"unit {unit.unit}, seen to switch {unit.switchings} times"
+    if not unit.channels:
+        return f"{begin}, is a unit without housekeeping: {unit.reason}"
+    if len(unit.channels) > 1:
+        return f"{begin}, switches with {' and '.join(unit.channels)}: these cannot be told apart"
+    return f"{begin}, switches with {unit.channels[0]} ({100.0 * unit.agreement[0]:.0f} % of the changes)"
 
 
-def sentence(one: UnitChannels) -> str:
-    """Return what is known of a unit in words."""
-    begin = f"unit {one.unit}, seen to switch {one.switchings} times"
-    if not one.channels:
-        return f"{begin}, is a unit without housekeeping: {one.reason}"
-    if len(one.channels) > 1:
-        return f"{begin}, switches with {' and '.join(one.channels)}: these cannot be told apart"
-    return f"{begin}, switches with {one.channels[0]} ({100.0 * one.agreement[0]:.0f} % of the changes)"
-
-
-#: Said of sensors of which the outer one sees more of the spacecraft.
-SWAPPED = "the sensor called outboard sees more of the spacecraft's field than the one called inboard"
+#: Remark on sensors of which the outboard one sees more of the spacecraft.
+EXCHANGED = "the sensor called outboard sees more of the spacecraft's field than the one called inboard"
 
 _REMEDY = "look whether the mission's file has the two sensors exchanged"
-
-#: A unit counts that moves the outboard sensor by so many errors, and the larger side is so much larger.
-_CLEAR, _LARGER = 4.0, 1.5
 
 
 def with_remark(table: xr.Dataset) -> xr.Dataset:
     """Return a table with attribute `remark`: empty, or what is strange about its readings."""
-    return table.assign_attrs(remark=SWAPPED if _looks_swapped(table) else "")
+    return table.assign_attrs(remark=EXCHANGED if _looks_exchanged(table) else "")
 
 
-def _looks_swapped(table: xr.Dataset) -> bool:
+def _looks_exchanged(table: xr.Dataset) -> bool:
     """Return True when what switches adds more to the outer than to the inner sensor."""
-    for outer, apart, covariance in _steps(table):
-        inner = outer + apart
-        variance = np.einsum("uii->ui", covariance)
-        clear = (np.abs(outer) > _CLEAR * np.sqrt(np.clip(variance, 0.0, None))).any(axis=1)
+    ratio = STATE_TABLES.exchanged_ratio
+    # What units, then states less the longest one, add to the outboard sensor and to the difference.
+    names = ("unit_correction", "unit", "unit_covariance"), ("correction", "centre", "covariance")
+    for place, (correction, centre, covariance) in enumerate(names):
+        outer, difference = (np.asarray(table[name].values) for name in (correction, centre))
+        if place and len(outer):
+            longest = int(np.argmax(table["seconds"].values))
+            outer, difference = outer - outer[longest], difference - difference[longest]
+        inner = outer + difference
+        variance = np.einsum("uii->ui", np.asarray(table[covariance].values))
+        sigma = np.sqrt(np.clip(variance, 0.0, None))
+        clear = (np.abs(outer) > STATE_TABLES.clear_sigmas * sigma).any(axis=1)
         if clear.any():
-            return float(np.linalg.norm(outer[clear])) > _LARGER * float(np.linalg.norm(inner[clear]))
+            return float(np.linalg.norm(outer[clear])) > ratio * float(np.linalg.norm(inner[clear]))
     if has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
         matrix = gradiometer_from_dataset(table).matrix
-        return float(np.linalg.norm(matrix)) > _LARGER * float(np.linalg.norm(matrix + np.eye(3)))
+        return float(np.linalg.norm(matrix)) > ratio * float(np.linalg.norm(matrix + np.eye(3)))
     return False
 
 
-def _steps(table: xr.Dataset) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Give what units, then states, add to the outer sensor and to the difference, and the error."""
-    names = ("unit_correction", "unit", "unit_covariance"), ("correction", "centre", "covariance")
-    for place, (outer, apart, covariance) in enumerate(names):
-        value, difference = (np.asarray(table[one].values) for one in (outer, apart))
-        if place and len(value):
-            longest = int(np.argmax(table["seconds"].values))
-            value, difference = value - value[longest], difference - difference[longest]
-        yield value, difference, np.asarray(table[covariance].values)
-
-
 def remarks_of(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str, str]]:
-    """Return the remarks of the tables that hold, as problems of days that are there all the same."""
-    seen: dict[int, dict[str, Any]] = {}
+    """Return the remarks of the tables in use, as problems of days that have products all the same."""
+    seen: dict[int, dict[str, str]] = {}
     for day in sorted(tables):
         number, _, table = tables[day]
         if table.attrs.get("remark"):
-            seen.setdefault(
-                number,
-                {
-                    "day": str(day),
-                    "channel": "",
-                    "cause": "partial",
-                    "remedy": _REMEDY,
-                    "message": str(table.attrs["remark"]),
-                },
-            )
+            seen.setdefault(number, partial_problem(day, str(table.attrs["remark"]), _REMEDY))
     return list(seen.values())
