@@ -19,10 +19,10 @@ from inflight.errors import SettingsError
 from inflight.tasks import Progress, RunReport, print_report
 
 if TYPE_CHECKING:
-    from inflight.simulate import MissionSettings
     from rich.console import Console
 
     from inflight.catalog import Workspace
+    from inflight.simulate import MissionSettings
 
 
 #: The shipped mission that the simulator flies.

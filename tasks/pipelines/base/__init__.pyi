@@ -1,4 +1,14 @@
-from .compare_report import CompareReport, CompareResult, Report, scatter_html, structures_html
+from .compare_report import (
+    CompareReport,
+    CompareResult,
+    Report,
+    daily_residual_figure,
+    day_summary,
+    each_day,
+    scatter_html,
+    structures_html,
+    tables_in_use,
+)
 from .compare_rows import (
     Sources,
     Spans,
@@ -83,6 +93,7 @@ __all__ = [
     "scalar_channels",
     "scatter_html",
     "structures_html",
+    "tables_in_use",
     "window_edges",
     "with_error",
 ]

@@ -238,7 +238,7 @@ def _add_weekdays(part: Part, series: Sequence[Deviation], mjd: Floats) -> None:
     fields: dict[str, str] = {}
     for one in series:
         try:
-            fields[one.name] = find_week_pattern(mjd, one.value, unit=one.unit).told()
+            fields[one.name] = find_week_pattern(mjd, one.value, unit=one.unit).summary()
         except InflightError as error:
             why.setdefault(error.message)
     part.fields["weekdays"] = fields
@@ -257,7 +257,7 @@ def clock(found: MissionFitResults) -> Part:
         with part.optional("Clock faults"):
             faults, shift = faults_of(daily)
             _, sigma = time_shifts(daily)
-            sentences = faults.told()
+            sentences = faults.summary()
             usual = 1e3 * float(np.median(shift[np.isfinite(shift)]))
             part.fields = {
                 "faults": [vars(one) for one in faults.faults],
@@ -324,7 +324,7 @@ def coil_temperature(found: MissionFitResults) -> Part:
     with part.optional("Lag of the coil's temperature"):
         table = found.table("coil-temperature")
         fit = CoilFit.of_table(table)
-        part.fields = _coefficient_fields(table) | {"told": fit.told(), "channel": fit.channel}
+        part.fields = _coefficient_fields(table) | {"told": fit.summary(), "channel": fit.channel}
         part.add_text(
             f"Fitted with everything else: {fit.summary()}, to first order about the lag it was aligned with."
         )
@@ -340,7 +340,9 @@ def coil_temperature(found: MissionFitResults) -> Part:
         choice = TemperatureChoice.of_table(found.table("temperature-rivals"))
         part.fields["rivals"] = [vars(one) | {"tied": one.ties} for one in choice.rivals]
         part.fields["choice"] = choice.summary()
-        part.add_text(f"Each with linear and quadratic coefficients and a lag of its own: {choice.summary()}.")
+        part.add_text(
+            f"Each with linear and quadratic coefficients and a lag of its own: {choice.summary()}."
+        )
         part.plots.append(rivals_figure(choice))
     return part
 
