@@ -47,9 +47,12 @@ from inflight.tasks.pipelines.base import (
     Sources,
     Spans,
     blocks_of,
+    day_summary,
+    each_day,
     equations_of,
     rows_of_day,
     scalar_channels,
+    tables_in_use,
 )
 from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
@@ -127,26 +130,14 @@ def compare_samples(
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
-    # The table of daily fits, and the one products use.
-    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    daily, used = tables_in_use(cat, comparison, days[0])
     report = CompareReport(
         comparison=comparison,
         context=days[-1].context or "",
         before=join_sizes(digest.before),
         after=join_sizes(digest.after),
         floor=join_floors(digest.floors),
-        by_day=[
-            {
-                "day": str(day.day),
-                "version": day.version,
-                "before_nT": before.rms,
-                "after_nT": after.rms,
-                "before_less_mean_nT": before.std,
-                "after_less_mean_nT": after.std,
-                "samples": after.count,
-            }
-            for day, before, after in zip(days, digest.before, digest.after, strict=True)
-        ],
+        by_day=[day_summary(*of_day) for of_day in zip(days, digest.before, digest.after, strict=True)],
         fails_where=rank_dependences(coordinates, found, rows["after"], direction, block),
         directions=directions,
         determined=determined,
@@ -239,8 +230,7 @@ def digest_days(
     """Read the products of days one after the other and return what is kept of them."""
     digest = Digest(max(COMPARE.shortest_span_s, 86_400.0 * len(days) / COMPARE.most_rows))
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
-    for done, day in enumerate(days):
-        progress("compare", done, len(days))
+    for day in each_day(days, progress):
         product = cat.read(day)
         stamps, flag = np.asarray(product["tt2000"].values, dtype=np.int64), product["flag"].values
         good = (flag & np.uint32(UNUSABLE)) == 0
@@ -256,7 +246,6 @@ def digest_days(
         digest.add_spectra(stamps, before, after, direction_of(product["field_sensor"].values))
         spans = Spans.of(stamps, digest.length)
         digest.rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
-    progress("compare", len(days), len(days))
     return digest
 
 

@@ -17,7 +17,6 @@ from inflight.figures import (
     SectionBody,
     axis_figure,
     bullet_list,
-    daily_figure,
     dependence_figure,
     excess_scatter_figure,
     histogram_figure,
@@ -36,7 +35,7 @@ from inflight.residual import (
     drawn_periods,
     format_period,
 )
-from inflight.tasks.pipelines.base import CompareReport, scatter_html, structures_html
+from inflight.tasks.pipelines.base import CompareReport, daily_residual_figure, scatter_html, structures_html
 from inflight.time import to_utc
 
 #: Points of the figure of the residual in time, at most: what a browser can draw.
@@ -113,11 +112,9 @@ def _residual(report: CompareReport, data: FigureData) -> SectionBody:
         f"{report.skipped} samples without a measurement are "
         f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
     )
-    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
-    before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
     counts = data.counts
     plots = [
-        daily_figure(day, before, after, report.floor.level_nT),
+        daily_residual_figure(report),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
         series_figure(*thin_series(data.rows)),
     ]
