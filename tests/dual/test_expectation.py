@@ -156,7 +156,7 @@ def test_what_states_prove_is_as_much_as_drift_does_not_come_into_their_means():
         field = 0.1 * state[:, None] * np.ones(3)
         readings, _ = boom(13, rise + field, restless=0.001)
         made = plain(field, state, method="states")
-        prior = Candidates(readings, BODY).priors[0].of(made)
+        prior = Candidates(readings, BODY).priors[0].slope_prior(made)
         lost.append(np.std(prior.slope[-1]) / np.mean(prior.slope[0]))
     assert lost[0] > 3.0 * lost[1]
 
@@ -203,8 +203,8 @@ def test_readings_move_the_expected_slope_to_what_they_say():
     prior = SlopePrior(scale=np.array([1, 2]), power=np.ones(2), slope=np.stack([draws, draws]))
     seen = SlopeObservation(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
     assert prior.posterior(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
-    assert not prior.posterior(seen).refuted
-    assert prior.posterior(replace(seen, slope=np.array([9.0, 9.0]))).refuted
+    assert not prior.posterior(seen).rejected
+    assert prior.posterior(replace(seen, slope=np.array([9.0, 9.0]))).rejected
 
 
 def test_readings_that_an_error_of_the_leak_explains_tell_less():
@@ -228,10 +228,10 @@ def test_what_was_taken_for_noise_may_be_stray_field():
     draws = np.random.default_rng(12).uniform(0.2, 1.2, 40_000)
     seen = SlopeObservation(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
     clear = SlopePrior(scale=seen.scale, power=np.ones(2), slope=np.stack([draws, draws]))
-    assert clear.posterior(seen).refuted
+    assert clear.posterior(seen).rejected
     # A correction that lost four fifths to the noise is three times too small.
     noisy = replace(clear, signal_share=np.full(2, 0.2)).posterior(seen)
-    assert not noisy.refuted
+    assert not noisy.rejected
     assert noisy.weights @ draws == pytest.approx(1.1, abs=0.1)
 
 
@@ -243,7 +243,7 @@ def test_nothing_is_sure_by_a_single_draw():
         for slope in (1.0, 2.0)
     )
     assert prior.posterior(usual).risk() < 0.001
-    assert not prior.posterior(odd).refuted
+    assert not prior.posterior(odd).rejected
     assert prior.posterior(odd).risk() > 0.001
 
 

@@ -129,7 +129,17 @@ def test_what_figures_share_is_made_once():
 
 
 def figure(**changes) -> Figure:
-    plain = Figure("a.b", "residual", "a number", "nT", "somewhere", 1.0, 0.1, "derived", "because")
+    plain = Figure(
+        id="a.b",
+        section="residual",
+        what="a number",
+        unit="nT",
+        source="somewhere",
+        published=1.0,
+        tolerance=0.1,
+        basis="derived",
+        why="because",
+    )
     return dataclasses.replace(plain, **changes)
 
 
