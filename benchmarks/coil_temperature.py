@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, concat_equations
+from inflight.calibration import NINE_PARAMETER_NAMES, concat_equations
 from inflight.catalog import Catalog
 from inflight.effects import time_derivative
 from inflight.errors import CalibrationError
 from inflight.mission import Mission, sensors_of
 from inflight.mission_fit import CoilBlock, coil_equations, compare_temperatures, fit_coil
-from inflight.model import Layout, Model, make_effect, rows_of
+from inflight.model import Model, ResidualDefinition, make_effect, rows_of
 from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
 from inflight.time import SECOND, Int64
 
@@ -48,7 +48,7 @@ SETS = (
 #: Seconds over which temperatures are averaged.
 _SMOOTH_S = 600.0
 #: One constant a block: a slow drift of the instruments is no temperature.
-_EACH = (NINE[8],)
+_EACH = (NINE_PARAMETER_NAMES[8],)
 
 
 def real_data() -> Path:
@@ -59,7 +59,7 @@ def real_data() -> Path:
 def load(name: str, comparison: str, folder: str, channels: tuple[str, ...], shift: float) -> list[CoilBlock]:
     """Return the days of a set, corrected for the clock."""
     mission = Mission.parse((ROOT / "missions" / f"{name}.yaml").read_text(encoding="utf-8"))
-    layout = Layout.of(mission, comparison)
+    layout = ResidualDefinition.of(mission, comparison)
     with tempfile.TemporaryDirectory() as scratch:
         cat = Catalog(Path(scratch))
         ingest(cat, mission, real_data() / folder)

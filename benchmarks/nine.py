@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
-from inflight.calibration import Reference, fit_block, reference_of, remove_other_effects, usable_samples
+from inflight.calibration import ParameterPrior, fit_block, reference_of, remove_other_effects, usable_samples
 from inflight.catalog import Catalog, Day, Workspace
 from inflight.tasks import current_model
 from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
@@ -56,7 +56,7 @@ def nine_parameters(cat: Catalog, days: int = 6) -> list[str]:
             good = usable_samples(samples, reading, additive, scalar)
             prior = reference_of(model, sum(day_bounds(day)) // 2)
             fit = fit_block(reading, additive, scalar, good, prior)
-            near = Reference(fit.value + _AWAY, prior.sigma)
+            near = ParameterPrior(fit.value + _AWAY, prior.sigma)
             own = timed(lambda: fit_block(reading, additive, scalar, good, near, prior), 9)  # noqa: B023
             slow = timed(lambda: naive(reading[good], additive[good], scalar[good], near.value))  # noqa: B023
             records = [index.days[("l1/fgm", day)], index.days[("l1/ovm", day)]]

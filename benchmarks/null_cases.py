@@ -24,7 +24,7 @@ from inflight.diagnosis import (
     episodes,
     group_by_size,
     make_folds,
-    projected,
+    project_out,
     score,
     steps,
 )
@@ -113,7 +113,7 @@ def score_many(
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         train = total - held
         blocks = _turned(evidence.gram[fold], present, train)
-        train = projected(train, present)
+        train = project_out(train, present)
         loss0[fold] = blocks[:, y, y]
         for positions, columns in group_by_size(candidates):
             half = inverse_square_root(train[columns[:, :, None], columns[:, None, :]])

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.coil_temperature import ROOT, real_data
 from inflight.arrays import Floats
-from inflight.calibration import table_jumps
+from inflight.calibration import table_boundary_steps
 from inflight.catalog import Catalog, Workspace
 from inflight.design import bin_means
 from inflight.effects import time_derivative
@@ -194,7 +194,7 @@ def jumps(record: Record) -> None:
         mean = np.nanmedian(product["field_sensor"].values, axis=0)
         strength = float(np.linalg.norm(mean))
         try:
-            found = table_jumps(table, strength, direction_of(mean[None]))
+            found = table_boundary_steps(table, strength, direction_of(mean[None]))
         except InflightError as error:
             print(f"  windows: {error.message}")
             return

@@ -23,7 +23,16 @@ from benchmarks.ridge import Fold, block_folds, cautious_ridge, least_squares, r
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.mission import Mission, sensors_of
-from inflight.model import Band, Layout, Model, ModelEffect, ResidualRows, filter_rows, make_effect, rows_of
+from inflight.model import (
+    Band,
+    Model,
+    ModelEffect,
+    ResidualDefinition,
+    ResidualRows,
+    filter_rows,
+    make_effect,
+    rows_of,
+)
 from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
 
 ROOT = Path(__file__).parents[1]
@@ -90,7 +99,7 @@ def load(workspace: Path, data: Path | None = None) -> Record:
     mission = Mission.parse((ROOT / "missions" / "magnav-tl.yaml").read_text(encoding="utf-8"))
     cat = Catalog(workspace)
     ingest(cat, mission, data)
-    layout = Layout.of(mission)
+    layout = ResidualDefinition.of(mission)
     model = Model("as delivered", mission.mission, "main", (), layout=layout)
     needs = needs_of(mission, model)
     index = ArchiveIndex.of(cat, needs)

@@ -12,7 +12,7 @@ from .records import (
     TableRecord,
     idempotency_key,
 )
-from .runs import Run, cause_of
+from .runs import Run, failure_cause
 from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
 
@@ -30,7 +30,7 @@ __all__ = [
     "SegmentRow",
     "TableRecord",
     "Workspace",
-    "cause_of",
+    "failure_cause",
     "idempotency_key",
     "shipped_missions",
     "write_segment",

@@ -37,7 +37,7 @@ class PackingSettings:
     value_tolerance: float = 1e-9
 
 
-PACKING = PackingSettings()
+PACKING_SETTINGS = PackingSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
 
 
 def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
-    """Return the encoding as multiples of the resolution; None unless it keeps all values, see `PACKING`."""
+    """Return the encoding as multiples of the resolution; None unless it keeps all values, see `PACKING_SETTINGS`."""
     largest = 0.0
     for piece in pieces:
         finite = piece if np.isfinite(piece).all() else piece[~np.isnan(piece)]
@@ -156,8 +156,8 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
         # Whole numbers of steps are what is stored, whatever their type: as floats they need no copy.
         decoded = _values(_steps(finite, resolution), resolution, None, finite.dtype)
         if not np.array_equal(decoded, finite):
-            error, allowed = np.abs(decoded - finite), PACKING.value_tolerance * np.abs(finite)
-            if np.any((error > PACKING.step_tolerance * resolution) | (error > allowed)):
+            error, allowed = np.abs(decoded - finite), PACKING_SETTINGS.value_tolerance * np.abs(finite)
+            if np.any((error > PACKING_SETTINGS.step_tolerance * resolution) | (error > allowed)):
                 return None
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
     return Encoding(

@@ -100,7 +100,9 @@ class Run:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         state = "done" if error is None else "failed"
-        cause, message = ("", "") if error is None else (cause_of(error), f"{type(error).__name__}: {error}")
+        cause, message = (
+            ("", "") if error is None else (failure_cause(error), f"{type(error).__name__}: {error}")
+        )
         shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
         try:
             with self._database.write() as session:
@@ -360,7 +362,7 @@ class Run:
         return row
 
 
-def cause_of(error: BaseException) -> str:
+def failure_cause(error: BaseException) -> str:
     """Return the catalog's cause of an exception: only failures that can pass are ``transient``."""
     if isinstance(error, InflightError):
         return error.cause

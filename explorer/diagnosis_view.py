@@ -18,12 +18,12 @@ from inflight.figures import (
     candidate_table,
     change_tables,
     error_figure,
-    found_effects,
+    found_effects_html,
     gain_change_figure,
     html_table,
     ledger_table,
     paragraph,
-    separating_blocks,
+    separating_blocks_html,
     short_name,
     unique_labels,
     unscorable_list,
@@ -179,7 +179,11 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
     table = candidate_table(fields["candidates"], {}, rivals)
     unscorable = unscorable_list(fields["unscorable"])
     return [
-        ("Verdict", [_span_and_model(fields), strip, *found_effects(fields), *separating_blocks(fields)], []),
+        (
+            "Verdict",
+            [_span_and_model(fields), strip, *found_effects_html(fields), *separating_blocks_html(fields)],
+            [],
+        ),
         (
             "Candidates",
             [paragraph(_NOTE, kind="quiet"), table, unscorable],

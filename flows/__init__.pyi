@@ -1,5 +1,5 @@
 from .cluster import available_cores, dask_client, lazy_client
-from .launch import plan_span, run_embedded, run_plain
+from .launch import plan_span, run_with_prefect, run_without_prefect
 from .span import DaySpan
 
 __all__ = [
@@ -8,6 +8,6 @@ __all__ = [
     "dask_client",
     "lazy_client",
     "plan_span",
-    "run_embedded",
-    "run_plain",
+    "run_with_prefect",
+    "run_without_prefect",
 ]

@@ -1,8 +1,8 @@
 """Starting a flow, or the plain functions it chains, from the command line and from Python.
 
-`run_embedded` runs a flow with Prefect, quiet and on an embedded server unless the environment names another;
-`run_plain` does the same without Prefect; `plan_span` shows what a backfill would do. Prefect is imported
-inside functions only: it reads its settings from the environment once, on import.
+`run_with_prefect` runs a flow with Prefect, quiet and on an embedded server unless the environment names
+another; `run_without_prefect` does the same without Prefect; `plan_span` shows what a backfill would do.
+Prefect is imported inside functions only: it reads its settings from the environment once, on import.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _EMBEDDED = {
 }
 
 
-def run_embedded(
+def run_with_prefect(
     name: str,
     workspace: Workspace,
     parameters: Mapping[str, Any],
@@ -65,7 +65,7 @@ def run_embedded(
     Parameters
     ----------
     name : str
-        One of `inflight.flows.steps.STEPS`.
+        One of `inflight.flows.steps.STEP_SETTINGS`.
     workspace : Workspace
         Where; the embedded server keeps its home there, too.
     parameters : mapping
@@ -95,7 +95,7 @@ def run_embedded(
             ) from None
 
 
-def run_plain(
+def run_without_prefect(
     name: str,
     workspace: Workspace,
     parameters: Mapping[str, Any],
@@ -105,7 +105,7 @@ def run_plain(
 ) -> RunReport:
     """Do what the flow of this name does, on the same Dask processes, without Prefect.
 
-    Parameters and errors are those of `run_embedded`.
+    Parameters and errors are those of `run_with_prefect`.
     """
     from inflight.flows.steps import STEPS
 

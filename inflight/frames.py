@@ -64,7 +64,7 @@ class GeometrySettings:
     least_projection: float = 0.087
 
 
-GEOMETRY_LIMITS = GeometrySettings()
+GEOMETRY_SETTINGS = GeometrySettings()
 
 
 def days_since_j2000(tt2000: Int64) -> Floats:
@@ -170,7 +170,7 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     vx, vy, vz = np.ascontiguousarray(field.T)
     size = x * x + y * y + z * z + w * w
     with np.errstate(invalid="ignore", divide="ignore"):
-        twice = np.where(size > GEOMETRY_LIMITS.shortest_quaternion**2, 2.0 / size, np.nan)
+        twice = np.where(size > GEOMETRY_SETTINGS.shortest_quaternion**2, 2.0 / size, np.nan)
     # v + 2 w (q x v) + 2 q x (q x v), of a quaternion of any length.
     tx, ty, tz = twice * (y * vz - z * vy), twice * (z * vx - x * vz), twice * (x * vy - y * vx)
     out = np.empty_like(field)
@@ -285,7 +285,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         nec); a vector reading with attribute `orientation`, the quaternion from sensor to
         spacecraft axes (the same axes when absent).
     names : collection of str
-        Of `GEOMETRY`, what to add.
+        Of `GEOMETRY_SETTINGS`, what to add.
 
     Returns
     -------
@@ -400,7 +400,7 @@ class _Place:
 def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     """Return the angles along the orbit from the ascending node, and from the point nearest the Sun; deg."""
     node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
-    node[np.hypot(node[:, 0], node[:, 1]) < GEOMETRY_LIMITS.least_inclination] = (1.0, 0.0, 0.0)
+    node[np.hypot(node[:, 0], node[:, 1]) < GEOMETRY_SETTINGS.least_inclination] = (1.0, 0.0, 0.0)
     ahead = np.cross(normal, node)
 
     def angle(vectors: Floats) -> Floats:
@@ -415,7 +415,7 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
 def _neighbours(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
     """Return the samples on both sides that the orbit's plane comes from, and their longest distance, ns."""
     usual = usual_step(stamps[:2000], SECOND)
-    reach = max(1, round(0.5 * GEOMETRY_LIMITS.plane_step * SECOND / usual))
+    reach = max(1, round(0.5 * GEOMETRY_SETTINGS.plane_step * SECOND / usual))
     return np.maximum(rows - reach, 0), np.minimum(rows + reach, stamps.size - 1), 1.5 * 2 * reach * usual
 
 
@@ -585,7 +585,7 @@ def payload_to_gse(field: Floats, axis: Floats, towards: Floats) -> Floats:
         up = axis / np.linalg.norm(axis, axis=1, keepdims=True)
         across = towards - np.einsum("ta,ta->t", towards, up)[:, None] * up
         size = np.linalg.norm(across, axis=1, keepdims=True)
-        ahead = across / np.where(size > GEOMETRY_LIMITS.least_projection, size, np.nan)
+        ahead = across / np.where(size > GEOMETRY_SETTINGS.least_projection, size, np.nan)
     side = np.cross(up, ahead)
     return np.asarray(field[:, :1] * ahead + field[:, 1:2] * side + field[:, 2:] * up)
 

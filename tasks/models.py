@@ -16,7 +16,7 @@ from inflight.catalog import Catalog, ModelRecord
 from inflight.effects import EffectSource, SpinningSensor, did_you_mean
 from inflight.errors import CatalogError, MissionError, ModelError, SettingsError
 from inflight.mission import Mission, sensors_of
-from inflight.model import Layout, Model, make_effect
+from inflight.model import Model, ResidualDefinition, make_effect
 
 #: Where the text of a model states the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
@@ -100,7 +100,7 @@ def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSou
     Against a scalar sensor the vector sensor's nine parameters are free, in a spin comparison the eight
     that the spin determines, with the effect's own wide priors; else readings are taken as delivered.
     """
-    name, layout = f"{mission.mission}-ideal", Layout.of(mission, comparison)
+    name, layout = f"{mission.mission}-ideal", ResidualDefinition.of(mission, comparison)
     if layout.kind not in _FREE:
         return Model(name, mission.mission, comparison, (), layout=layout, own=own)
     sensors = sensors_of(mission, comparison)

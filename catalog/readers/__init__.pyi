@@ -1,8 +1,8 @@
 from .conformance import Example, ReadOptions, check_reader
-from .days import assemble_day, split_days
+from .day_assembly import assemble_day, split_days
 from .patterns import Delivered, NameSpan, find_files, newest_versions, parse_name
 from .raw import RawTable, read_file, read_times
-from .source import Source, Variable, reading, require_bytes, require_content
+from .source import Source, Variable, read_errors, require_bytes, require_content
 
 __all__ = [
     "Delivered",
@@ -17,9 +17,9 @@ __all__ = [
     "find_files",
     "newest_versions",
     "parse_name",
+    "read_errors",
     "read_file",
     "read_times",
-    "reading",
     "require_bytes",
     "require_content",
     "split_days",

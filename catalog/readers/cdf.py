@@ -11,7 +11,14 @@ from typing import Any, BinaryIO
 import cdflib
 import numpy as np
 
-from inflight.catalog.readers.source import Array, Source, Variable, reading, require_bytes, require_content
+from inflight.catalog.readers.source import (
+    Array,
+    Source,
+    Variable,
+    read_errors,
+    require_bytes,
+    require_content,
+)
 from inflight.catalog.readers.times import from_tt2000
 from inflight.errors import ContentError, ReadError
 from inflight.instruments import Files
@@ -31,7 +38,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a CDF file; see `Source`."""
     require_content(path)
     _require_whole(path)
-    with reading(path):
+    with read_errors(path):
         cdf = cdflib.CDF(path)
         info = cdf.cdf_info()
     names = (*info.zVariables, *info.rVariables)

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.catalog.readers.days import assemble_day, split_days
+from inflight.catalog.readers.day_assembly import assemble_day, split_days
 from inflight.catalog.readers.patterns import NameSpan
 from inflight.catalog.readers.raw import FORMATS, Open, RawTable, read_file, read_times
 from inflight.conformance import Faults

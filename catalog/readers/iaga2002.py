@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, open_text, read_errors, require_content
 from inflight.errors import ReadError
 from inflight.instruments import Files
 
@@ -25,7 +25,7 @@ _LONGEST_HEADER = 500
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open an IAGA-2002 file; its variables are the four columns, named as in its header, and ``time``."""
     require_content(path)
-    with reading(path):
+    with read_errors(path):
         with path.open("rb") as stream:
             packed = stream.read(2) == b"\x1f\x8b"
         names, lines = _header(path, files.encoding)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat
 
-from inflight.catalog.readers.source import Array, Source, Variable, reading, require_content
+from inflight.catalog.readers.source import Array, Source, Variable, read_errors, require_content
 from inflight.errors import ReadError
 from inflight.instruments import Files
 
@@ -24,7 +24,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             raise ReadError(
                 "is a MATLAB 7.3 file, which is HDF5", remedy="use 'reader: netcdf'", file=str(path)
             )
-    with reading(path):
+    with read_errors(path):
         arrays: dict[str, Array] = {}
         for name, value in loadmat(path).items():
             if not name.startswith("__"):

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from scipy.io import netcdf_file
 
-from inflight.catalog.readers.source import Array, Source, Variable, reading, require_content
+from inflight.catalog.readers.source import Array, Source, Variable, read_errors, require_content
 from inflight.catalog.readers.times import from_cf, is_cf_unit
 from inflight.instruments import Files
 
@@ -26,7 +26,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     require_content(path)
     with path.open("rb") as stream:
         classic = stream.read(3) == b"CDF"
-    with reading(path):
+    with read_errors(path):
         handle: Any = netcdf_file(path, "r", mmap=False) if classic else h5py.File(path, "r")
     arrays: dict[str, Any] = {}
 
@@ -35,7 +35,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             arrays[name] = item
 
     try:
-        with reading(path):
+        with read_errors(path):
             if classic:
                 arrays.update(handle.variables)
             else:

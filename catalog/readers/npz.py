@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inflight.catalog.readers.source import Source, Variable, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, read_errors, require_content
 from inflight.instruments import Files
 
 
@@ -16,7 +16,7 @@ from inflight.instruments import Files
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open an .npz file; its variables are its arrays."""
     require_content(path)
-    with reading(path):
+    with read_errors(path):
         archive = np.load(path, allow_pickle=False)
         names = tuple(archive.files)
     with archive:

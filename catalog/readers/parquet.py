@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from inflight.catalog.readers.source import Source, Variable, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, read_errors, require_content
 from inflight.instruments import Files
 from inflight.time import to_tt2000
 
@@ -19,7 +19,7 @@ from inflight.time import to_tt2000
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a Parquet file; a list column is one variable of shape (row, item)."""
     require_content(path)
-    with reading(path):
+    with read_errors(path):
         table = pq.ParquetFile(path)
 
     def read(name: str) -> Variable:

@@ -85,12 +85,12 @@ class Source:
                 file=str(self.path),
                 channel=channel,
             )
-        with reading(self.path, channel):
+        with read_errors(self.path, channel):
             return self.get(name)
 
 
 @contextmanager
-def reading(path: Path, channel: str = "") -> Iterator[None]:
+def read_errors(path: Path, channel: str = "") -> Iterator[None]:
     """Turn what a format library raises on a damaged file into a `ReadError` that names the file."""
     try:
         yield

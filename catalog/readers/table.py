@@ -11,7 +11,7 @@ from typing import Any, TextIO
 import numpy as np
 import pandas as pd
 
-from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
+from inflight.catalog.readers.source import Source, Variable, open_text, read_errors, require_content
 from inflight.errors import ContentError
 from inflight.instruments import Files
 
@@ -20,7 +20,7 @@ from inflight.instruments import Files
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a text table; its variables are the columns. Time columns given as text stay text."""
     require_content(path)
-    with reading(path), open_text(path, files.encoding) as stream:
+    with read_errors(path), open_text(path, files.encoding) as stream:
         table = _table(stream, files, path)
     table.columns = [str(name).strip() for name in table.columns]
 

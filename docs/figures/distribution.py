@@ -7,14 +7,14 @@ from bokeh.plotting import figure
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.calibration import Distribution
+from inflight.calibration import ResidualCorrection
 from inflight.figures import AFTER, BEFORE, HIGHLIGHT, REFERENCE, legend_below, plain_figure
 
 #: Points drawn, and samples of a segment of the spectrum.
 _POINTS, _SEGMENT = 1200, 4096
 
 
-def distribution_figure(found: Distribution, hours: Floats) -> figure:
+def distribution_figure(found: ResidualCorrection, hours: Floats) -> figure:
     """Draw the slow part that was distributed and extremes of what is left, in bins; edges are red.
 
     Parameters
@@ -44,7 +44,7 @@ def distribution_figure(found: Distribution, hours: Floats) -> figure:
     return plot
 
 
-def left_spectrum_figure(found: Distribution) -> figure:
+def left_spectrum_figure(found: ResidualCorrection) -> figure:
     """Draw the amplitude density of the residual before and after, and the period of the filter."""
     plot = plain_figure(
         "Residual before and after", "period (s)", "nT / sqrt(Hz)", x_axis_type="log", y_axis_type="log"

@@ -22,7 +22,7 @@ from inflight.figures import (
 )
 from inflight.scorecard.zero_level_studies import PUBLISHED, OffsetSets, ScatterWithHours
 from inflight.time import DAY
-from inflight.zero_level import AXES, KINDS, CombinedEstimate, IntervalKinds
+from inflight.zero_level import AXES, KIND_SETTINGS, CombinedEstimate, IntervalKinds
 
 #: Distance of an axis' mark from the method's place.
 _APART = 0.18
@@ -59,7 +59,7 @@ def kinds_figure(kinds: IntervalKinds) -> figure:
     for chosen, colour, label in parts:
         x, y = kinds.compression[chosen], kinds.rotation[chosen]
         plot.scatter(x, y, color=colour, size=5, alpha=0.7, legend_label=label)
-    for limit in (KINDS.alfvenic, KINDS.compressional):
+    for limit in (KIND_SETTINGS.alfvenic, KIND_SETTINGS.compressional):
         plot.add_layout(Span(location=limit, dimension="height", line_color=REFERENCE, line_dash="dashed"))
     legend_below(plot)
     return plot

@@ -32,7 +32,7 @@ from inflight.tasks.pipelines import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     TextLine,
     Versions,
     newest_table,
@@ -82,7 +82,7 @@ class GainPipeline(Pipeline):
         }
         return xr.Dataset(made), {"used": int(ratio.size)}
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the tables of days, of windows and of the span; products take the one that is asked for."""
         keep, ordered = self.table_stager(work, days), sorted(days)
         read = [work.cat.read(days[day]) for day in ordered]
@@ -124,7 +124,7 @@ class GainPipeline(Pipeline):
         }
         return product, report
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the residual of the planned days, from the reports of their products."""
         return {"residual": residual_of_days(work) if solved else {}}
 

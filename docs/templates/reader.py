@@ -16,7 +16,7 @@ from inflight.catalog.readers import (
     Source,
     Variable,
     check_reader,
-    reading,
+    read_errors,
     require_content,
 )
 from inflight.errors import ReadError
@@ -32,7 +32,7 @@ def open_source(path, files):
     """Open a file of the format; its variables are ``time``, ``x``, ``y``, ``z`` (nT) and ``temperature``."""
     require_content(path)
     # What a library raises on a damaged file becomes a ReadError that names the file.
-    with reading(path):
+    with read_errors(path):
         rows = [line.split() for line in path.read_text(encoding=files.encoding).splitlines()]
     if not rows or any(len(row) != len(NAMES) for row in rows):
         raise ReadError(

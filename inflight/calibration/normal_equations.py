@@ -23,10 +23,10 @@ from inflight.arrays import Floats
 from inflight.calibration.scalar import (
     PARAMETER_SCALE,
     PARAMETER_UNITS,
-    SCALAR,
+    SCALAR_SETTINGS,
     BlockFit,
-    Reference,
-    kernel_parameters,
+    ParameterPrior,
+    matrix_parameters,
     score_scatter,
 )
 from inflight.effects import AXES
@@ -34,7 +34,7 @@ from inflight.errors import CalibrationError
 from inflight.frames import direction_of
 from inflight.lsq import (
     RESIDUAL,
-    SOLVER,
+    SOLVER_SETTINGS,
     GramArrays,
     Solution,
     arrays_of,
@@ -64,7 +64,7 @@ class RobustRowSettings:
     wide: float = 1e4
 
 
-ROBUST_ROWS = RobustRowSettings()
+ROBUST_ROW_SETTINGS = RobustRowSettings()
 
 
 #: A function of time: from TT2000 nanoseconds (block,) to numbers (block,).
@@ -99,7 +99,7 @@ class NormalEquations(GramArrays):
 
     @classmethod
     def from_fit(
-        cls, fit: BlockFit, reference: Reference, span: tuple[int, int], attributes: Mapping[str, Any]
+        cls, fit: BlockFit, reference: ParameterPrior, span: tuple[int, int], attributes: Mapping[str, Any]
     ) -> NormalEquations:
         """Make the equations of one block from its fit."""
         width = len(PARAMETER_SCALE) + 1
@@ -114,7 +114,7 @@ class NormalEquations(GramArrays):
             reference=np.append(reference.value, 0.0)[None],
             linearised_at=np.append(fit.linearised_at, 0.0)[None],
             scatter=scatter[None],
-            sub_blocks=SCALAR.sub_blocks,
+            sub_blocks=SCALAR_SETTINGS.sub_blocks,
             attributes=attributes,
         )
 
@@ -245,9 +245,9 @@ def _one_block(
 IDEAL_SENSOR = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 3)
 
 #: Names of the nine columns, in order, and their units.
-NINE = tuple(Reference(IDEAL_SENSOR, np.zeros(9)).columns)
+NINE_PARAMETER_NAMES = tuple(ParameterPrior(IDEAL_SENSOR, np.zeros(9)).columns)
 
-NINE_UNITS = dict(zip(NINE, PARAMETER_UNITS, strict=True))
+NINE_PARAMETER_UNITS = dict(zip(NINE_PARAMETER_NAMES, PARAMETER_UNITS, strict=True))
 
 
 def nine_columns(field: Floats, value: Floats = IDEAL_SENSOR) -> dict[str, Floats]:
@@ -268,7 +268,7 @@ def nine_columns(field: Floats, value: Floats = IDEAL_SENSOR) -> dict[str, Float
     dict of str to ndarray, shape (time,)
         nT per 1, per deg and per nT.
     """
-    k = kernel_parameters(value)
+    k = matrix_parameters(value)
     matrix = np.array([[k[0], k[3], k[4]], [0.0, k[1], k[5]], [0.0, 0.0, k[2]]])
     reading = np.linalg.solve(matrix, field.T)
     x, y, z = direction_of(field).T
@@ -276,7 +276,7 @@ def nine_columns(field: Floats, value: Floats = IDEAL_SENSOR) -> dict[str, Float
     scale = [x * reading[0], y * reading[1], z * reading[2]]
     angles = [x * reading[1] * slope[0], x * reading[2] * slope[1], y * reading[2] * slope[2]]
     offsets = list(-matrix.T @ np.stack([x, y, z]))
-    return dict(zip(NINE, [*scale, *angles, *offsets], strict=True))
+    return dict(zip(NINE_PARAMETER_NAMES, [*scale, *angles, *offsets], strict=True))
 
 
 def field_columns(
@@ -334,7 +334,12 @@ def block_equations(
         When fewer rows are usable than there are columns.
     """
     names = [*columns, RESIDUAL]
-    scale = np.array([PARAMETER_SCALE[NINE.index(name)] if name in NINE else 1.0 for name in names])
+    scale = np.array(
+        [
+            PARAMETER_SCALE[NINE_PARAMETER_NAMES.index(name)] if name in NINE_PARAMETER_NAMES else 1.0
+            for name in names
+        ]
+    )
     rows = np.column_stack([*columns.values(), residual]) * scale
     given = np.ones(len(rows)) if good is None else np.asarray(good, dtype=np.float64)
     use = np.isfinite(rows).all(axis=1) & (given > 0)
@@ -347,18 +352,18 @@ def block_equations(
     if robust:
         # Tukey's weights about the rows' own fit.
         found = np.ones(len(rows))
-        for _ in range(ROBUST_ROWS.passes):
+        for _ in range(ROBUST_ROW_SETTINGS.passes):
             gram = (rows * (weight * found)[:, None]).T @ rows
-            change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER.weak_cut)
+            change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER_SETTINGS.weak_cut)
             residual_at_fit = rows[:, -1] + rows[:, :-1] @ change
             found = biweight(residual_at_fit / robust_sigma(residual_at_fit, floor=1e-9))
         weight = weight * found
-    parts = np.array_split(rows * np.sqrt(weight)[:, None], min(SCALAR.sub_blocks, len(rows)))
+    parts = np.array_split(rows * np.sqrt(weight)[:, None], min(SCALAR_SETTINGS.sub_blocks, len(rows)))
     grams = np.array([part.T @ part for part in parts])
     total = grams.sum(axis=0)
-    change = -solve_scaled(total[:-1, :-1], total[:-1, -1], SOLVER.weak_cut)
+    change = -solve_scaled(total[:-1, :-1], total[:-1, -1], SOLVER_SETTINGS.weak_cut)
     scatter = np.zeros_like(total)
-    scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, ROBUST_ROWS.wide))
+    scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, ROBUST_ROW_SETTINGS.wide))
     reference = np.zeros((1, len(names)))
     return _one_block(
         names,

@@ -21,7 +21,7 @@ import xarray as xr
 from scipy import interpolate, linalg, special
 
 from inflight.arrays import Floats
-from inflight.calibration.scalar import Reference, sensor_reading, usable_samples
+from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
 from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
@@ -59,7 +59,7 @@ class ClosureSettings:
     edge: float = 2.0
 
 
-CLOSURE = ClosureSettings()
+CLOSURE_SETTINGS = ClosureSettings()
 
 
 #: Period at which the filter passes half of the amplitude, s.
@@ -67,7 +67,7 @@ FILTER_PERIOD_S = 80.0
 
 
 @dataclass(frozen=True)
-class Distribution:
+class ResidualCorrection:
     """The last term of a product and what it removes.
 
     Attributes
@@ -142,7 +142,7 @@ def distribute_residual(
     tt2000: Int64,
     good: np.ndarray | None = None,
     period: float = FILTER_PERIOD_S,
-) -> Distribution:
+) -> ResidualCorrection:
     """Return the term that distributes the slow part of the residual along the field.
 
     The filter minimises ``sum w (dB - dB')^2 + lambda sum (third difference of dB')^2``: zero phase, no
@@ -171,35 +171,35 @@ def distribute_residual(
     cadence = usual_step(tt2000, 0) / SECOND
     if step.size == 0 or np.any(step <= 0):
         raise SamplesError("stamps do not rise", remedy="align the samples first")
-    if period < CLOSURE.fewest_samples * cadence:
+    if period < CLOSURE_SETTINGS.fewest_samples * cadence:
         raise SamplesError(
             f"samples every {cadence:g} s have no low-pass at {period:g} s",
-            remedy=f"use a period of at least {CLOSURE.fewest_samples * cadence:g} s",
+            remedy=f"use a period of at least {CLOSURE_SETTINGS.fewest_samples * cadence:g} s",
         )
     use = np.isfinite(residual) & (True if good is None else good)
     slow, sigma = np.full(residual.size, np.nan), np.full(residual.size, np.nan)
     edge = np.zeros(residual.size, dtype=bool)
     place = np.rint((tt2000 - tt2000[0]) / (cadence * SECOND)).astype(np.int64)
     index = np.flatnonzero(use)
-    gaps = np.flatnonzero(np.diff(place[index]) > CLOSURE.gap * period / cadence)
+    gaps = np.flatnonzero(np.diff(place[index]) > CLOSURE_SETTINGS.gap * period / cadence)
     for stretch in np.split(index, gaps + 1) if index.size else ():
         first, last = int(stretch[0]), int(stretch[-1])
-        if (place[last] - place[first]) * cadence < CLOSURE.shortest * period:
+        if (place[last] - place[first]) * cadence < CLOSURE_SETTINGS.shortest * period:
             continue
         span = slice(first, last + 1)
         slow[span], sigma[span] = _low_pass(place[span], residual[span], use[span], period / cadence)
         near = np.minimum(place[span] - place[first], place[last] - place[span]) * cadence
-        edge[span] = near < CLOSURE.edge * period
+        edge[span] = near < CLOSURE_SETTINGS.edge * period
     strength = np.linalg.norm(field, axis=1)
     valid = np.isfinite(slow) & np.isfinite(strength) & (strength > 0)
     share = np.divide(slow, strength, out=np.zeros_like(slow), where=valid)
     correction = np.where(valid[:, None], share[:, None] * np.nan_to_num(field), 0.0)
-    return Distribution(correction, slow, sigma, residual - slow, edge, valid, period, cadence)
+    return ResidualCorrection(correction, slow, sigma, residual - slow, edge, valid, period, cadence)
 
 
 def _low_pass(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:
     """Return the slow part of a stretch and its standard deviation; (time,). `period` is in steps."""
-    bins = max(1, int(period // CLOSURE.most_samples))
+    bins = max(1, int(period // CLOSURE_SETTINGS.most_samples))
     count = int(place[-1] - place[0]) // bins + 1
     cell = (place - place[0]) // bins
     weight = np.bincount(cell[use], minlength=count).astype(np.float64)
@@ -227,7 +227,7 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
     full : float
         Weight of a step without a gap.
     """
-    order, size = CLOSURE.order, weight.size
+    order, size = CLOSURE_SETTINGS.order, weight.size
     stiffness = full / (2.0 * np.sin(np.pi / period)) ** (2 * order)
     stencil = (-1.0) ** np.arange(order + 1) * special.binom(order, np.arange(order + 1))
     band = np.zeros((order + 1, size))
@@ -425,7 +425,7 @@ def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag
     return np.asarray(flag | lost.astype(np.uint32), dtype=np.uint32)
 
 
-def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> DayParameters:
+def day_parameters(table: xr.Dataset, tt2000: int, reference: ParameterPrior) -> DayParameters:
     """Return the nine parameters of a calibration table at an instant.
 
     The noise is that of the interval, or the median of the others' where its own data do not determine it.

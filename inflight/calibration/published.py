@@ -20,14 +20,14 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, ModelError
-from inflight.lsq import SOLVER
+from inflight.lsq import SOLVER_SETTINGS
 
 
 def _least_squares(rows: Floats, right: Floats) -> Floats:
     """Solve scaled least squares; a singular system is an error, not an invented number."""
     scale = np.linalg.norm(rows, axis=0)
     found, _, _, singular = np.linalg.lstsq(rows / scale, right, rcond=None)
-    if singular[-1] < SOLVER.singular * singular[0]:
+    if singular[-1] < SOLVER_SETTINGS.singular * singular[0]:
         raise CalibrationError(
             "the directions of the field do not determine nine parameters",
             remedy="use the fit with priors, which says what is determined",

@@ -25,9 +25,9 @@ from inflight.effects import VectorSensor, with_field
 from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE
 from inflight.lsq import (
+    BIWEIGHT_RMS_FACTOR,
     BIWEIGHT_WIDTH,
-    SOLVER,
-    WEIGHTED_RMS,
+    SOLVER_SETTINGS,
     Solution,
     bartlett_kernel,
     posterior,
@@ -98,10 +98,10 @@ class ScalarSettings:
     scale_samples: int = 10_000
 
 
-SCALAR = ScalarSettings()
+SCALAR_SETTINGS = ScalarSettings()
 
 #: A plain number for the compiled loops.
-_ROWS = SCALAR.rows
+_ROWS = SCALAR_SETTINGS.rows
 
 
 #: Columns: nine parameters and the residual.
@@ -261,7 +261,7 @@ PARAMETER_UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
 
 
 @dataclass(frozen=True)
-class Reference:
+class ParameterPrior:
     """Where the fit starts and what is known beforehand, physical units; shape (9,) each."""
 
     value: Floats
@@ -296,7 +296,7 @@ def vector_sensor_of(model: Model) -> ModelEffect:
     return found[0]
 
 
-def reference_of(model: Model, tt2000: int) -> Reference:
+def reference_of(model: Model, tt2000: int) -> ParameterPrior:
     """Return values and prior sigmas of the nine parameters at a time; those no block fits get sigma 0.
 
     A parameter that is free but constant, or a function of time, is refined over the whole span (see
@@ -320,7 +320,7 @@ def reference_of(model: Model, tt2000: int) -> Reference:
     sigma = np.concatenate(
         [part.sigma[:, 0] if is_own else np.zeros(3) for part, is_own in zip(timed, own, strict=True)]
     )
-    return Reference(value, sigma, entry.name)
+    return ParameterPrior(value, sigma, entry.name)
 
 
 def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floats]:
@@ -383,7 +383,7 @@ def usable_samples(
     return np.asarray(good & finite & (scalar > 0))
 
 
-def kernel_parameters(value: Floats) -> Floats:
+def matrix_parameters(value: Floats) -> Floats:
     """Return the kernel's parameters (9,) of physical ones (9,): angles in degrees become entries of K."""
     return np.concatenate([value[:3], np.cos(np.deg2rad(value[3:6])), value[6:]])
 
@@ -408,7 +408,7 @@ def linearisation_error(value: Floats, reference: Floats, strength: float) -> fl
     strength : float
         Field strength, nT.
     """
-    change = kernel_parameters(value) - kernel_parameters(reference)
+    change = matrix_parameters(value) - matrix_parameters(reference)
     change[:3] -= change[:3].mean()
     across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
     return across**2 / (2.0 * strength)
@@ -462,7 +462,13 @@ class BlockFit:
 
 def sub_block_count(seconds: float) -> int:
     """Return into how many sub-blocks so many seconds of used samples are cut: one for 20 minutes."""
-    return int(np.clip(seconds / SCALAR.sub_block_s, SCALAR.fewest_sub_blocks, SCALAR.sub_blocks))
+    return int(
+        np.clip(
+            seconds / SCALAR_SETTINGS.sub_block_s,
+            SCALAR_SETTINGS.fewest_sub_blocks,
+            SCALAR_SETTINGS.sub_blocks,
+        )
+    )
 
 
 def fit_block(
@@ -470,9 +476,9 @@ def fit_block(
     additive: Floats,
     scalar: Floats,
     good: npt.NDArray[np.bool_],
-    reference: Reference,
-    prior: Reference | None = None,
-    sub_blocks: int = SCALAR.sub_blocks,
+    reference: ParameterPrior,
+    prior: ParameterPrior | None = None,
+    sub_blocks: int = SCALAR_SETTINGS.sub_blocks,
 ) -> BlockFit:
     """Fit nine parameters to one block.
 
@@ -503,13 +509,15 @@ def fit_block(
     data = _Data.of(reading, additive, scalar, good, sub_blocks)
     value, passes = reference.value, 0
     for part in (data.thinned(), data):
-        for step in range(SCALAR.most_passes):
-            least = SOLVER.min_information * SCALAR.edge_rise ** max(0, step - SCALAR.edge_pass)
+        for step in range(SCALAR_SETTINGS.most_passes):
+            least = SOLVER_SETTINGS.min_information * SCALAR_SETTINGS.edge_rise ** max(
+                0, step - SCALAR_SETTINGS.edge_pass
+            )
             found = _gauss_newton_pass(part, value, prior, passes > 0, least)
             before, value, passes = value, found.value, passes + 1
-            largest = SCALAR.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
+            largest = SCALAR_SETTINGS.settled * np.maximum(found.sigma, 1e-12 * PARAMETER_SCALE)
             settled = passes > 1 and np.all(np.abs(value - before) <= largest)
-            if settled and linearisation_error(value, before, data.strength) <= SCALAR.nonlinear_nT:
+            if settled and linearisation_error(value, before, data.strength) <= SCALAR_SETTINGS.nonlinear_nT:
                 break
         else:
             raise CalibrationError(
@@ -518,7 +526,7 @@ def fit_block(
     return _block_fit(found, data, reference, prior, used, passes)
 
 
-def empty_block(reference: Reference, prior: Reference) -> BlockFit:
+def empty_block(reference: ParameterPrior, prior: ParameterPrior) -> BlockFit:
     """Return the fit of a block without data: every parameter stays at its prior, and the sums are 0."""
     nan, parameters = float("nan"), prior.value.size
     gram, scatter = np.zeros((parameters + 1, parameters + 1)), np.zeros((parameters, parameters))
@@ -565,23 +573,23 @@ class _Data:
 
     def thinned(self) -> _Data:
         """Every eighth sample of a long block: it brings the fit near its end at an eighth of the cost."""
-        if self.f.size < SCALAR.long:
+        if self.f.size < SCALAR_SETTINGS.long:
             return self
-        s = self.s[:: SCALAR.thin] if self.s.shape[0] > 1 else self.s
-        e, f = self.e[:: SCALAR.thin], self.f[:: SCALAR.thin]
+        s = self.s[:: SCALAR_SETTINGS.thin] if self.s.shape[0] > 1 else self.s
+        e, f = self.e[:: SCALAR_SETTINGS.thin], self.f[:: SCALAR_SETTINGS.thin]
         return _Data(
             np.ascontiguousarray(e),
             np.ascontiguousarray(s),
             np.ascontiguousarray(f),
-            -(-self.edges // SCALAR.thin),
+            -(-self.edges // SCALAR_SETTINGS.thin),
             self.strength,
         )
 
     def sigma(self, value: Floats) -> float:
         """Robust standard deviation of the residual, from some evenly spread samples; nT."""
-        step = max(1, self.f.size // SCALAR.scale_samples)
+        step = max(1, self.f.size // SCALAR_SETTINGS.scale_samples)
         s = self.s[::step] if self.s.shape[0] > 1 else self.s
-        residual = residuals(kernel_parameters(value), self.e[::step], s, self.f[::step])
+        residual = residuals(matrix_parameters(value), self.e[::step], s, self.f[::step])
         return robust_sigma(residual, floor=1e-6)
 
 
@@ -598,7 +606,9 @@ class _Pass:
     sigma_residual: float
 
 
-def _gauss_newton_pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: float) -> _Pass:
+def _gauss_newton_pass(
+    data: _Data, value: Floats, prior: ParameterPrior, weighted: bool, edge: float
+) -> _Pass:
     """Make one pass.
 
     The step is lengthened by `bread`, the ratio of the weights to their slope: weights follow the
@@ -606,7 +616,7 @@ def _gauss_newton_pass(data: _Data, value: Floats, prior: Reference, weighted: b
     """
     sigma = data.sigma(value) if weighted else float("inf")
     blocks, count, slopes = grams(
-        kernel_parameters(value),
+        matrix_parameters(value),
         data.e,
         data.s,
         data.f,
@@ -618,7 +628,7 @@ def _gauss_newton_pass(data: _Data, value: Floats, prior: Reference, weighted: b
     gram = blocks.sum(axis=0)
     centre, spread = (prior.value - value) / PARAMETER_SCALE, prior.sigma / PARAMETER_SCALE
     step, covariance, least = posterior(gram, count, centre, spread)
-    if least < SCALAR.plain:
+    if least < SCALAR_SETTINGS.plain:
         # Weak directions need their true weight, or the iteration moves along them without end.
         solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread, edge)
         step, covariance, bread = solution.value, solution.covariance, 1.0
@@ -635,7 +645,7 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
     """
     matrices = blocks[:, :-1, :-1]
     scores = blocks[:, :-1, -1] + matrices @ change
-    kernel = bartlett_kernel(len(blocks), SCALAR.bartlett)
+    kernel = bartlett_kernel(len(blocks), SCALAR_SETTINGS.bartlett)
     scatter = scores.T @ kernel @ scores
     total = matrices.sum(axis=0)
     covariance = posterior_covariance(total, prior_sigma)
@@ -649,7 +659,7 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
 
 
 def _block_fit(
-    found: _Pass, data: _Data, reference: Reference, prior: Reference, used: int, passes: int
+    found: _Pass, data: _Data, reference: ParameterPrior, prior: ParameterPrior, used: int, passes: int
 ) -> BlockFit:
     """Solve the last pass with the scatter of its scores; express its equations at the reference."""
     gram = found.blocks.sum(axis=0)
@@ -663,14 +673,14 @@ def _block_fit(
     # others move far along what they do not determine, and need a common one.
     determined = bool(np.all(solution.determined | (prior.sigma <= 0)))
     error = linearisation_error(value, reference.value, data.strength)
-    if determined or error <= SCALAR.nonlinear_nT:
+    if determined or error <= SCALAR_SETTINGS.nonlinear_nT:
         gram = shift_reference(gram, (reference.value - found.here) / PARAMETER_SCALE)
         linearised_at = found.here
     else:
         # With the weights of the last pass.
-        r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
+        r = residuals(matrix_parameters(found.here), data.e, data.s, data.f)
         root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
-        theta, scale = kernel_parameters(reference.value), kernel_scale(reference.value)
+        theta, scale = matrix_parameters(reference.value), kernel_scale(reference.value)
         gram = np.asarray(gram_at(theta, data.e, data.s, data.f, root, scale))
         linearised_at = reference.value
     covariance = solution.covariance * np.outer(PARAMETER_SCALE, PARAMETER_SCALE)
@@ -686,6 +696,6 @@ def _block_fit(
         used,
         found.sigma_residual,
         before=float(np.sqrt(gram[-1, -1] / found.count)),
-        after=float(np.sqrt(solution.variance)) / WEIGHTED_RMS,
+        after=float(np.sqrt(solution.variance)) / BIWEIGHT_RMS_FACTOR,
         passes=passes,
     )

@@ -14,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.scalar import PARAMETER_GROUPS, PARAMETER_UNITS, Reference
+from inflight.calibration.scalar import PARAMETER_GROUPS, PARAMETER_UNITS, ParameterPrior
 from inflight.errors import CalibrationError
 from inflight.lsq import Solution
 from inflight.time import Int64
 
 #: Where a value comes from: codes of the variable `source`.
-SOURCES = ("prior", "combination", "data")
+VALUE_ORIGINS = ("prior", "combination", "data")
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Interval:
 
 
 def calibration_table(
-    rows: Sequence[Interval], reference: Reference, attributes: dict[str, str]
+    rows: Sequence[Interval], reference: ParameterPrior, attributes: dict[str, str]
 ) -> xr.Dataset:
     """Return the table of several intervals.
 
@@ -48,7 +48,7 @@ def calibration_table(
     xarray.Dataset
         dims interval, parameter, other: `value`, `sigma`, `covariance`, `prior`, `prior_sigma` in
         the units of `units` (parameter); `determined` (bool), `retained`, `source` (codes of
-        `SOURCES`): *prior* never moved, *combination* moved only as part of a combination that the
+        `VALUE_ORIGINS`): *prior* never moved, *combination* moved only as part of a combination that the
         data determine, *data* determined by itself; `start`, `end` TT2000; `count`, `before`,
         `after` (nT rms), `directions` (number of combinations determined), `inflation`.
     """
@@ -74,7 +74,7 @@ def calibration_table(
             "source": (
                 each,
                 np.where(determined, 2, np.where(moved, 1, 0)).astype(np.int8),
-                {"flag_meanings": " ".join(SOURCES)},
+                {"flag_meanings": " ".join(VALUE_ORIGINS)},
             ),
             "prior": ("parameter", reference.value),
             "prior_sigma": ("parameter", reference.sigma),
@@ -120,7 +120,7 @@ _AXES = ("x", "y", "z"), ("xy", "xz", "yz"), ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class Jumps:
+class BoundarySteps:
     """Steps of the calibrated field at boundaries between intervals; nT.
 
     Attributes
@@ -162,7 +162,9 @@ def sphere() -> tuple[Floats, Floats]:
     return np.concatenate([axes, corners]), np.repeat([1 / 15, 3 / 40], [6, 8])
 
 
-def table_jumps(table: xr.Dataset, strength: float = STRENGTH, directions: Floats | None = None) -> Jumps:
+def table_boundary_steps(
+    table: xr.Dataset, strength: float = STRENGTH, directions: Floats | None = None
+) -> BoundarySteps:
     """Return the steps at the boundaries of a table of nine parameters.
 
     Parameters
@@ -195,7 +197,7 @@ def table_jumps(table: xr.Dataset, strength: float = STRENGTH, directions: Float
         covariance = np.einsum("ti,ij->tij", own**2, np.eye(9))
     variance = np.einsum("i,tij,j->t", slope, covariance, slope)
     sigma = np.sqrt(variance[1:] + variance[:-1])
-    return Jumps(np.asarray(table["start"].values[1:], dtype=np.int64), mean, rms, sigma, strength)
+    return BoundarySteps(np.asarray(table["start"].values[1:], dtype=np.int64), mean, rms, sigma, strength)
 
 
 def trend_jumps(
@@ -203,7 +205,7 @@ def trend_jumps(
     boundaries: Int64,
     strength: float = STRENGTH,
     directions: Floats | None = None,
-) -> Jumps:
+) -> BoundarySteps:
     """Return the steps of continuous parameters: from one nanosecond before each boundary to it.
 
     Parameters
@@ -212,7 +214,7 @@ def trend_jumps(
         From TT2000 (time,) to nine parameters (time, 9): scale factors, angles (deg), offsets (nT).
     """
     mean, rms = _steps(at(boundaries - 1), at(boundaries), strength, directions)
-    return Jumps(boundaries, mean, rms, np.zeros(boundaries.size), strength)
+    return BoundarySteps(boundaries, mean, rms, np.zeros(boundaries.size), strength)
 
 
 def nine_columns(names: list[str]) -> list[int]:

@@ -8,16 +8,16 @@ from typing import Annotated
 import typer
 
 from inflight import __version__
-from inflight.cli import catalog, diagnose, figures, models, pipeline, results, start
+from inflight.cli import catalog, diagnose, figures, models, processing, results, start
 from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, WorkspaceOption, verb
 
 #: Verbs in the order that ``--help`` shows them.
 VERBS = (
     start.new,
     start.simulate,
-    pipeline.ingest,
-    pipeline.reprocess,
-    pipeline.backfill,
+    processing.ingest,
+    processing.reprocess,
+    processing.backfill,
     results.compare,
     results.release,
     results.chain,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, text_table, verb
-from inflight.cli.pipeline import EndOption, StartOption
+from inflight.cli.processing import EndOption, StartOption
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, text_table
-from inflight.cli.pipeline import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
+from inflight.cli.processing import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:

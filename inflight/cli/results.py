@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command
-from inflight.cli.pipeline import (
+from inflight.cli.processing import (
     ComparisonOption,
     EndOption,
     NoPrefectOption,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command
-from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
+from inflight.cli.processing import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span, print_comparison
 from inflight.errors import SettingsError
 from inflight.tasks import Progress, RunReport, print_report

@@ -1,5 +1,5 @@
 from .columns import (
-    BURSTS,
+    BURST_SETTINGS,
     SENSOR_EQUATIONS,
     DesignRows,
     OutlierReport,
@@ -14,7 +14,7 @@ from .columns import (
 from .terms import Candidate, ChannelSummary, Library, Term, term_of, within_span
 
 __all__ = [
-    "BURSTS",
+    "BURST_SETTINGS",
     "SENSOR_EQUATIONS",
     "Candidate",
     "ChannelSummary",

@@ -227,8 +227,8 @@ class BinSettings:
     bridged: int = 10
 
 
-BURSTS = BurstSettings()
-BINS = BinSettings()
+BURST_SETTINGS = BurstSettings()
+BIN_SETTINGS = BinSettings()
 
 
 class Burst(NamedTuple):
@@ -266,7 +266,7 @@ class OutlierReport:
         """Return the outliers of blocks' reports, in order of time."""
         samples = sum(int(one["burst_samples"]) for one in reports)
         good = sum(float(one["count"]) for one in reports)
-        first = [burst for one in reports for burst in one["bursts"]][: BURSTS.named]
+        first = [burst for one in reports for burst in one["bursts"]][: BURST_SETTINGS.named]
         return cls(
             sum(int(one["spikes"]) for one in reports),
             samples,
@@ -301,16 +301,18 @@ def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) 
     usable : ndarray of bool, shape (time,)
     """
     place = np.flatnonzero(usable)
-    if place.size < BURSTS.fewest:
+    if place.size < BURST_SETTINGS.fewest:
         return []
     size = _second_differences(residual[place], stamps[place])
-    local = np.stack([median_filter(row, size=BURSTS.around, mode="nearest") for row in size.T], axis=1)
+    local = np.stack(
+        [median_filter(row, size=BURST_SETTINGS.around, mode="nearest") for row in size.T], axis=1
+    )
     usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
     times = (local / usual).max(axis=1)
-    deviating = np.asarray((size > BURSTS.deviation * usual).any(axis=1))
+    deviating = np.asarray((size > BURST_SETTINGS.deviation * usual).any(axis=1))
     return [
         Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
-        for first, last in _runs_around(times > BURSTS.scatter, deviating, stamps[place])
+        for first, last in _runs_around(times > BURST_SETTINGS.scatter, deviating, stamps[place])
     ]
 
 
@@ -321,7 +323,7 @@ def _second_differences(values: Floats, stamps: Int64) -> Floats:
     off = values[1:-1] - (1.0 - part) * values[:-2] - part * values[2:]
     out = np.abs(off) / np.sqrt(1.0 + part**2 + (1.0 - part) ** 2)
     # Across a gap the line has no meaning.
-    wide = np.diff(seconds) > BURSTS.around * np.median(np.diff(seconds))
+    wide = np.diff(seconds) > BURST_SETTINGS.around * np.median(np.diff(seconds))
     out[wide[1:] | wide[:-1]] = 0.0
     return np.asarray(np.pad(out, ((1, 1), (0, 0)), mode="edge"))
 
@@ -334,12 +336,17 @@ def _runs_around(
         return []
     core = np.flatnonzero(far)
     step = float(np.median(np.diff(stamps)))
-    apart = (np.diff(core) > 2 * BURSTS.around) | (np.diff(stamps[core]) > 2 * BURSTS.around * step)
+    apart = (np.diff(core) > 2 * BURST_SETTINGS.around) | (
+        np.diff(stamps[core]) > 2 * BURST_SETTINGS.around * step
+    )
     out = []
     for group in np.split(core, np.flatnonzero(apart) + 1):
-        low, high = max(int(group[0]) - BURSTS.around, 0), min(int(group[-1]) + BURSTS.around + 1, far.size)
+        low, high = (
+            max(int(group[0]) - BURST_SETTINGS.around, 0),
+            min(int(group[-1]) + BURST_SETTINGS.around + 1, far.size),
+        )
         near = np.abs(stamps[low:high] - stamps[group[0]]) <= stamps[group[-1]] - stamps[group[0]] + (
-            BURSTS.around * step
+            BURST_SETTINGS.around * step
         )
         inside = low + np.flatnonzero(deviating[low:high] & near)
         if inside.size:
@@ -393,8 +400,8 @@ def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, s
         fluctuation = _fourth_differences(values, stamps, rows.good)
         there, usual = _median_square(fluctuation[inside]), _median_square(fluctuation[quiet])
         sizes.append(max(there - usual, 0.0))
-        active &= there > BURSTS.active**2 * usual
-    return active and BURSTS.scatter**2 * min(sizes[:-1]) > sizes[-1]
+        active &= there > BURST_SETTINGS.active**2 * usual
+    return active and BURST_SETTINGS.scatter**2 * min(sizes[:-1]) > sizes[-1]
 
 
 def _fourth_differences(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
@@ -436,7 +443,7 @@ def _follows_channel(
     for values in channels.values():
         change = np.linalg.norm(np.diff(values.reshape(len(values), -1), axis=0), axis=1)
         change = np.where(np.isfinite(change), change, 0.0)
-        least = max(BURSTS.scatter * float(np.sqrt(np.mean(change[quiet] ** 2))), 1e-300)
+        least = max(BURST_SETTINGS.scatter * float(np.sqrt(np.mean(change[quiet] ** 2))), 1e-300)
         through = change[inside].max() if short else float(np.median(change[inside]))
         if through > least or min(change[at].max(initial=0.0) for at in ends) > least:
             return True
@@ -451,7 +458,7 @@ def burst_report(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.b
         "burst_count": len(found),
         "bursts": [
             [int(stamps[one.first]), int(stamps[one.last - 1]), count, round(one.times_usual, 1)]
-            for one, count in zip(found[: BURSTS.listed], samples, strict=False)
+            for one, count in zip(found[: BURST_SETTINGS.listed], samples, strict=False)
         ],
     }
 
@@ -486,7 +493,7 @@ def find_spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     The measure is local, so that no effect, however large, is taken for an outlier, nor an hour of large
     fluctuations for a series of them.
     """
-    if len(residual) < BINS.neighbours:
+    if len(residual) < BIN_SETTINGS.neighbours:
         return np.zeros(len(residual), dtype=bool)
     filled = np.where(np.isfinite(residual), residual, 0.0)
     known = np.asarray(np.isfinite(residual).all(axis=1))
@@ -498,15 +505,15 @@ def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_
 
     On a slope every sample is the median of its neighbours: there the noise is that of second differences.
     """
-    off = np.abs(row - median_filter(row, size=BINS.neighbours, mode="nearest"))
+    off = np.abs(row - median_filter(row, size=BIN_SETTINGS.neighbours, mode="nearest"))
     second = np.zeros(row.size)
     second[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
     sigma = np.full(row.size, 1e-6)
     for size in (off, second):
         usual = np.median(size[known]) if known.any() else 1.0
-        around = median_filter(size, size=min(BINS.around, row.size), mode="nearest")
+        around = median_filter(size, size=min(BIN_SETTINGS.around, row.size), mode="nearest")
         sigma = np.maximum(sigma, MAD_TO_SIGMA * np.maximum(usual, around))
-    return np.asarray(off > BINS.spike * sigma)
+    return np.asarray(off > BIN_SETTINGS.spike * sigma)
 
 
 def bin_channel(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
@@ -537,7 +544,10 @@ def bridge_gaps(values: Floats) -> Floats:
     after = np.clip(np.searchsorted(own, place), 0, own.size - 1)
     before = np.clip(after - 1, 0, None)
     short = (
-        ~known & (own[after] > place) & (own[before] < place) & (own[after] - own[before] <= BINS.bridged + 1)
+        ~known
+        & (own[after] > place)
+        & (own[before] < place)
+        & (own[after] - own[before] <= BIN_SETTINGS.bridged + 1)
     )
     for column in flat.T:
         column[short] = np.interp(place[short], own, column[own])
@@ -584,7 +594,7 @@ def coarsen(
     good = usable & ~out
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
-    weight = np.where(count >= BINS.fewest * usual, np.minimum(count / usual, 1.0), 0.0)
+    weight = np.where(count >= BIN_SETTINGS.fewest * usual, np.minimum(count / usual, 1.0), 0.0)
     if "weight" in samples:
         of_samples = np.asarray(samples["weight"].values, dtype=np.float64)
         weight = np.where(weight > 0, weight * bin_means(of_samples, stamps, edges, good)[0], 0.0)

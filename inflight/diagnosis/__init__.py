@@ -3,7 +3,7 @@
 Takes the Gram blocks of a pass over the archive (`inflight.tasks.analysis.gram_pass` makes them), the
 library of candidates and the coarse series; makes a `Diagnosis`: effects with values and errors, rivals,
 what remains, one sentence. All of it is algebra on the Gram blocks; no sample is read again. Open
-``verdict.py`` first: `conclude` is the whole walk.
+``verdict.py`` first: `run_search` is the whole walk.
 
 The walk, step by step, with the file of each:
 
@@ -28,8 +28,8 @@ The walk, step by step, with the file of each:
    of the residual before and after, what remains (a line, a band, structure), and the sentence.
 
 Not in the walk: ``additions.py`` and ``requests.py`` put an effect into the model and fit everything
-jointly, for ``inflight add``, ``drop`` and ``undo``; ``views.py`` makes the numbers that the figures of a
-finished search show.
+jointly, for ``inflight add``, ``drop`` and ``undo``; ``figure_data.py`` makes the numbers that the figures of
+a finished search show.
 """
 
 import lazy_loader

@@ -42,7 +42,7 @@ class BankSettings:
     placebo_lags: tuple[float, ...] = (0.0, 240.0)
 
 
-BANK = BankSettings()
+BANK_SETTINGS = BankSettings()
 
 #: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
 THERMAL = frozenset({"temperature", "other", "voltage"})
@@ -198,7 +198,7 @@ def _add_forms(
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
-        for lag in BANK.lags if lone not in library.unlagged else (0.0,):
+        for lag in BANK_SETTINGS.lags if lone not in library.unlagged else (0.0,):
             made = _effect_or_none(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
@@ -229,7 +229,7 @@ def _add_plays(
     if plain is None:
         return
     direct = term_of(plain, f"channel_field({given['channel']})")
-    for part in BANK.widths:
+    for part in BANK_SETTINGS.widths:
         width = float(f"{part * spread:.3g}")
         made = _effect_or_none(given | {"width": width}, mission, model)
         if made is not None:
@@ -244,7 +244,7 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
     sensors = _sensors(kind, mission, model)
     for name in shifts:
         channel, number = name.split("~")
-        for lag in BANK.placebo_lags if channel not in library.unlagged else (0.0,):
+        for lag in BANK_SETTINGS.placebo_lags if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
             entry = _effect_or_none(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model

@@ -41,7 +41,7 @@ from inflight.diagnosis.residual import (
     model_columns,
     remaining_residual,
 )
-from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, projected
+from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out
 from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, Search
 from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
@@ -162,10 +162,10 @@ class InteractionSettings:
     most_rows: int = 400_000
 
 
-LAG = LagSettings()
-WIDTH = WidthSettings()
-CHANGE_TIME = ChangeTimeSettings()
-INTERACTIONS = InteractionSettings()
+LAG_SETTINGS = LagSettings()
+WIDTH_SETTINGS = WidthSettings()
+CHANGE_TIME_SETTINGS = ChangeTimeSettings()
+INTERACTION_SETTINGS = InteractionSettings()
 
 #: Angles: a field may follow them, but no product with them means anything.
 ANGLES = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
@@ -212,7 +212,7 @@ def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     if float(hac_t((loss(0.0) - loss(best))[:, None])[0]) < search.rules.t:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
         return search, plain[0] if plain else option
-    if abs(best - option.lag_s) <= LAG.near * best:
+    if abs(best - option.lag_s) <= LAG_SETTINGS.near * best:
         return search, option
     return _with_term(search, data, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
 
@@ -221,9 +221,9 @@ def _best_lag(
     search: Search, data: DiagnosisData, loss: Callable[[float], Floats]
 ) -> tuple[float, float | None]:
     """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
-    lags = np.geomspace(LAG.shortest * data.series.step_s, LAG.longest, LAG.tried)
-    best = _minimise(lags, loss, LAG.bracket)
-    near = best * np.array([LAG.spread, 1.0, 1.0 / LAG.spread])
+    lags = np.geomspace(LAG_SETTINGS.shortest * data.series.step_s, LAG_SETTINGS.longest, LAG_SETTINGS.tried)
+    best = _minimise(lags, loss, LAG_SETTINGS.bracket)
+    near = best * np.array([LAG_SETTINGS.spread, 1.0, 1.0 / LAG_SETTINGS.spread])
     each = np.stack([loss(float(one)) for one in near])
     total = each.sum(axis=1)
     folds = make_folds(each.shape[1])
@@ -269,7 +269,7 @@ def _with_slow_factor(
         return trials.loss([term(lag, f"{option.mechanism}@trial")])
 
     best, sigma = _best_lag(search, data, loss)
-    if old and abs(best - old) <= LAG.near * old:
+    if old and abs(best - old) <= LAG_SETTINGS.near * old:
         return search, now
     before, after = trials.loss([source]), loss(best)
     gained = before - after
@@ -293,8 +293,10 @@ def _with_width(search: Search, data: DiagnosisData, option: Option) -> Refined:
     trials = FormTrials(search, data, option)
     source = search.library.terms[option.terms[-1]]
     direct = [search.library.terms[option.terms[0]]] if len(option.terms) > 1 else []
-    low, high = np.nanquantile(data.series[option.channels[0]], WIDTH.quantiles)
-    widths = np.geomspace(WIDTH.narrowest, WIDTH.widest, WIDTH.tried) * float(high - low)
+    low, high = np.nanquantile(data.series[option.channels[0]], WIDTH_SETTINGS.quantiles)
+    widths = np.geomspace(WIDTH_SETTINGS.narrowest, WIDTH_SETTINGS.widest, WIDTH_SETTINGS.tried) * float(
+        high - low
+    )
 
     def term(width: float, key: str) -> Term:
         return similar_term(data, source, key, {"width": width}, ("play",))
@@ -302,10 +304,11 @@ def _with_width(search: Search, data: DiagnosisData, option: Option) -> Refined:
     def loss(width: float, others: list[Term]) -> Floats:
         return trials.loss([*others, term(width, f"{option.mechanism}@trial")])
 
-    alone = _minimise(widths, lambda width: loss(width, []), WIDTH.bracket)
-    width = _minimise(widths, lambda width: loss(width, direct), WIDTH.bracket) if direct else alone
+    alone = _minimise(widths, lambda width: loss(width, []), WIDTH_SETTINGS.bracket)
+    width = _minimise(widths, lambda width: loss(width, direct), WIDTH_SETTINGS.bracket) if direct else alone
     needed = (
-        bool(direct) and float(hac_t((loss(alone, []) - loss(width, direct))[:, None])[0]) > WIDTH.needed_t
+        bool(direct)
+        and float(hac_t((loss(alone, []) - loss(width, direct))[:, None])[0]) > WIDTH_SETTINGS.needed_t
     )
     width = width if needed else alone
     key = f"{option.mechanism}@width={width:g}"
@@ -462,7 +465,7 @@ def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> R
         return search, option
     at, sigma = _change_times(search, data, option, columns)
     moved = max(abs(new - old) for new, old in zip(at, change.at, strict=True))
-    if option.terms and moved <= max(CHANGE_TIME.near * sigma, data.series.step_s * SECOND):
+    if option.terms and moved <= max(CHANGE_TIME_SETTINGS.near * sigma, data.series.step_s * SECOND):
         return search, option
     made = _every_kind(search, at, round(sigma))
     terms = []
@@ -543,9 +546,9 @@ def _change_times(
     correlated_rows = 2.0 * correlation_s(series, residual) / series.step_s
     noise = float(np.mean(residual[used] ** 2)) * max(correlated_rows, 1.0)
     windows = [_window(search, option, place) for place in range(len(at))]
-    unit = "datetime64[s]" if series.step_s >= CHANGE_TIME.coarse_s else "datetime64[ms]"
+    unit = "datetime64[s]" if series.step_s >= CHANGE_TIME_SETTINGS.coarse_s else "datetime64[ms]"
     sigma = 0.0
-    for _ in range(CHANGE_TIME.iterations):
+    for _ in range(CHANGE_TIME_SETTINGS.iterations):
         inside = within_span(series.tt2000, at) & (series["weight"] > 0)
         if not inside.any():
             break
@@ -649,7 +652,7 @@ def add_interactions(
 
 def can_add_columns(search: Search, data: DiagnosisData) -> bool:
     """Return True when columns can still be made: of long records the days' own equations are gone."""
-    return search.shared.within is None and len(data.series.tt2000) <= INTERACTIONS.most_rows
+    return search.shared.within is None and len(data.series.tt2000) <= INTERACTION_SETTINGS.most_rows
 
 
 def _channel_pairs(
@@ -662,7 +665,7 @@ def _channel_pairs(
         values = series[name]
         known = values[np.isfinite(values)] if values.ndim == 1 and name not in ANGLES else np.zeros(0)
         # A product with a constant is the other channel alone.
-        if known.size and np.std(known) > INTERACTIONS.steady * np.abs(known).mean():
+        if known.size and np.std(known) > INTERACTION_SETTINGS.steady * np.abs(known).mean():
             scalars.append(name)
     taken = [name for option in search.accepted for name in option.channels if name in scalars]
     pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
@@ -671,7 +674,7 @@ def _channel_pairs(
     first: dict[frozenset[str], tuple[str, str]] = {}
     for pair in pairs:
         first.setdefault(frozenset(pair), pair)
-    return list(first.values())[: INTERACTIONS.pairs]
+    return list(first.values())[: INTERACTION_SETTINGS.pairs]
 
 
 def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
@@ -684,10 +687,10 @@ def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[Sco
             if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
                 continue
             name = option.channels[0]
-            if data.series[name].ndim == 1 and scores.t[place] > INTERACTIONS.own_t:
+            if data.series[name].ndim == 1 and scores.t[place] > INTERACTION_SETTINGS.own_t:
                 gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
     scalars = [name for name in gains if data.series[name].ndim == 1]
-    return sorted(sorted(scalars), key=lambda name: -gains[name])[: INTERACTIONS.channels]
+    return sorted(sorted(scalars), key=lambda name: -gains[name])[: INTERACTION_SETTINGS.channels]
 
 
 def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
@@ -772,11 +775,11 @@ def _border(
 
 @lru_cache(maxsize=4096)
 def _lag_weights(lag: float, bank: tuple[float, ...]) -> tuple[float, ...]:
-    omega = np.geomspace(LAG.slowest, LAG.fastest, LAG.frequencies)
+    omega = np.geomspace(LAG_SETTINGS.slowest, LAG_SETTINGS.fastest, LAG_SETTINGS.frequencies)
     known = 1.0 / (1.0 + 1j * omega[:, None] * np.asarray(bank)[None, :])
     target = 1.0 / (1.0 + 1j * omega * lag)
     rows = np.concatenate([known.real, known.imag]), np.concatenate([target.real, target.imag])
-    return tuple(np.linalg.lstsq(rows[0], rows[1], rcond=LAG.cutoff)[0].tolist())
+    return tuple(np.linalg.lstsq(rows[0], rows[1], rcond=LAG_SETTINGS.cutoff)[0].tolist())
 
 
 def lag_weights(lag: float, bank: Sequence[float]) -> Floats:
@@ -848,13 +851,18 @@ def profile_lag(
     lags = np.array(sorted(bank))
     largest = float(lags[-1])
     smallest = float(lags[lags > 0][0]) if np.any(lags > 0) else 1.0
-    grid = np.concatenate([[0.0], np.geomspace(smallest * LAG.lower, LAG.upper * largest, LAG.profile)])
+    grid = np.concatenate(
+        [
+            [0.0],
+            np.geomspace(smallest * LAG_SETTINGS.lower, LAG_SETTINGS.upper * largest, LAG_SETTINGS.profile),
+        ]
+    )
     columns = np.concatenate([bank[lag] for lag in lags])
     size = len(bank[lags[0]])
     mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
 
     def explained(gram: Floats) -> Floats:
-        remaining = projected(gram, present)
+        remaining = project_out(gram, present)
         own = remaining[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
         cross = remaining[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
@@ -866,7 +874,7 @@ def profile_lag(
     others = [_peak(grid, explained(total - held)) for held in grams.sums(folds)]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
-    base = float(projected(total, present)[y, y])
+    base = float(project_out(total, present)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
 
 

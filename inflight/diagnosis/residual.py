@@ -79,11 +79,11 @@ class BlockSettings:
     finest: int = 8
 
 
-STRUCTURE = StructureSettings()
-BLOCKS = BlockSettings()
+STRUCTURE_SETTINGS = StructureSettings()
+BLOCK_SETTINGS = BlockSettings()
 
 #: Lags of the residual's covariance.
-LAGS = STRUCTURE.lags
+LAGS = STRUCTURE_SETTINGS.lags
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,12 @@ class Structure:
 
     def is_large(self, noise: float) -> bool:
         """Return True when it is large enough to matter next to noise of this size, nT."""
-        return self.rms_nT > STRUCTURE.part * noise
+        return self.rms_nT > STRUCTURE_SETTINGS.part * noise
 
     @property
     def is_sure(self) -> bool:
         """True when it is significant."""
-        return self.t > STRUCTURE.t
+        return self.t > STRUCTURE_SETTINGS.t
 
 
 def structure_of(series: Series, residual: Floats) -> Structure:
@@ -118,7 +118,7 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     blocks = int(series.block.max()) + 1 if series.block.size else 0
     total, count = np.zeros(blocks), np.zeros(blocks)
     # Within a synthetic turn neighbours have its shape in common: structure goes on from turn to turn.
-    for lag in range(series.turn_rows, series.turn_rows * (STRUCTURE.lags + 1), series.turn_rows):
+    for lag in range(series.turn_rows, series.turn_rows * (STRUCTURE_SETTINGS.lags + 1), series.turn_rows):
         both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
         value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
         shared = np.sqrt(weight[lag:] * weight[:-lag])[both]
@@ -149,7 +149,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
         Of the native samples, nothing taken off.
     """
     good = series["weight"] > 0
-    if samples > STRUCTURE.every * good.sum() or series.turn_rows > 1:
+    if samples > STRUCTURE_SETTINGS.every * good.sum() or series.turn_rows > 1:
         return floor
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
@@ -322,7 +322,7 @@ def unknown_rows(series: Series, part: ChannelFactor) -> np.ndarray | None:
         return None
     if part.lag_s:
         forgotten = slow_response(lost.astype(np.float64), np.diff(series.tt2000) / SECOND, part.lag_s)
-        lost = forgotten > BLOCKS.forgotten
+        lost = forgotten > BLOCK_SETTINGS.forgotten
     if part.width:
         slow = replace(part, width=0.0, text="").of(series[part.channel], np.diff(series.tt2000) / SECOND)
         lost = _unsettled(lost, slow, part.width)
@@ -503,8 +503,8 @@ def dominant_blocks(grams: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
-    most = int(np.searchsorted(np.cumsum(square[order]), BLOCKS.nearly_all * whole)) + 1
-    if most > BLOCKS.few:
+    most = int(np.searchsorted(np.cumsum(square[order]), BLOCK_SETTINGS.nearly_all * whole)) + 1
+    if most > BLOCK_SETTINGS.few:
         return []
     return [
         {
@@ -524,12 +524,12 @@ def correlation_s(series: Series, residual: Floats) -> float:
     if size <= 0:
         return series.step_s
     total, lag = 0.5, 1
-    while lag < min(len(y) // 4, BLOCKS.longest):
+    while lag < min(len(y) // 4, BLOCK_SETTINGS.longest):
         both = good[lag:] & good[:-lag]
         value = float(np.sum(y[lag:] * y[:-lag])) / max(both.sum(), 1) / size
-        if value <= BLOCKS.least_correlation:
+        if value <= BLOCK_SETTINGS.least_correlation:
             break
-        step = max(1, lag // BLOCKS.finest)
+        step = max(1, lag // BLOCK_SETTINGS.finest)
         total += value * step
         lag += step
     return total * series.step_s

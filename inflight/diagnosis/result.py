@@ -212,7 +212,7 @@ class SentenceSettings:
     missing: float = 0.01
 
 
-SENTENCE = SentenceSettings()
+SENTENCE_SETTINGS = SentenceSettings()
 
 #: Mechanisms that are mentioned when the data could not have shown them.
 MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
@@ -236,7 +236,7 @@ def sentence(facts: Mapping[str, Any]) -> str:
             smallest = min(effect.rms_nT for effect in facts["effects"])
             switches = facts["signature"] is not None and facts["signature"].switchings
             # As much structure remains as a large part of the smallest effect taken.
-            if not switches and residual.get("structure_nT", 0.0) > SENTENCE.large_part * smallest:
+            if not switches and residual.get("structure_nT", 0.0) > SENTENCE_SETTINGS.large_part * smallest:
                 text += " The effects taken may stand in for the one cause that is missing."
         return text + _gap_text(residual.get("uncorrected", ())) + bursts
     # Whole mechanisms that these data cannot show, whether they are there or not.
@@ -255,7 +255,7 @@ def sentence(facts: Mapping[str, Any]) -> str:
 def _noise_text(residual: Mapping[str, float]) -> str:
     floor = residual["noise_floor_nT"]
     more = residual["held_out_after_nT"] ** 2 - floor**2
-    if more > (SENTENCE.large_part * floor) ** 2:
+    if more > (SENTENCE_SETTINGS.large_part * floor) ** 2:
         return (
             f"Nothing is left that has structure, and yet {more**0.5:.3g} nT rms beyond the white level: "
             "wild readings, or something faster than the search"
@@ -284,8 +284,8 @@ def _span_text(blocks: Sequence[Mapping[str, Any]]) -> str:
             spans[-1][1] = one["end"]
         else:
             spans.append([one["start"], one["end"]])
-    texts = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE.spans]]
-    return "; ".join(texts) + ("; ..." if len(spans) > SENTENCE.spans else "")
+    texts = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE_SETTINGS.spans]]
+    return "; ".join(texts) + ("; ..." if len(spans) > SENTENCE_SETTINGS.spans else "")
 
 
 def _minute(utc: str) -> str:
@@ -311,7 +311,7 @@ def _gap_text(channels: Sequence[Mapping[str, Any]]) -> str:
     parts = [
         f"{_percent(one['part'])} for want of {one['channel']}"
         for one in channels
-        if one["part"] >= SENTENCE.missing
+        if one["part"] >= SENTENCE_SETTINGS.missing
     ]
     if not parts:
         return ""
@@ -334,7 +334,7 @@ def _effect_text(effect: FoundEffect) -> str:
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
     if effect.rivals:
-        text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE.rivals])}"
+        text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE_SETTINGS.rivals])}"
     return text
 
 
@@ -370,7 +370,7 @@ def _axes_text(signature: Signature) -> str:
     others = [
         name
         for name, (size, sigma) in signature.amplitudes.items()
-        if name != main and size > SENTENCE.sigmas * sigma > 0
+        if name != main and size > SENTENCE_SETTINGS.sigmas * sigma > 0
     ]
     sizes = {name: signature.amplitudes[name][0] for name in others}
     sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
@@ -387,7 +387,7 @@ def _shape_text(signature: Signature) -> str:
     steps = [
         f"{size:+.3g} nT on {name}"
         for name, (size, sigma) in sorted(signature.steps.items(), key=lambda one: one[0] != signature.axis)
-        if name == signature.axis or abs(size) > SENTENCE.sigmas * sigma > 0
+        if name == signature.axis or abs(size) > SENTENCE_SETTINGS.sigmas * sigma > 0
     ]
     return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
 

@@ -44,7 +44,7 @@ class ScoringSettings:
     units: int = 120
 
 
-SCORING = ScoringSettings()
+SCORING_SETTINGS = ScoringSettings()
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ def append_changes(
     return out, out_ratios
 
 
-def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds) -> list[Index]:
+def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING_SETTINGS.folds) -> list[Index]:
     """Return the blocks of each fold: contiguous runs, or every k-th for effects bound to a time."""
     count = max(2, min(most, blocks))
     if interleaved:
@@ -272,7 +272,7 @@ def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray
     """Return in which blocks the calibration leaves anything of each candidate; (block, candidate)."""
     own = grams.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
-    lively = own > SCORING.quiet * peak
+    lively = own > SCORING_SETTINGS.quiet * peak
     return (
         np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
         if candidates
@@ -290,7 +290,7 @@ def group_by_size(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     return out
 
 
-def projected(gram: Floats, present: ModelColumns) -> Floats:
+def project_out(gram: Floats, present: ModelColumns) -> Floats:
     """Return the Gram matrix of what the model's columns leave of all others."""
     if not present.columns.size:
         return gram
@@ -301,7 +301,7 @@ def fit(
     grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = projected(grams.total, present)
+    gram = project_out(grams.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in group_by_size(candidates):
@@ -429,7 +429,9 @@ def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
 
 def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
     """Return random signs (draw, unit) and the blocks of each unit."""
-    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, SCORING.units))
+    units: list[Index] = np.array_split(
+        np.arange(blocks, dtype=np.int64), min(blocks, SCORING_SETTINGS.units)
+    )
     signs = np.random.default_rng(seed).integers(0, 2, (draws, len(units))) * 2.0 - 1.0
     return np.asarray(signs, dtype=np.float64), units
 
@@ -445,7 +447,7 @@ def sign_flip_ratios(
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
     scores = block_scores(grams, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = projected(grams.total, present)
+    gram = project_out(grams.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):

@@ -30,7 +30,7 @@ from inflight.diagnosis.scoring import (
     family_wise_p,
     fit,
     make_folds,
-    projected,
+    project_out,
     score,
     sign_flip_ratios,
 )
@@ -127,7 +127,7 @@ class VisibilitySettings:
     own_part: float = 0.05
 
 
-VISIBILITY = VisibilitySettings()
+VISIBILITY_SETTINGS = VisibilitySettings()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -798,7 +798,7 @@ def is_visible(
     base: Index,
     usual: Floats,
     variance: float,
-    settings: VisibilitySettings = VISIBILITY,
+    settings: VisibilitySettings = VISIBILITY_SETTINGS,
 ) -> bool:
     """Return True when an effect of its usual size would stand out of what the calibration leaves.
 
@@ -833,7 +833,7 @@ def is_visible_change(
     gamma: Floats,
     y: int,
     variance: float,
-    settings: VisibilitySettings = VISIBILITY,
+    settings: VisibilitySettings = VISIBILITY_SETTINGS,
 ) -> bool:
     """Return True when a change of a known size takes off of the residual what it should.
 
@@ -846,14 +846,17 @@ def is_visible_change(
     variance : float
         Of a row, nT^2.
     """
-    remaining = projected(grams.total, present)
+    remaining = project_out(grams.total, present)
     expected = float(gamma @ remaining[np.ix_(columns, columns)] @ gamma)
     gained = -2.0 * float(gamma @ remaining[columns, y]) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 
 def intervals_around(
-    grams: GramBlocks, intervals: Groups, at: Sequence[int], settings: VisibilitySettings = VISIBILITY
+    grams: GramBlocks,
+    intervals: Groups,
+    at: Sequence[int],
+    settings: VisibilitySettings = VISIBILITY_SETTINGS,
 ) -> list[list[int]]:
     """Return calibration intervals no edge of which is near some times.
 

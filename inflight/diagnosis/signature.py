@@ -20,9 +20,9 @@ from inflight.diagnosis.residual import LAGS, DiagnosisData, Structure
 from inflight.diagnosis.result import Signature
 from inflight.diagnosis.series import Series
 from inflight.residual import (
-    SPECTRA,
+    SPECTRUM_SETTINGS,
     Line,
-    Power,
+    SpectrumSum,
     Waveform,
     known_periods,
     mean_density,
@@ -76,7 +76,7 @@ class SignatureSettings:
     around: float = 1.1
 
 
-SIGNATURES = SignatureSettings()
+SIGNATURE_SETTINGS = SignatureSettings()
 
 
 def periods_of(data: DiagnosisData) -> dict[str, float]:
@@ -102,7 +102,7 @@ def _own_period(series: Series) -> float | None:
     """Return the period with which the field turns in the sensor, s: the orbit's, or the spin's."""
     direction = series.direction()[:, 0]
     good = (series["weight"] > 0) & np.isfinite(direction).all(axis=1)
-    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < SIGNATURES.turning:
+    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < SIGNATURE_SETTINGS.turning:
         return None
     even = np.where(good[:, None], direction - direction[good].mean(axis=0), 0.0)
     power = (np.abs(np.fft.rfft(even, 4 * len(even), axis=0)) ** 2).sum(axis=1)
@@ -112,7 +112,7 @@ def _own_period(series: Series) -> float | None:
 
 def residual_lines(
     series: Series, residual: Floats, known: dict[str, float]
-) -> tuple[Power | None, list[Line]]:
+) -> tuple[SpectrumSum | None, list[Line]]:
     """Return the spectrum of a residual (sample, row) of the series, and the lines in it.
 
     Returns
@@ -124,7 +124,7 @@ def residual_lines(
     """
     if series.turn_rows > 1:
         return None, []
-    settings = replace(SPECTRA, shortest_s=SIGNATURES.least_samples * series.step_s)
+    settings = replace(SPECTRUM_SETTINGS, shortest_s=SIGNATURE_SETTINGS.least_samples * series.step_s)
     record = (series.tt2000 - series.tt2000[0]) / SECOND, *_measured(series, residual)
     return record_lines(record, series.step_s, known, settings=settings)
 
@@ -156,7 +156,7 @@ def line_signature(data: DiagnosisData, residual: Floats) -> Signature | None:
     good = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
     seconds = (series.tt2000[good] - series.tt2000[good][0]) / SECOND
     found = waveform_of(seconds, y[good], u[good], 1.0 / line.period_s, power.step)
-    return signature_of(found) if found.part >= SIGNATURES.least_part else None
+    return signature_of(found) if found.part >= SIGNATURE_SETTINGS.least_part else None
 
 
 def signature_of(found: Waveform) -> Signature:
@@ -210,7 +210,7 @@ def fast_part(
         # A synthetic turn has no time between its rows.
         return None
     square = residual_nT**2 - floor_nT**2 - structure.rms_nT**2
-    if not square > max(SIGNATURES.more * structure.rms_nT, SIGNATURES.part * floor_nT) ** 2:
+    if not square > max(SIGNATURE_SETTINGS.more * structure.rms_nT, SIGNATURE_SETTINGS.part * floor_nT) ** 2:
         return None
     missing = float(np.sqrt(square))
     return Fast(missing, LAGS * series.step_s, _band(series, residual, missing))
@@ -218,7 +218,7 @@ def fast_part(
 
 def _band(series: Series, residual: Floats, missing: float) -> tuple[float, float] | None:
     """Return the shortest and longest period of the one band that holds most of what is missing, s."""
-    rule = SIGNATURES
+    rule = SIGNATURE_SETTINGS
     values = np.where(series["weight"][:, None] > 0, residual, np.nan)
     grid = on_grid((series.tt2000 - series.tt2000[0]) / SECOND, values, series.step_s)
     frequency, density, stretches = mean_density(grid, series.step_s, rule.length)
@@ -246,5 +246,5 @@ def is_unknown_band(data: DiagnosisData, fast: Fast) -> bool:
         return False
     short, long = fast.periods_s
     known = [period for name, period in periods_of(data).items() if "/" not in name]
-    around = SIGNATURES.around
+    around = SIGNATURE_SETTINGS.around
     return not any(short / around <= period <= long * around for period in known)

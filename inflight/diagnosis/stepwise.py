@@ -21,7 +21,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
-from inflight.diagnosis.scoring import ModelColumns, fit, projected
+from inflight.diagnosis.scoring import ModelColumns, fit, project_out
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import (
     GramBlocks,
@@ -88,8 +88,8 @@ class FewBlockSettings:
     options: int = 6
 
 
-SELECTION = SelectionSettings()
-FEW_BLOCKS = FewBlockSettings()
+SELECTION_SETTINGS = SelectionSettings()
+FEW_BLOCK_SETTINGS = FewBlockSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,7 @@ def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats,
     blocks = grams.rows(p, np.append(p, y))
     scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
-    meat = bartlett_covariance(scores, SELECTION.bartlett)
+    meat = bartlett_covariance(scores, SELECTION_SETTINGS.bartlett)
     free = max(count - p.size / 3.0, 2.0)
     remaining = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
     white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
@@ -146,7 +146,7 @@ def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
-    rest = projected(grams.total, search.present(form, option))
+    rest = project_out(grams.total, search.present(form, option))
     kept = float(own @ rest[np.ix_(columns, columns)] @ own)
     # Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
     # moves by one kelvin.
@@ -274,12 +274,12 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
         return False
     grams = search.forms[form]
     own, wide = grams.index(option.columns), grams.index(rival.columns)
-    rest = projected(grams.total, search.present(form, option))
+    rest = project_out(grams.total, search.present(form, option))
     gamma, _ = fit(grams, search.present(form, option), [own], search.y(form))
     shared = rest[np.ix_(wide, own)] @ gamma[0]
     half = inverse_square_root(rest[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ rest[np.ix_(own, own)] @ gamma[0])
-    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
+    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION_SETTINGS.contained * whole
 
 
 def place_in(table: ScoreTable, option: Option) -> int | None:
@@ -329,8 +329,8 @@ def check_rivals(
         ):
             continue
         if (
-            scores.t[other] < SELECTION.rival_own_t
-            or scores.gain[other] < SELECTION.rival_gain * scores.gain[place]
+            scores.t[other] < SELECTION_SETTINGS.rival_own_t
+            or scores.gain[other] < SELECTION_SETTINGS.rival_gain * scores.gain[place]
         ):
             continue
         behind = scores.t_worse_than(other, place)
@@ -393,8 +393,9 @@ def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: O
     if option.mechanism not in {one.mechanism for one in search.accepted}:
         search = search.with_banned(option.mechanism)
     # A wide form can hold what is left of several causes and, for a small gain, take them over.
-    if gain < SELECTION.large_gain and any(
-        before.get(one, 0.0) >= SELECTION.weak > estimate(search, one).retained for one in search.accepted
+    if gain < SELECTION_SETTINGS.large_gain and any(
+        before.get(one, 0.0) >= SELECTION_SETTINGS.weak > estimate(search, one).retained
+        for one in search.accepted
     ):
         search = search.with_accepted(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
         return search.with_round("undo", option, **numbers)
@@ -489,9 +490,9 @@ def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[in
     named = [
         place
         for place in places
-        if not table.options[place].agnostic and gain[place] > SELECTION.part_of_best * best
+        if not table.options[place].agnostic and gain[place] > SELECTION_SETTINGS.part_of_best * best
     ]
-    few = [place for place in named if len(table.options[place].columns) <= SELECTION.few_columns]
+    few = [place for place in named if len(table.options[place].columns) <= SELECTION_SETTINGS.few_columns]
     return few or named or places
 
 
@@ -525,7 +526,7 @@ def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, lis
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
     tables: dict[str, ScoreTable] = {}
-    for _ in range(SELECTION.exchanges):
+    for _ in range(SELECTION_SETTINGS.exchanges):
         tables = {}
         for option in search.accepted:
             tables[option.name] = search.table(without=option)
@@ -593,7 +594,7 @@ def few_block_test(search: Search, data: DiagnosisData, table: ScoreTable) -> Sc
         return table
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
-    for place in places[: FEW_BLOCKS.options]:
+    for place in places[: FEW_BLOCK_SETTINGS.options]:
         p[place] = min(p[place], tried * _few_block_p(search, data, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
@@ -617,7 +618,7 @@ def _few_block_p(search: Search, data: DiagnosisData, option: Option) -> float:
     correlation = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
-    length = max(FEW_BLOCKS.correlation_times * correlation, FEW_BLOCKS.rows * series.step_s)
+    length = max(FEW_BLOCK_SETTINGS.correlation_times * correlation, FEW_BLOCK_SETTINGS.rows * series.step_s)
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)

@@ -53,7 +53,7 @@ class ChangeSettings:
     rounding: float = 1e-12
 
 
-CHANGES = ChangeSettings()
+CHANGE_SETTINGS = ChangeSettings()
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def steps(grams: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
     blocks = len(grams)
-    places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
+    places = np.linspace(1, blocks - 1, min(CHANGE_SETTINGS.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
     edges = [int(place) for place in np.unique(places.round())]
     starts = [*grams.start.tolist(), int(grams.end[-1])]
     for before, edge, behind in zip([0, *edges], edges, [*edges[1:], blocks], strict=False):
@@ -181,7 +181,7 @@ def batch_changes(changes: Sequence[Change]) -> Iterator[list[Change]]:
         batch: list[Change] = []
         for change in (one for one in changes if one.interleaved is interleaved):
             batch.append(change)
-            if sum(len(one.functions) for one in batch) >= CHANGES.batch_columns:
+            if sum(len(one.functions) for one in batch) >= CHANGE_SETTINGS.batch_columns:
                 yield batch
                 batch = []
         if batch:
@@ -224,7 +224,7 @@ def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
     # Against the value of all blocks together: a constant is no episode.
     own_s, own_m = s[last] - s[first], m[last] - m[first]
     rest_s, rest_m = s[-1] - own_s, m[-1] - own_m
-    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // CHANGES.longest)
+    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // CHANGE_SETTINGS.longest)
     gain = np.zeros(first.size)
     gain[usable] = (
         own_s[usable] ** 2 / own_m[usable]
@@ -237,7 +237,7 @@ def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
         span = (int(first[place]), int(last[place]))
         if all(span[1] <= other[0] or span[0] >= other[1] for other in chosen):
             chosen.append(span)
-        if len(chosen) == CHANGES.episodes:
+        if len(chosen) == CHANGE_SETTINGS.episodes:
             break
     return chosen
 
@@ -296,6 +296,6 @@ class Stretches:
             mean = np.add.reduceat(kept, begins, axis=0) / count[:, None]
             moved = kept - np.repeat(mean, count, axis=0)
             # A constant leaves nothing, not its rounding: no value can be had of it.
-            moved[np.abs(moved) <= CHANGES.rounding * np.repeat(np.abs(mean), count, axis=0)] = 0.0
+            moved[np.abs(moved) <= CHANGE_SETTINGS.rounding * np.repeat(np.abs(mean), count, axis=0)] = 0.0
             out[used] = moved
         return out.reshape(values.shape)

@@ -1,7 +1,7 @@
 """From scores to a verdict: the rounds, rivals, values with errors, and what remains.
 
 Takes the first state of a search and its `DiagnosisData`; makes the `Diagnosis` and the last state
-(`conclude`). The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when
+(`run_search`). The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when
 something is left, rounds with shapes first when named causes may be substitutes, rivals, values, and the
 description of what remains: a line, a fast band, a unit that switches without housekeeping, or what the best
 rejected candidate hints at.
@@ -41,7 +41,7 @@ from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
 from inflight.diagnosis.stepwise import (
-    SELECTION,
+    SELECTION_SETTINGS,
     Estimate,
     RivalCheck,
     calibration_shifts,
@@ -97,11 +97,11 @@ class RemainingSettings:
     as_much: float = 1.003
 
 
-REPORT = ReportSettings()
-REMAINING = RemainingSettings()
+REPORT_SETTINGS = ReportSettings()
+REMAINING_SETTINGS = RemainingSettings()
 
 
-def conclude(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
+def run_search(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
     Parameters
@@ -204,7 +204,7 @@ def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
     other, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
     fewer = len(other.accepted) < len(search.accepted)
-    if fewer and held_out_rms(other, data) <= REMAINING.as_much * before:
+    if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
         return other, table
     return other.with_choices_of(search), last
 
@@ -216,7 +216,7 @@ def describe_effect(search: Search, data: DiagnosisData, check: RivalCheck) -> F
     terms = [search.library.by_key[key] for key in option.terms]
     coefficients = _coefficients(search, data, option, terms, found)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
-    if found.retained < SELECTION.weak:
+    if found.retained < SELECTION_SETTINGS.weak:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
     lag_sigma = option.lag_sigma_s
     if lag_sigma is None and option.lag_s:
@@ -295,7 +295,7 @@ def _worst_mimics(search: Search, option: Option, found: Estimate) -> list[tuple
     shifts = calibration_shifts(search, option, found.value)
     scale = dict(zip(search.raw.names, search.raw.scale, strict=True))
     ordered = sorted(shifts, key=lambda pair: -abs(pair[1]) / scale[pair[0]])
-    return ordered[: REPORT.mimics]
+    return ordered[: REPORT_SETTINGS.mimics]
 
 
 def confusion(
@@ -306,7 +306,7 @@ def confusion(
     separating: list[dict[str, Any]] = []
     for one in checks:
         found = estimate(search, one.option)
-        weak = found.retained < SELECTION.weak
+        weak = found.retained < SELECTION_SETTINGS.weak
         if not one.rivals and not weak:
             continue
         confusion.append(
@@ -340,7 +340,7 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     weights = np.concatenate([first, -second])
     sums = np.einsum("i,bij,j->b", weights, grams.rows(both, both), weights)
     rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(grams.count, 1.0))
-    best = np.argsort(-rms)[: REPORT.separating]
+    best = np.argsort(-rms)[: REPORT_SETTINGS.separating]
     return [
         {
             "rivals": [option.name, rival.name],
@@ -382,8 +382,8 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
             "gain_now": after,
         }
     rows = list(best.values())
-    real = [row for row in rows if not row["placebo"]][: REPORT.candidates]
-    return tuple(real + [row for row in rows if row["placebo"]][: REPORT.candidates])
+    real = [row for row in rows if not row["placebo"]][: REPORT_SETTINGS.candidates]
+    return tuple(real + [row for row in rows if row["placebo"]][: REPORT_SETTINGS.candidates])
 
 
 def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
@@ -442,7 +442,7 @@ class Remaining:
     @property
     def is_there(self) -> bool:
         """True when what remains may be more than noise: large, or significantly not white."""
-        coloured = self.structure.is_sure and self.structure.rms_nT > REMAINING.white * self.noise
+        coloured = self.structure.is_sure and self.structure.rms_nT > REMAINING_SETTINGS.white * self.noise
         certain = self.has_line or self.has_band or self.has_unit
         return certain or self.structure.is_large(self.noise) or coloured
 
@@ -514,7 +514,7 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
     real = [
         place
         for place, option in enumerate(last.options)
-        if not option.placebo and scores.t[place] > REMAINING.hint_t
+        if not option.placebo and scores.t[place] > REMAINING_SETTINGS.hint_t
     ]
     if not real:
         return Signature(shape="wander", amplitude_nT=structure.rms_nT)
@@ -565,7 +565,7 @@ def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaini
     """Return the verdict about the residual as found."""
     if not effects:
         return remaining
-    if any(one.rivals or one.retained < SELECTION.weak for one in effects):
+    if any(one.rivals or one.retained < SELECTION_SETTINGS.weak for one in effects):
         return "CONFOUNDED"
     # The largest of them first: where it names no cause, nor do the smaller ones name the cause of most.
     return "UNKNOWN_EFFECT" if _is_shape(checks[0].option) else "FOUND"

@@ -1,4 +1,4 @@
-from .assignment import ASSIGNMENT, correction_by_states
+from .assignment import ASSIGNMENT_SETTINGS, correction_by_states
 from .candidates import Candidates, correction_by_states_and_gradiometer
 from .change_points import Rows
 from .correction import (
@@ -48,7 +48,7 @@ from .tracking import (
 from .training import Training, train
 
 __all__ = [
-    "ASSIGNMENT",
+    "ASSIGNMENT_SETTINGS",
     "FORMS",
     "WHOLE",
     "AppliedPart",

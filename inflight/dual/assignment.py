@@ -21,7 +21,13 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT, UNKNOWN, Correction, no_correction
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SEGMENTS, DriftFilter, Segments, segment_drift_covariance, segments_of
+from inflight.dual.segments import (
+    SEGMENT_SETTINGS,
+    DriftFilter,
+    Segments,
+    segment_drift_covariance,
+    segments_of,
+)
 from inflight.dual.training import Training
 from inflight.flags import Flag
 from inflight.time import SECOND
@@ -71,7 +77,7 @@ class AssignmentSettings:
     compared_rows: int = 20_000
 
 
-ASSIGNMENT = AssignmentSettings()
+ASSIGNMENT_SETTINGS = AssignmentSettings()
 
 
 def correction_by_states(
@@ -121,7 +127,7 @@ def correction_by_states(
     after = np.searchsorted(rows, missing)
     early = np.where(after > 0, missing - rows[np.maximum(after - 1, 0)], len(readings))
     late = np.where(after < rows.size, rows[np.minimum(after, rows.size - 1)] - missing, len(readings))
-    lost = missing[np.minimum(early, late) > SEGMENTS.shortest]
+    lost = missing[np.minimum(early, late) > SEGMENT_SETTINGS.shortest]
     correction.field[lost], correction.covariance[lost] = np.nan, np.nan
     correction.state[lost], correction.probability[lost] = UNKNOWN, np.nan
     correction.flag[lost] = np.uint32(Flag.UNKNOWN_STATE)
@@ -164,11 +170,11 @@ def assign(segments: Segments, training: Training) -> Assignment:
         first = int(chain.steady[np.argmax(segments.count[chain.steady[:5]])])
         residual, total, _ = chain.residuals(first, value, np.zeros((3, 3)))
         sigma = np.sqrt(variance + np.einsum("kii->ki", total))
-        near = (np.abs(residual) < ASSIGNMENT.start_sigmas * sigma).all(axis=1) & training.observed
+        near = (np.abs(residual) < ASSIGNMENT_SETTINGS.start_sigmas * sigma).all(axis=1) & training.observed
         starts += [value + one for one in residual[near]]
     if len(starts) > 1:
         likelihood = [
-            chain.filter_drift(start, variance, chain.steady[: ASSIGNMENT.compared_segments])
+            chain.filter_drift(start, variance, chain.steady[: ASSIGNMENT_SETTINGS.compared_segments])
             for start in starts
         ]
         starts = [starts[int(np.argmax(likelihood))]]
@@ -194,16 +200,19 @@ class _StateChain:
     def __init__(self, segments: Segments, training: Training) -> None:
         self.segments, self.training = segments, training
         self.steady = np.flatnonzero(~segments.transient)
-        self.limit = float(stats.chi2.isf(ASSIGNMENT.false_unknown / max(self.steady.size, 1), 3))
-        observed, unknown = training.observed, ASSIGNMENT.unknown_prior
-        predicted = ASSIGNMENT.predicted_prior if not observed.all() else 0.0
+        self.limit = float(stats.chi2.isf(ASSIGNMENT_SETTINGS.false_unknown / max(self.steady.size, 1), 3))
+        observed, unknown = training.observed, ASSIGNMENT_SETTINGS.unknown_prior
+        predicted = ASSIGNMENT_SETTINGS.predicted_prior if not observed.all() else 0.0
         share = np.where(observed, (1.0 - predicted) / observed.sum(), predicted / max((~observed).sum(), 1))
         self.prior = np.append((1.0 - unknown) * share, unknown)
         self.spread = training.scatter**2 * np.eye(3)
         # The logarithm of the density of points of an unknown state, 1/nT^3.
         noise = segments.noise.of_mean(1) + training.scatter**2 * np.eye(3)
         points = np.concatenate([training.centre, segments.level[~segments.transient]])
-        wide = ASSIGNMENT.anywhere_points * np.cov(points.T) + ASSIGNMENT.anywhere_noise * noise
+        wide = (
+            ASSIGNMENT_SETTINGS.anywhere_points * np.cov(points.T)
+            + ASSIGNMENT_SETTINGS.anywhere_noise * noise
+        )
         self.unknown = float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
         self.score = np.full((len(segments), len(training) + 1), -np.inf)
         self.drift = np.zeros((len(segments), 3))
@@ -262,7 +271,7 @@ def _smoothed(score: Floats, training: Training, prior: Floats) -> Floats:
     score = score - score.max(axis=1, keepdims=True)
     density = np.exp(score)
     counts = np.pad(training.transitions, (0, 1))
-    passages = ASSIGNMENT.prior_passages
+    passages = ASSIGNMENT_SETTINGS.prior_passages
     total = counts.sum(axis=1) + passages
     known = training.observed.sum()
     # Passages among observed states, and the prior for all others: a full table of predictions is large.
@@ -301,13 +310,13 @@ def _correction_of_segments(segments: Segments, training: Training, assigned: As
     weight = training.confidence * share / total + (1.0 - training.confidence) * by_time
     covariance = np.einsum("sk,kij->sij", weight, training.covariance)
     covariance += np.einsum("sk,ski,skj->sij", weight, apart, apart)
-    covariance[:, range(3), range(3)] += (ASSIGNMENT.drift_share * assigned.drift) ** 2
+    covariance[:, range(3), range(3)] += (ASSIGNMENT_SETTINGS.drift_share * assigned.drift) ** 2
     best = assigned.best
     probability = assigned.probability[np.arange(count), best] * training.confidence
     unknown = best == known
     state = np.where(unknown, UNKNOWN, training.number[np.minimum(best, known - 1)])
     flag = np.where(unknown, np.uint32(Flag.UNKNOWN_STATE), np.uint32(0)).astype(np.uint32)
-    flag[(probability < ASSIGNMENT.least_probability) & ~segments.transient] |= np.uint32(
+    flag[(probability < ASSIGNMENT_SETTINGS.least_probability) & ~segments.transient] |= np.uint32(
         Flag.AMBIGUOUS_STATE
     )
     field[unknown], covariance[unknown] = np.nan, np.nan
@@ -344,7 +353,7 @@ def _fill_unknown(correction: Correction, fallback: Correction) -> None:
     rows = np.flatnonzero((correction.state >= 0) & correction.known & fallback.known)
     shift, spread = np.zeros(3), np.zeros((3, 3))
     if rows.size:
-        rows = rows[:: max(1, rows.size // ASSIGNMENT.compared_rows)]
+        rows = rows[:: max(1, rows.size // ASSIGNMENT_SETTINGS.compared_rows)]
         apart = correction.field[rows] - fallback.field[rows]
         if not (correction.constant_known and fallback.constant_known):
             shift = apart.mean(axis=0)

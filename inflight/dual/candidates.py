@@ -25,7 +25,7 @@ from inflight.dual.correction import Correction
 from inflight.dual.geometry import Body, matrices_near_inboard, matrices_of_any_boom
 from inflight.dual.gradiometer import (
     FORMS,
-    GRADIOMETER,
+    GRADIOMETER_SETTINGS,
     Gradiometer,
     correction_by_gradiometer,
     covariance_of_product,
@@ -72,7 +72,7 @@ class CandidateSettings:
     centre_reach: float = 2.0
 
 
-CANDIDATES = CandidateSettings()
+CANDIDATE_SETTINGS = CandidateSettings()
 
 
 class Candidates:
@@ -94,7 +94,7 @@ class Candidates:
         self,
         readings: Readings,
         body: Body | None = None,
-        leak_sigma: float = GRADIOMETER.leak_sigma,
+        leak_sigma: float = GRADIOMETER_SETTINGS.leak_sigma,
         ambient: Floats | None = None,
     ) -> None:
         self.readings, self.ambient = readings, ambient
@@ -184,8 +184,8 @@ class Candidates:
         steady = 0 if self._segments is None else int(np.count_nonzero(~self._segments.transient))
         if not steady:
             return "no stretch is long enough for a state"
-        most = max(CANDIDATES.most_segments, len(self.readings) // CANDIDATES.usual_dwell)
-        most = min(most, CANDIDATES.bearable_segments)
+        most = max(CANDIDATE_SETTINGS.most_segments, len(self.readings) // CANDIDATE_SETTINGS.usual_dwell)
+        most = min(most, CANDIDATE_SETTINGS.bearable_segments)
         if steady > most:
             return f"{steady} stretches without a jump, more than {most}: too many for states"
         return ""
@@ -197,7 +197,7 @@ class Candidates:
         states = find_states(self._segments)
         # A centre far outside of all differences shows that the clustering failed.
         reach = float(np.abs(self.readings.difference[self.readings.good]).max())
-        if float(np.abs(states.centre).max(initial=0.0)) > CANDIDATES.centre_reach * reach:
+        if float(np.abs(states.centre).max(initial=0.0)) > CANDIDATE_SETTINGS.centre_reach * reach:
             return None
         return self._segments, states, find_units(states), outboard_steps(self.readings, self._segments)
 

@@ -140,9 +140,9 @@ class LevelNoiseSettings:
     fewest_triples: int = 16
 
 
-CHANGE_POINTS = ChangePointSettings()
-HEAVY_TAILS = HeavyTailSettings()
-LEVEL_NOISE = LevelNoiseSettings()
+CHANGE_POINT_SETTINGS = ChangePointSettings()
+HEAVY_TAIL_SETTINGS = HeavyTailSettings()
+LEVEL_NOISE_SETTINGS = LevelNoiseSettings()
 
 
 @dataclass(frozen=True)
@@ -197,18 +197,18 @@ def find_jumps(values: Floats) -> tuple[Rows, StepNoise]:
     """
     white = white_covariance(values)
     count = len(values)
-    if count < 4 * CHANGE_POINTS.fewest_freedom or not white.max() > 0:
+    if count < 4 * CHANGE_POINT_SETTINGS.fewest_freedom or not white.max() > 0:
         return np.empty(0, dtype=np.int64), _white_step_noise(white)
     root = np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))
     unit = (values - values.mean(axis=0)) @ np.linalg.inv(root).T
     level = _local_levels(unit)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(unit, axis=0)])
     # Steps of one length at less than about a quarter of it apart are hardly independent tests.
-    chance = CHANGE_POINTS.false_alarms / (8.0 * count)
+    chance = CHANGE_POINT_SETTINGS.false_alarms / (8.0 * count)
     found = np.empty(0, dtype=np.int64)
     noises: list[tuple[int, Floats, float]] = []
     length = 1
-    while length <= CHANGE_POINTS.longest and 2 * length <= count:
+    while length <= CHANGE_POINT_SETTINGS.longest and 2 * length <= count:
         measured = _noise_of_length(sums, level, found, length)
         if measured is None:
             break
@@ -219,13 +219,13 @@ def find_jumps(values: Floats) -> tuple[Rows, StepNoise]:
         at, distance = _over_limit(
             sums,
             level,
-            CHANGE_POINTS.level_samples,
+            CHANGE_POINT_SETTINGS.level_samples,
             drift,
             block,
             np.asarray(np.linalg.inv(covariance), dtype=np.float64),
             limit,
             length,
-            max(1, length // CHANGE_POINTS.strides),
+            max(1, length // CHANGE_POINT_SETTINGS.strides),
         )
         free = _without_jump(at, found, length)
         order = np.argsort(-distance[free], kind="stable")
@@ -253,26 +253,26 @@ def _noise_of_length(
     None when too few steps of this length are free of jumps.
     """
     count = len(sums) - 1
-    stride = max(1, length // CHANGE_POINTS.strides, count // CHANGE_POINTS.positions)
+    stride = max(1, length // CHANGE_POINT_SETTINGS.strides, count // CHANGE_POINT_SETTINGS.positions)
     at = np.arange(length, count - length + 1, stride)
     at = at[_without_jump(at, jumps, length)]
-    freedom = CHANGE_POINTS.freedom_share * at.size * stride / (2.0 * length)
-    if freedom < CHANGE_POINTS.fewest_freedom:
+    freedom = CHANGE_POINT_SETTINGS.freedom_share * at.size * stride / (2.0 * length)
+    if freedom < CHANGE_POINT_SETTINGS.fewest_freedom:
         return None
     # Mean after less mean before each row.
     step = np.asarray((sums[at + length] - 2.0 * sums[at] + sums[at - length]) / length)
-    block = max(CHANGE_POINTS.local_lengths * length, CHANGE_POINTS.local_samples)
+    block = max(CHANGE_POINT_SETTINGS.local_lengths * length, CHANGE_POINT_SETTINGS.local_samples)
     # The median step of each block is the drift's.
     blocks = -(-count // block)
     edges = np.searchsorted(at, np.arange(blocks + 1) * block)
-    known = np.flatnonzero(np.diff(edges) >= CHANGE_POINTS.fewest_steps)
+    known = np.flatnonzero(np.diff(edges) >= CHANGE_POINT_SETTINGS.fewest_steps)
     drift = np.zeros((blocks, 3))
     if known.size:
         median = np.array([np.median(step[edges[one] : edges[one + 1]], axis=0) for one in known])
         drift = np.stack([np.interp(np.arange(blocks), known, axis) for axis in median.T], axis=1)
     middle = (np.arange(blocks) + 0.5) * block
     step -= np.stack([np.interp(at, middle, axis) for axis in drift.T], axis=1)
-    covariance = trimmed_covariance(step / np.sqrt(level[at // CHANGE_POINTS.level_samples])[:, None])
+    covariance = trimmed_covariance(step / np.sqrt(level[at // CHANGE_POINT_SETTINGS.level_samples])[:, None])
     # A covariance of few steps may come out too small; white noise is in all of them.
     least = 2.0 * white / length / max(float(covariance.diagonal().min()), 1e-300)
     return covariance * max(1.0, least), freedom, drift, block
@@ -283,7 +283,7 @@ def _local_levels(unit: Floats) -> Floats:
 
     The larger of a block's own and its neighbours': a burst may begin inside one.
     """
-    count, size = len(unit), CHANGE_POINTS.level_samples
+    count, size = len(unit), CHANGE_POINT_SETTINGS.level_samples
     whole = count // size
     own = np.ones(whole + 1)
     if whole:
@@ -292,11 +292,13 @@ def _local_levels(unit: Floats) -> Floats:
         second = np.abs(parts[:, :-2:3] - 2.0 * parts[:, 1:-1:3] + parts[:, 2::3]).reshape(whole, -1)
         median = np.partition(second, second.shape[1] // 2, axis=1)[:, second.shape[1] // 2]
         # Of coarse readings the median jumps from step to step; a mean would follow each jump.
-        clipped = np.minimum(second**2 / 6.0, CHANGE_POINTS.clipped_square).mean(axis=1)
+        clipped = np.minimum(second**2 / 6.0, CHANGE_POINT_SETTINGS.clipped_square).mean(axis=1)
         own[:whole] = np.maximum((MAD_TO_SIGMA * median) ** 2 / 6.0, clipped)
         own[whole] = own[whole - 1]
     wide = np.pad(own, 1, mode="edge")
-    return np.asarray(np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), CHANGE_POINTS.least_level))
+    return np.asarray(
+        np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), CHANGE_POINT_SETTINGS.least_level)
+    )
 
 
 def _without_jump(at: Rows, jumps: Rows, length: int) -> npt.NDArray[np.bool_]:
@@ -309,7 +311,7 @@ def _without_jump(at: Rows, jumps: Rows, length: int) -> npt.NDArray[np.bool_]:
 
 def _white_step_noise(white: Floats) -> StepNoise:
     """Return the noise of steps in white noise of a covariance."""
-    lengths = 2 ** np.arange(int(np.log2(CHANGE_POINTS.longest)) + 1)
+    lengths = 2 ** np.arange(int(np.log2(CHANGE_POINT_SETTINGS.longest)) + 1)
     return StepNoise(lengths, 2.0 * white / lengths[:, None, None], np.full(lengths.size, 1.0))
 
 
@@ -404,8 +406,8 @@ def find_spikes(values: Floats) -> npt.NDArray[np.bool_]:
         return found
     whiten = np.linalg.inv(np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))).T
     unit = np.ascontiguousarray(values @ whiten)
-    limit = float(stats.chi2.isf(CHANGE_POINTS.false_alarms / len(values), 3))
-    return _stand_out(unit, _local_levels(unit), CHANGE_POINTS.level_samples, limit, found)
+    limit = float(stats.chi2.isf(CHANGE_POINT_SETTINGS.false_alarms / len(values), 3))
+    return _stand_out(unit, _local_levels(unit), CHANGE_POINT_SETTINGS.level_samples, limit, found)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -440,11 +442,11 @@ def winsorise(values: Floats) -> Floats:
     root = np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))
     unit = np.ascontiguousarray(values @ np.linalg.inv(root).T)
     median, square = _about_medians(unit)
-    far = square > HEAVY_TAILS.far_square
+    far = square > HEAVY_TAIL_SETTINGS.far_square
     alone = far[1:-1] & ~far[:-2] & ~far[2:]
-    if np.mean(alone) < HEAVY_TAILS.far_share:
+    if np.mean(alone) < HEAVY_TAIL_SETTINGS.far_share:
         return values
-    share = np.minimum(1.0, HEAVY_TAILS.bound / np.sqrt(np.maximum(square, 1e-300)))[:, None]
+    share = np.minimum(1.0, HEAVY_TAIL_SETTINGS.bound / np.sqrt(np.maximum(square, 1e-300)))[:, None]
     return np.asarray((median + share * (unit - median)) @ root.T)
 
 
@@ -483,7 +485,7 @@ def confirm_jumps(values: Floats, jumps: Rows) -> Rows:
     if not white.max() > 0:
         return jumps
     weight = np.linalg.inv(white + 1e-12 * np.trace(white) * np.eye(3))
-    limit = HEAVY_TAILS.median_limit
+    limit = HEAVY_TAIL_SETTINGS.median_limit
     kept = jumps.tolist()
     doubtful = [one for one in kept if _median_distance(values, kept, one, weight) < limit]
     # Without its doubtful neighbours a jump has longer stretches to show itself.
@@ -499,7 +501,7 @@ def _median_distance(values: Floats, jumps: list[int], one: int, weight: Floats)
     first = jumps[index - 1] if index else 0
     last = jumps[index + 1] if index + 1 < len(jumps) else len(values)
     highest = 0.0
-    for length in HEAVY_TAILS.median_lengths:
+    for length in HEAVY_TAIL_SETTINGS.median_lengths:
         before, after = values[max(first, one - length) : one], values[one : min(last, one + length)]
         step = np.median(after, axis=0) - np.median(before, axis=0)
         # The median of white Gaussian noise; of two samples it is their mean.
@@ -519,10 +521,10 @@ def step_noise(values: Floats, jumps: Rows) -> StepNoise:
         Increasing rows of the first samples after a jump.
     """
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values - values.mean(axis=0), axis=0)])
-    level = np.ones(len(values) // CHANGE_POINTS.level_samples + 1)
+    level = np.ones(len(values) // CHANGE_POINT_SETTINGS.level_samples + 1)
     noises: list[tuple[int, Floats, float]] = []
     length = 1
-    while length <= CHANGE_POINTS.longest and 2 * length <= len(values):
+    while length <= CHANGE_POINT_SETTINGS.longest and 2 * length <= len(values):
         measured = _noise_of_length(sums, level, jumps, length, white=0.0)
         if measured is None:
             break
@@ -556,11 +558,11 @@ def level_noise(values: Floats, jumps: Rows, steps: StepNoise) -> StepNoise:
     edges = np.concatenate([[0], jumps, [len(values)]])
     found = []
     for length in steps.length.tolist():
-        stride = max(1, length // LEVEL_NOISE.strides, len(values) // LEVEL_NOISE.positions)
+        stride = max(1, length // LEVEL_NOISE_SETTINGS.strides, len(values) // LEVEL_NOISE_SETTINGS.positions)
         at = np.arange(0, len(values) - 3 * length + 1, stride)
         inside = np.searchsorted(edges, at + 3 * length) - np.searchsorted(edges, at, side="right")
         at = at[inside == 0]
-        if at.size * stride < LEVEL_NOISE.fewest_triples * 3 * length:
+        if at.size * stride < LEVEL_NOISE_SETTINGS.fewest_triples * 3 * length:
             break
         second = sums[at + 3 * length] - 3.0 * sums[at + 2 * length] + 3.0 * sums[at + length] - sums[at]
         # Six times the variance of one mean; a step has twice.

@@ -40,7 +40,7 @@ class SlowPartSettings:
     stored_per_width: int = 16
 
 
-SLOW_PART = SlowPartSettings()
+SLOW_PART_SETTINGS = SlowPartSettings()
 
 _SLOW, _SLOW_TIME, _MEDIANS, _CONSTANT = "left_alone", "left_time", "part_middle", "part_constant"
 
@@ -264,7 +264,7 @@ def applied_part_to_dataset(
     if not part.seconds:
         return found
     known = np.flatnonzero(correction.known)
-    stride = max(readings.samples_in(part.seconds) // SLOW_PART.stored_per_width, 1)
+    stride = max(readings.samples_in(part.seconds) // SLOW_PART_SETTINGS.stored_per_width, 1)
     rows = known[np.unique(np.append(np.arange(0, known.size, stride), known.size - 1))]
     return found.assign({_SLOW: ((_SLOW_TIME, "axis"), slow[rows], units)}).assign_coords(
         {_SLOW_TIME: readings.stamps[rows]}

@@ -32,7 +32,7 @@ class GeometrySettings:
     ----------
     draws : int
         Places of dipoles that are drawn. Assumed: chances of one in a thousand are estimated from these and
-        the draws of the sensors' drift (`held_out.HELD_OUT`).
+        the draws of the sensors' drift (`held_out.HELD_OUT_SETTINGS`).
     ratios : (float, float)
         Of a boom of unknown geometry: range of the size of a dipole's field at the outboard sensor over
         that at the inboard one. Assumed.
@@ -53,7 +53,7 @@ class GeometrySettings:
     outliers: float = 6.0
 
 
-GEOMETRY = GeometrySettings()
+GEOMETRY_SETTINGS = GeometrySettings()
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Body:
 
         Shape (place, 3, 3).
         """
-        drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (GEOMETRY.draws, 3))
+        drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (GEOMETRY_SETTINGS.draws, 3))
         places = self.centre + drawn * self.half_size
         return _without_outliers(np.array([dipole_matrix(self.positions, place) for place in places]))
 
@@ -122,10 +122,12 @@ def matrices_of_any_boom() -> Floats:
     """
     random = np.random.default_rng(3)
     drawn = []
-    for rotation in Rotation.random(GEOMETRY.draws, rng=random):
-        ratio = random.uniform(*GEOMETRY.ratios)
+    for rotation in Rotation.random(GEOMETRY_SETTINGS.draws, rng=random):
+        ratio = random.uniform(*GEOMETRY_SETTINGS.ratios)
         sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
-        inside = dipole_matrix(sensors, random.uniform(-GEOMETRY.offset, GEOMETRY.offset, 3))
+        inside = dipole_matrix(
+            sensors, random.uniform(-GEOMETRY_SETTINGS.offset, GEOMETRY_SETTINGS.offset, 3)
+        )
         drawn.append(rotation.as_matrix() @ inside @ rotation.as_matrix().T)
     return _without_outliers(np.array(drawn))
 
@@ -134,17 +136,18 @@ def matrices_near_inboard(body: Body) -> Floats:
     """Return matrices of dipoles nearer to the inboard than to the outboard sensor, (place, 3, 3).
 
     Of units outside of the stated body: the sensors' positions are still known. The units are in any
-    direction from the inboard sensor, at any distance of which the field's ratio is that of `GEOMETRY`.
+    direction from the inboard sensor, at any distance of which the field's ratio is that of
+    `GEOMETRY_SETTINGS`.
     """
     random = np.random.default_rng(4)
-    away = random.normal(size=(4 * GEOMETRY.draws, 3))
-    away *= (np.exp(random.uniform(*GEOMETRY.log_distance, len(away))) / np.linalg.norm(away, axis=1))[
-        :, None
-    ]
+    away = random.normal(size=(4 * GEOMETRY_SETTINGS.draws, 3))
+    away *= (
+        np.exp(random.uniform(*GEOMETRY_SETTINGS.log_distance, len(away))) / np.linalg.norm(away, axis=1)
+    )[:, None]
     places = body.positions[0] + body.baseline * away
     near, far = (np.linalg.norm(places - one, axis=1) for one in body.positions)
     ratio = (near / far) ** 3
-    places = places[(ratio > GEOMETRY.ratios[0]) & (ratio < GEOMETRY.ratios[1])]
+    places = places[(ratio > GEOMETRY_SETTINGS.ratios[0]) & (ratio < GEOMETRY_SETTINGS.ratios[1])]
     return _without_outliers(np.array([dipole_matrix(body.positions, place) for place in places]))
 
 
@@ -154,9 +157,15 @@ def matrix_spread(matrix: Floats) -> Floats:
     The boom points anywhere: the spread is the same in all elements.
     """
     size = float(np.trace(matrix)) / 3.0
-    ratio = float(np.clip(size / (1.0 + size), *GEOMETRY.ratios)) if size > 0 else GEOMETRY.ratios[0]
+    ratio = (
+        float(np.clip(size / (1.0 + size), *GEOMETRY_SETTINGS.ratios))
+        if size > 0
+        else GEOMETRY_SETTINGS.ratios[0]
+    )
     sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
-    single = np.cov(Body(sensors, np.zeros(3), np.full(3, GEOMETRY.offset)).matrices.reshape(-1, 9).T)
+    single = np.cov(
+        Body(sensors, np.zeros(3), np.full(3, GEOMETRY_SETTINGS.offset)).matrices.reshape(-1, 9).T
+    )
     return np.asarray(np.trace(single) / 9.0 * np.eye(9))
 
 
@@ -174,7 +183,7 @@ def _without_outliers(drawn: Floats) -> Floats:
     low, high = np.quantile(flat, [0.16, 0.84], axis=0)
     sigma = np.asarray(0.5 * (high - low) + 1e-12)
     away = np.abs(flat - np.median(flat, axis=0))
-    return np.asarray(drawn[np.all(away <= GEOMETRY.outliers * sigma, axis=1)])
+    return np.asarray(drawn[np.all(away <= GEOMETRY_SETTINGS.outliers * sigma, axis=1)])
 
 
 def fit_place(body: Body, regression: WhitenedRows) -> tuple[Floats, Floats]:

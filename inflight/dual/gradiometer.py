@@ -101,8 +101,8 @@ class ShrinkSettings:
     slowest: int = 8
 
 
-GRADIOMETER = GradiometerSettings()
-SHRINK = ShrinkSettings()
+GRADIOMETER_SETTINGS = GradiometerSettings()
+SHRINK_SETTINGS = ShrinkSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def fit_gradiometer(
     readings: Readings,
     form: str = "matrix",
     body: Body | None = None,
-    leak_sigma: float = GRADIOMETER.leak_sigma,
+    leak_sigma: float = GRADIOMETER_SETTINGS.leak_sigma,
 ) -> Gradiometer:
     """Fit a gradiometer of one form; as `fit_forms`."""
     return fit_forms(readings, (form,), body, leak_sigma)[form]
@@ -171,7 +171,7 @@ def fit_forms(
     readings: Readings,
     forms: Sequence[str] = FORMS,
     body: Body | None = None,
-    leak_sigma: float = GRADIOMETER.leak_sigma,
+    leak_sigma: float = GRADIOMETER_SETTINGS.leak_sigma,
 ) -> dict[str, Gradiometer]:
     """Fit gradiometers to readings in which the spacecraft's field changes.
 
@@ -203,9 +203,10 @@ def fit_forms(
             "a dipole has no place", remedy="say where the sensors' positions and the spacecraft's body are"
         )
     good = readings.good
-    if good.sum() < GRADIOMETER.fewest_samples:
+    if good.sum() < GRADIOMETER_SETTINGS.fewest_samples:
         raise CalibrationError(
-            f"{good.sum()} samples with both sensors found, at least {GRADIOMETER.fewest_samples} needed",
+            f"{good.sum()} samples with both sensors found, "
+            f"at least {GRADIOMETER_SETTINGS.fewest_samples} needed",
             remedy="take a longer span",
         )
     all_cells = cells_of(readings.outboard[good], readings.difference[good])
@@ -242,8 +243,8 @@ def _hidden_spread(full: Gradiometer, moments: SecondMoments, body: Body | None)
     if len(_held_directions(moments, full.noise)) < 3:
         return np.zeros((9, 9))
     if body is None:
-        return GRADIOMETER.hidden_share * matrix_spread(full.matrix)
-    return np.asarray(GRADIOMETER.hidden_share * np.cov(body.matrices.reshape(-1, 9).T))
+        return GRADIOMETER_SETTINGS.hidden_share * matrix_spread(full.matrix)
+    return np.asarray(GRADIOMETER_SETTINGS.hidden_share * np.cov(body.matrices.reshape(-1, 9).T))
 
 
 def _between_scales(
@@ -257,7 +258,7 @@ def _between_scales(
     """
     scatter = total = 0.0
     scales = np.unique(cells.scale)
-    for band in np.array_split(scales, max(len(scales) // GRADIOMETER.band_scales, 1)):
+    for band in np.array_split(scales, max(len(scales) // GRADIOMETER_SETTINGS.band_scales, 1)):
         here = all_cells.select(np.isin(all_cells.scale, band))
         share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
         power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
@@ -336,7 +337,7 @@ def _held_directions(moments: SecondMoments, noise: Floats) -> Floats:
     directions = principal_directions(square, noise)
     power = np.einsum("ri,ij,rj->r", directions, square, directions)
     held = np.cumsum(power) / max(float(power.sum()), 1e-300)
-    return directions[: int(np.searchsorted(held, GRADIOMETER.held_variance)) + 1]
+    return directions[: int(np.searchsorted(held, GRADIOMETER_SETTINGS.held_variance)) + 1]
 
 
 def principal_directions(square: Floats, noise: Floats) -> Floats:
@@ -421,16 +422,17 @@ def wiener_shrink(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     whiten = np.linalg.pinv(np.linalg.cholesky(noise + 1e-9 * max(float(np.trace(noise)), 1e-18) * np.eye(3)))
     smooth, width = series, 1
     kept, variance = np.zeros_like(series), np.zeros(len(series))
-    while 2 * width + 1 <= max(len(series) // SHRINK.slowest, 1):
+    while 2 * width + 1 <= max(len(series) // SHRINK_SETTINGS.slowest, 1):
         wider = 2 * width + 1
         slower = ndimage.uniform_filter1d(series, wider, axis=0, mode="nearest")
         band = smooth - slower
         level = 1.0 / width - 1.0 / wider
         power = np.mean((band @ whiten.T) ** 2, axis=1)
         around = (
-            ndimage.uniform_filter1d(power, min(SHRINK.stretch * wider, len(series)), mode="nearest") / level
+            ndimage.uniform_filter1d(power, min(SHRINK_SETTINGS.stretch * wider, len(series)), mode="nearest")
+            / level
         )
-        share = np.clip(1.0 - SHRINK.least_power / np.maximum(around, 1e-12), 0.0, 1.0)
+        share = np.clip(1.0 - SHRINK_SETTINGS.least_power / np.maximum(around, 1e-12), 0.0, 1.0)
         kept += share[:, None] * band
         variance += level * (share + (1.0 - share) ** 2 * np.clip(around - 1.0, 0.0, None))
         smooth, width = slower, wider

@@ -45,7 +45,7 @@ from inflight.dual.correction import (
 )
 from inflight.dual.gradiometer import wiener_shrink
 from inflight.dual.mixing import DifferenceNoise
-from inflight.dual.noise import SLOW_NOISE, draw_slow_noise, expected_drift
+from inflight.dual.noise import SLOW_NOISE_SETTINGS, draw_slow_noise, expected_drift
 from inflight.dual.readings import (
     Cells,
     Readings,
@@ -133,7 +133,7 @@ class HeldOutSettings:
     narrowest: int = 8
 
 
-HELD_OUT = HeldOutSettings()
+HELD_OUT_SETTINGS = HeldOutSettings()
 
 #: The form that all others of a gradiometer are special cases of.
 _GENERAL = "matrix"
@@ -203,8 +203,8 @@ class HeldOutScore:
         Where the outboard reading hardly holds the field that geometry predicts, as that of a dead sensor,
         it does not.
         """
-        far_too_small = self.slope_error > HELD_OUT.least_slope_ratio - 1.0
-        return self.risk < HELD_OUT.most_risk and not self.trivial and not far_too_small
+        far_too_small = self.slope_error > HELD_OUT_SETTINGS.least_slope_ratio - 1.0
+        return self.risk < HELD_OUT_SETTINGS.most_risk and not self.trivial and not far_too_small
 
     @property
     def reason(self) -> str:
@@ -230,13 +230,13 @@ class HeldOutScore:
             return "it would do harm"
         if self.trivial:
             return "it takes off hardly anything"
-        if self.risk < HELD_OUT.most_risk:
+        if self.risk < HELD_OUT_SETTINGS.most_risk:
             return f"the outboard reading does not hold the field of {self.units}, as if it were dead"
         return "these readings do not tell whether it helps"
 
 
 def choose_correction(
-    readings: Readings, fit: Fit, priors: Sequence[GeometryPrior], folds: int = HELD_OUT.folds
+    readings: Readings, fit: Fit, priors: Sequence[GeometryPrior], folds: int = HELD_OUT_SETTINGS.folds
 ) -> HeldOutDecision:
     """Choose the correction that helps most on held-out readings, or none.
 
@@ -310,7 +310,7 @@ def held_out_score(
             sigma=sigma,
             risk=posterior.risk(part),
             benefit=benefit,
-            trivial=benefit < HELD_OUT.trivial_benefit * noise,
+            trivial=benefit < HELD_OUT_SETTINGS.trivial_benefit * noise,
             units=prior.units,
             part=part,
             slope_error=posterior.slope_error(part),
@@ -331,10 +331,10 @@ def best_part(posterior: SlopePosterior, constant_known: bool) -> AppliedPart:
     if constant_known:
         return WHOLE
     widths = (0.0, *posterior.prior.filtered)
-    parts = [AppliedPart(share, seconds) for seconds in widths for share in HELD_OUT.shares]
+    parts = [AppliedPart(share, seconds) for seconds in widths for share in HELD_OUT_SETTINGS.shares]
     risk = {part: posterior.risk(part) for part in parts}
-    low = min(risk.values()) < HELD_OUT.preferred_risk
-    most = HELD_OUT.preferred_risk if low else HELD_OUT.most_risk
+    low = min(risk.values()) < HELD_OUT_SETTINGS.preferred_risk
+    most = HELD_OUT_SETTINGS.preferred_risk if low else HELD_OUT_SETTINGS.most_risk
     largest: dict[float, AppliedPart] = {}
     for part in parts:
         if risk[part] < most:
@@ -374,8 +374,8 @@ def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, Slop
         known = readings.good[rows]
         fold = cells_of(readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0))
         cells_of_folds.append(fold)
-        start = number * HELD_OUT.blocks
-        blocks.append(start + fold.row * HELD_OUT.blocks // max(int(known.sum()), 1))
+        start = number * HELD_OUT_SETTINGS.blocks
+        blocks.append(start + fold.row * HELD_OUT_SETTINGS.blocks // max(int(known.sum()), 1))
     cells, block = concatenate_cells(cells_of_folds), np.concatenate(blocks)
     square = np.einsum("cii->ci", cells.covariance[:, 3:, 3:])
     cross = np.einsum("cii->ci", cells.covariance[:, :3, 3:])
@@ -383,7 +383,7 @@ def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, Slop
     # Of the reading less half the correction: as far from "take it off" as from "leave it".
     variance = np.maximum(both - cross + 0.25 * square, 0.0)
     floor = np.maximum(np.median(variance[cells.scale == 1], axis=0), 1e-12) if len(cells) else np.ones(3)
-    count, own_contrasts = cells.count[:, None], HELD_OUT.own_contrasts
+    count, own_contrasts = cells.count[:, None], HELD_OUT_SETTINGS.own_contrasts
     weight = count / ((count * variance + own_contrasts * floor) / (count + own_contrasts))
     of_square, of_cross = (weight * square).sum(axis=1), (weight * cross).sum(axis=1)
     total = float(of_square.sum())
@@ -462,14 +462,14 @@ class SlopePosterior:
         """The sum of squares of observed slopes less those of each draw, in errors; (draw,)."""
         prior, observation = self.prior, self.observation
         _, own, other = np.intersect1d(prior.scale, observation.scale, return_indices=True)
-        variance = observation.variance[other] + HELD_OUT.slope_scatter**2
+        variance = observation.variance[other] + HELD_OUT_SETTINGS.slope_scatter**2
         signal = np.broadcast_to(prior.signal_share, prior.scale.shape)[own, None]
         slope, observed = prior.slope[own], observation.slope[other, None]
         if prior.leak is not None:
             # The outboard reading is correlated with its own ambient field, as it is with stray field.
             observed = observed - signal * np.einsum("dij,sij->sd", prior.leak, observation.ambient[other])
         # What was taken for noise may be stray field: the correction is then too small by so much.
-        most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT.least_signal))
+        most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT_SETTINGS.least_signal))
         away = observed - np.clip(observed, np.minimum(slope, most), np.maximum(slope, most))
         return np.asarray(np.sum(away**2 / variance[:, None], axis=0))
 
@@ -483,7 +483,7 @@ class SlopePosterior:
     def rejected(self) -> bool:
         """Whether no draw of the prior agrees with the observation (chi-square test)."""
         count = self.observation.scale.size
-        return bool(count) and float(chi2.sf(self.misfit.min(), count)) < HELD_OUT.rejected
+        return bool(count) and float(chi2.sf(self.misfit.min(), count)) < HELD_OUT_SETTINGS.rejected
 
     @cached_property
     def effective_draws(self) -> float:
@@ -576,7 +576,7 @@ class GeometryPrior:
     noise: DifferenceNoise
     leak_covariance: Floats
     units: str = "all units in the body"
-    drift: float = SLOW_NOISE.drift_in_hour
+    drift: float = SLOW_NOISE_SETTINGS.drift_in_hour
 
     def slope_prior(self, correction: Correction) -> SlopePrior:
         """Return the prior of the slopes of a correction of the readings.
@@ -588,9 +588,9 @@ class GeometryPrior:
         taken, state = np.nan_to_num(correction.field[good], nan=0.0), correction.state[good]
         stray, both = self._clear, self._difference
         stepped, both_stepped = means_by_state(state, taken), means_by_state(state, both)
-        longest = HELD_OUT.longest
+        longest = HELD_OUT_SETTINGS.longest
         cells = cells_of(self.readings.outboard[good], stray, stepped, taken - stepped, longest=longest)
-        quick = cells.select(cells.scale <= max(len(taken) // HELD_OUT.quick, 1))
+        quick = cells.select(cells.scale <= max(len(taken) // HELD_OUT_SETTINGS.quick, 1))
         switched = self._slopes(quick, slice(6, 9))[:, None]
         if np.any(state >= 0):
             # How much of it comes into the states' means does not depend on the draws of the slow rest.
@@ -636,7 +636,7 @@ class GeometryPrior:
         """Part of the difference's changes that is not taken for noise, by scale."""
         sums = running_sums(np.concatenate([self.stray[self.readings.good], self._clear], axis=1))
         found = {}
-        for scale in scales_of(len(sums) - 1, HELD_OUT.longest):
+        for scale in scales_of(len(sums) - 1, HELD_OUT_SETTINGS.longest):
             whole, clear = np.split(contrasts(sums, scale)[0], 2, axis=1)
             found[scale] = float(np.sum(whole * clear)) / max(float(np.sum(whole**2)), 1e-300)
         return found
@@ -665,8 +665,10 @@ class GeometryPrior:
 
         (4, place, draw).
         """
-        shape = (4, len(self.matrices), HELD_OUT.drift_draws)
-        return np.asarray(np.random.default_rng(2).standard_t(SLOW_NOISE.student_freedom, shape) ** 2)
+        shape = (4, len(self.matrices), HELD_OUT_SETTINGS.drift_draws)
+        return np.asarray(
+            np.random.default_rng(2).standard_t(SLOW_NOISE_SETTINGS.student_freedom, shape) ** 2
+        )
 
     @cached_property
     def _outboard(self) -> Floats:
@@ -674,7 +676,9 @@ class GeometryPrior:
 
         (4, place, draw).
         """
-        drawn = np.random.default_rng(3).normal(*HELD_OUT.outboard_drift, size=(4, *self._draws.shape[1:]))
+        drawn = np.random.default_rng(3).normal(
+            *HELD_OUT_SETTINGS.outboard_drift, size=(4, *self._draws.shape[1:])
+        )
         drawn[[0, 3]] = self.noise.share
         return drawn
 
@@ -702,14 +706,14 @@ class GeometryPrior:
         """
         sums, found = running_sums(both), {}
         factor = float(np.sqrt(np.sum(self._mean_matrix**2) / 3.0))
-        for scale in scales_of(len(both), HELD_OUT.longest):
+        for scale in scales_of(len(both), HELD_OUT_SETTINGS.longest):
             values = contrasts(sums, scale)[0]
             stray, white, ambient = (
                 values[:, rows].T @ values[:, rows] / len(values)
                 for rows in (slice(0, 3), slice(3, 6), slice(6, 9))
             )
             line, *others = np.mean(values[:, 9:] ** 2, axis=0)
-            walk, flicker = np.reshape(others, (2, SLOW_NOISE.draws)).mean(axis=1)
+            walk, flicker = np.reshape(others, (2, SLOW_NOISE_SETTINGS.draws)).mean(axis=1)
             usual = np.array([self._size(white), line, walk, flicker])
             own = usual[:, None, None] * self._draws
             if most is not None:
@@ -726,12 +730,12 @@ class GeometryPrior:
     @cached_property
     def _quiet(self) -> dict[int, float]:
         """Power of the difference in quiet stretches, by scale: sensors drift all the time. nT^2."""
-        cells = cells_of(self._difference[:, :3], longest=HELD_OUT.longest)
+        cells = cells_of(self._difference[:, :3], longest=HELD_OUT_SETTINGS.longest)
         found = {}
         for scale in np.unique(cells.scale).tolist():
             size = [self._size(one) for one in cells.covariance[cells.scale == scale]]
-            enough = len(size) >= HELD_OUT.quiet_cells
-            found[scale] = float(np.quantile(size, HELD_OUT.quiet_quantile)) if enough else np.inf
+            enough = len(size) >= HELD_OUT_SETTINGS.quiet_cells
+            found[scale] = float(np.quantile(size, HELD_OUT_SETTINGS.quiet_quantile)) if enough else np.inf
         return found
 
     def _slopes(self, cells: Cells, part: slice) -> Floats:
@@ -767,8 +771,8 @@ def _filtered(
 ) -> dict[float, tuple[Floats, Floats]]:
     """Return `SlopePrior.filtered` of a correction's good rows, for all widths of the slow part."""
     found = {}
-    for width in (len(taken) // part for part in HELD_OUT.slow_widths):
-        if width < HELD_OUT.narrowest:
+    for width in (len(taken) // part for part in HELD_OUT_SETTINGS.slow_widths):
+        if width < HELD_OUT_SETTINGS.narrowest:
             break
         sums = running_sums(np.concatenate([taken, taken - slow_part(taken, width)], axis=1))
         product, square = np.ones((2, scales.size))

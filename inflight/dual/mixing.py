@@ -81,7 +81,7 @@ class MixingSettings:
     neighbours: int = 5
 
 
-MIXING = MixingSettings()
+MIXING_SETTINGS = MixingSettings()
 
 #: A basis of all matrices, row by row.
 ELEMENTS = np.eye(9).reshape(9, 3, 3)
@@ -124,18 +124,18 @@ def difference_noise(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) 
         Standard deviation of the elements of the leak.
     """
     total_noise = float(np.trace(covariance))
-    quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < MIXING.quiet_difference * total_noise
+    quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < MIXING_SETTINGS.quiet_difference * total_noise
     first = cells.select((cells.scale == 1) & quiet)
     variance = np.diag(covariance)
     if len(first) < 4 or not np.all(variance > 0):
-        return DifferenceNoise(covariance, 0.5, MIXING.share_sigma)
+        return DifferenceNoise(covariance, 0.5, MIXING_SETTINGS.share_sigma)
     found = -np.einsum("cii->ci", first.covariance[:, :3, 3:]) / variance
     median = np.median(found, axis=0)
     spread = 1.4826 * np.median(np.abs(found - median), axis=0) * 1.25 / np.sqrt(len(first)) + 1e-6
     spread += leak_sigma * np.median(np.einsum("cii->ci", first.covariance[:, :3, :3]), axis=0) / variance
-    weight, prior = 1.0 / spread**2, 1.0 / MIXING.share_sigma**2
+    weight, prior = 1.0 / spread**2, 1.0 / MIXING_SETTINGS.share_sigma**2
     total = float(weight.sum()) + prior
-    share = np.clip((float(weight @ median) + 0.5 * prior) / total, *MIXING.share_range)
+    share = np.clip((float(weight @ median) + 0.5 * prior) / total, *MIXING_SETTINGS.share_range)
     return DifferenceNoise(covariance, float(share), 1.0 / np.sqrt(total))
 
 
@@ -143,8 +143,8 @@ def usable_cells(cells: Cells, noise: DifferenceNoise) -> Cells:
     """Return the cells with more than noise in them, their shared noise taken out."""
     size = np.einsum("cii->ci", cells.covariance)
     level = max(float(np.trace(noise.covariance)), 1e-300)
-    use = size[:, 3:].sum(axis=1) > MIXING.loud_difference * level
-    use |= size[:, :3].sum(axis=1) > MIXING.loud_outboard * level
+    use = size[:, 3:].sum(axis=1) > MIXING_SETTINGS.loud_difference * level
+    use |= size[:, :3].sum(axis=1) > MIXING_SETTINGS.loud_outboard * level
     kept = cells.select(use)
     covariance = kept.covariance.copy()
     covariance[:, :3, 3:] += noise.share * noise.covariance
@@ -204,7 +204,7 @@ def fit_mixing(
     size = np.einsum("cii->ci", cells.covariance)
     # Where the difference holds more than a leak can make, the units' field would be taken for one: it is in
     # the outboard reading, too.
-    most = 3.0 * (MIXING.prior_sigmas * leak_sigma) ** 2
+    most = 3.0 * (MIXING_SETTINGS.prior_sigmas * leak_sigma) ** 2
     restful = cells.select(size[:, 3:].sum(axis=1) < most * size[:, :3].sum(axis=1))
     floor = np.maximum(np.concatenate([noise.floor, np.diag(noise.covariance)]), 1e-12)
     leak, leak_covariance = np.zeros((3, 3)), np.zeros((9, 9))
@@ -212,7 +212,7 @@ def fit_mixing(
         leak = _most_likely_leak(restful, floor, prior, leak_sigma)
         leak_covariance = _leak_covariance(restful, prior, leak, leak_sigma)
     mixing = Mixing(prior[0].reshape(3, 3), leak, leak_covariance, noise.share)
-    for _ in range(MIXING.rounds):
+    for _ in range(MIXING_SETTINGS.rounds):
         value, _ = second_moments(cells, mixing, noise).solve(ELEMENTS, prior)
         mixing = replace(mixing, matrix=value.reshape(3, 3))
     return mixing
@@ -236,7 +236,7 @@ def _most_likely_leak(cells: Cells, floor: Floats, prior: tuple[Floats, Floats],
         total += float(away @ precision @ away + np.sum((value[9:] / leak_sigma) ** 2))
         return total, gradient * unit
 
-    limits = [(-most, most) for most in (MIXING.prior_sigmas * spread / unit).tolist()]
+    limits = [(-most, most) for most in (MIXING_SETTINGS.prior_sigmas * spread / unit).tolist()]
     zero = np.zeros(start.size)
     best = minimize(cost, zero, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
     return np.asarray((start + best * unit)[9:].reshape(3, 3))
@@ -249,7 +249,7 @@ def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tu
     that of the determinant of both rows together.
     """
     unmix = _unmixing(matrix, leak)
-    own = MIXING.own_contrasts
+    own = MIXING_SETTINGS.own_contrasts
     weight = cells.count + own
     count = float(weight.sum())
     product = cells.covariance @ unmix.T
@@ -301,7 +301,7 @@ def _leak_covariance(cells: Cells, prior: tuple[Floats, Floats], leak: Floats, s
     unmixed = unmix @ cells.covariance @ unmix.T
     variance = np.maximum(np.einsum("cii->ci", unmixed)[:, 3:], 1e-300)
     score = (cells.count[:, None] / variance)[:, :, None] * unmixed[:, 3:, :3]
-    parts = MIXING.leak_parts
+    parts = MIXING_SETTINGS.leak_parts
     sums = np.zeros((parts, 9))
     np.add.at(sums, cells.blocks(parts), score.reshape(-1, 9))
     sums -= sums.mean(axis=0)
@@ -386,7 +386,7 @@ class SecondMoments:
             inverse = vector / np.sqrt(np.maximum(value, 1e-12))
             share, rotation = np.linalg.eigh(inverse.T @ (whole - noise) @ inverse)
             without_noise = root @ (rotation * np.clip(share, 0.0, 1.0)) @ rotation.T @ root.T
-            of_noise = MIXING.noise_uncertainty * noise @ matrix[axis]
+            of_noise = MIXING_SETTINGS.noise_uncertainty * noise @ matrix[axis]
             spread = whole + self.error[axis] + np.outer(of_noise, of_noise)
             value, vector = np.linalg.eigh(excess * spread)
             whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T
@@ -403,7 +403,7 @@ class SecondMoments:
         for axis in range(3):
             for one, square in zip(self._scores(axis, matrix[axis]), self.square[:, axis], strict=True):
                 value, vector = np.linalg.eigh(square)
-                observed = value > MIXING.observed_square
+                observed = value > MIXING_SETTINGS.observed_square
                 chi2 = float(np.sum((vector.T @ one)[observed] ** 2 / value[observed]))
                 extra += chi2 - float(observed.sum())
                 power += float(value[observed].sum())
@@ -446,10 +446,10 @@ def second_moments(cells: Cells, mixing: Mixing, noise: DifferenceNoise) -> Seco
     smooth = variance.copy()
     for scale in np.unique(cells.scale):
         here = np.flatnonzero(cells.scale == scale)
-        around = ndimage.uniform_filter1d(variance[here], MIXING.neighbours, axis=0, mode="nearest")
+        around = ndimage.uniform_filter1d(variance[here], MIXING_SETTINGS.neighbours, axis=0, mode="nearest")
         smooth[here] = 0.5 * variance[here] + 0.5 * around
     weight = cells.count[:, None] / smooth
-    blocks = MIXING.blocks
+    blocks = MIXING_SETTINGS.blocks
     block = cells.blocks(blocks)
     sums, crosses = np.zeros((blocks, 3, 3, 3)), np.zeros((blocks, 3, 3))
     weights = np.zeros((blocks, 3))

@@ -91,8 +91,8 @@ class SlowNoiseSettings:
     draws: int = 3
 
 
-NOISE_FLOOR = NoiseFloorSettings()
-SLOW_NOISE = SlowNoiseSettings()
+NOISE_FLOOR_SETTINGS = NoiseFloorSettings()
+SLOW_NOISE_SETTINGS = SlowNoiseSettings()
 
 
 def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
@@ -109,7 +109,7 @@ def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
     """
     spectrum, filtered = noise_of_bands(difference)
     if filtered:
-        found = _of_scales(cells.select(cells.scale >= NOISE_FLOOR.shortest_scale))
+        found = _of_scales(cells.select(cells.scale >= NOISE_FLOOR_SETTINGS.shortest_scale))
     else:
         found = [noise, *_of_scales(cells)]
     if spectrum is not None:
@@ -123,7 +123,7 @@ def _of_scales(cells: Cells) -> list[Floats]:
     for scale in np.unique(cells.scale):
         own = cells.covariance[cells.scale == scale, 3:, 3:]
         size = np.einsum("cii->c", own)
-        if size.size >= NOISE_FLOOR.fewest_cells:
+        if size.size >= NOISE_FLOOR_SETTINGS.fewest_cells:
             # The cells around the median, in all elements at once.
             usual = np.abs(np.argsort(np.argsort(size)) - size.size // 2) <= size.size // 8
             found.append(own[usual].mean(axis=0))
@@ -147,31 +147,33 @@ def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
     bool
         The highest frequencies are a filter's: so are the shortest times.
     """
-    length = NOISE_FLOOR.segment
+    length = NOISE_FLOOR_SETTINGS.segment
     starts = np.arange(0, len(series) - length + 1, length // 2)
-    if starts.size < 2 * NOISE_FLOOR.fewest_segments:
+    if starts.size < 2 * NOISE_FLOOR_SETTINGS.fewest_segments:
         return None, False
-    most = NOISE_FLOOR.most_segments
+    most = NOISE_FLOOR_SETTINGS.most_segments
     if starts.size > most:
         starts = starts[np.linspace(0, starts.size - 1, most).astype(np.int64)]
     window = signal.windows.hann(length, sym=False)
     segments = signal.detrend(series[starts[:, None] + np.arange(length)], axis=1)
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
     unit = np.sqrt(2.0 / np.sum(window**2))
-    spectrum = unit * np.fft.rfft(segments * window[:, None], axis=1)[:, NOISE_FLOOR.trend_frequencies : -1]
+    spectrum = (
+        unit * np.fft.rfft(segments * window[:, None], axis=1)[:, NOISE_FLOOR_SETTINGS.trend_frequencies : -1]
+    )
     bands = [
         robust_covariance(np.concatenate([band.real, band.imag], axis=1).reshape(-1, series.shape[1]))
-        for band in np.array_split(spectrum, NOISE_FLOOR.bands, axis=1)
+        for band in np.array_split(spectrum, NOISE_FLOOR_SETTINGS.bands, axis=1)
     ]
     bands.sort(key=_size)
-    quiet = NOISE_FLOOR.quiet_bands
+    quiet = NOISE_FLOOR_SETTINGS.quiet_bands
     first: int | None = None
-    for place in range(NOISE_FLOOR.first_band, len(bands) - quiet + 1):
-        if _size(bands[place + quiet - 1]) <= NOISE_FLOOR.agreement * _size(bands[place]):
+    for place in range(NOISE_FLOOR_SETTINGS.first_band, len(bands) - quiet + 1):
+        if _size(bands[place + quiet - 1]) <= NOISE_FLOOR_SETTINGS.agreement * _size(bands[place]):
             first = place
             break
     found = None if first is None else np.asarray(np.mean(bands[first : first + quiet], axis=0))
-    return found, first != NOISE_FLOOR.first_band
+    return found, first != NOISE_FLOOR_SETTINGS.first_band
 
 
 def _size(covariance: Floats) -> float:
@@ -179,9 +181,9 @@ def _size(covariance: Floats) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), 1e-300)))))
 
 
-def expected_drift(seconds: float, hourly: float = SLOW_NOISE.drift_in_hour) -> float:
+def expected_drift(seconds: float, hourly: float = SLOW_NOISE_SETTINGS.drift_in_hour) -> float:
     """Return how far two sensors drift apart in a time, nT, rms about its mean."""
-    return float(np.hypot(SLOW_NOISE.drift_at_once, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
+    return float(np.hypot(SLOW_NOISE_SETTINGS.drift_at_once, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
 @dataclass(frozen=True)
@@ -203,7 +205,7 @@ class SlowNoise:
     line: Floats
 
 
-def draw_slow_noise(count: int, draws: int = SLOW_NOISE.draws) -> SlowNoise:
+def draw_slow_noise(count: int, draws: int = SLOW_NOISE_SETTINGS.draws) -> SlowNoise:
     """Return slow noise of sensors in a record of `count` samples, the same each time."""
     random = np.random.default_rng(5)
     frequency = np.fft.rfftfreq(count)
@@ -213,4 +215,6 @@ def draw_slow_noise(count: int, draws: int = SLOW_NOISE.draws) -> SlowNoise:
     flicker = np.fft.irfft(spectrum, count, axis=1).T
     walk = np.cumsum(random.normal(0.0, 1.0 / np.sqrt(count), (count, draws)), axis=0)
     line = np.sqrt(12.0) * (np.arange(count) / count - 0.5)
-    return SlowNoise(np.asarray(SLOW_NOISE.flicker * flicker / flicker.std(axis=0)), walk, line[:, None])
+    return SlowNoise(
+        np.asarray(SLOW_NOISE_SETTINGS.flicker * flicker / flicker.std(axis=0)), walk, line[:, None]
+    )

@@ -93,9 +93,9 @@ class CellSettings:
     contrasts: int = 31
 
 
-WHITE_NOISE = WhiteNoiseSettings()
-DEFECTS = DefectSettings()
-CELLS = CellSettings()
+WHITE_NOISE_SETTINGS = WhiteNoiseSettings()
+DEFECT_SETTINGS = DefectSettings()
+CELL_SETTINGS = CellSettings()
 
 
 @dataclass(frozen=True)
@@ -164,16 +164,16 @@ class Readings:
 
         Noise alone changes all axes of a working sensor, in whatever axes it is given.
         """
-        if np.count_nonzero(self.good) < DEFECTS.fewest_samples:
+        if np.count_nonzero(self.good) < DEFECT_SETTINGS.fewest_samples:
             return ""
         power = []
         for field in (self.inboard, self.outboard, self.difference):
             change = np.diff(field[self.good], axis=0)
             power.append(np.linalg.eigvalsh(change.T @ change))
         for name, own in zip(("inboard", "outboard"), power, strict=False):
-            if own[0] <= DEFECTS.power_ratio * own[-1]:
+            if own[0] <= DEFECT_SETTINGS.power_ratio * own[-1]:
                 return f"the {name} sensor reads one value along an axis"
-        same = power[2] <= DEFECTS.power_ratio**2 * power[1][-1]
+        same = power[2] <= DEFECT_SETTINGS.power_ratio**2 * power[1][-1]
         if same.all():
             return "the difference of both sensors never changes"
         return "the difference of both sensors never changes along an axis" if same.any() else ""
@@ -199,11 +199,13 @@ def white_covariance(values: Floats) -> Floats:
     """
     if len(values) < 3:
         return np.zeros((values.shape[1], values.shape[1]))
-    if len(values) <= WHITE_NOISE.most_samples:
+    if len(values) <= WHITE_NOISE_SETTINGS.most_samples:
         return robust_covariance(np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])) / 6.0
     # Of a long record, stretches spread over it.
-    stretch = WHITE_NOISE.stretch
-    starts = np.linspace(0, len(values) - stretch, WHITE_NOISE.most_samples // stretch).astype(np.int64)
+    stretch = WHITE_NOISE_SETTINGS.stretch
+    starts = np.linspace(0, len(values) - stretch, WHITE_NOISE_SETTINGS.most_samples // stretch).astype(
+        np.int64
+    )
     parts = np.stack([values[first : first + stretch] for first in starts])
     second = np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
     return robust_covariance(second) / 6.0
@@ -228,7 +230,7 @@ def robust_covariance(values: Floats) -> Floats:
             covariance[i, j] = covariance[j, i] = share * np.sqrt(variance[i] * variance[j])
     # Medians of pairs need not fit together: the nearest matrix without small eigenvalues.
     value, vector = np.linalg.eigh(covariance)
-    floor = WHITE_NOISE.least_eigenvalue * value.max()
+    floor = WHITE_NOISE_SETTINGS.least_eigenvalue * value.max()
     return np.asarray((vector * np.clip(value, floor, None)) @ vector.T)
 
 
@@ -241,7 +243,9 @@ def _robust_variance(values: Floats) -> float:
     half, quartile = size.size // 2, (3 * size.size) // 4
     ranked = np.partition(size, (half, quartile))
     # Of readings coarser than their noise the median alone may be zero, or one step too small.
-    scale = max(MAD_TO_SIGMA * float(ranked[half]), WHITE_NOISE.quartile_to_sigma * float(ranked[quartile]))
+    scale = max(
+        MAD_TO_SIGMA * float(ranked[half]), WHITE_NOISE_SETTINGS.quartile_to_sigma * float(ranked[quartile])
+    )
     return scale**2 if scale > 0 else float(np.mean(values**2))
 
 
@@ -255,8 +259,8 @@ def trimmed_covariance(values: Floats) -> Floats:
     if not first.max() > 0:
         return first
     weight = np.linalg.inv(first + 1e-12 * np.trace(first) * np.eye(len(first)))
-    near = values[np.einsum("ti,ij,tj->t", values, weight, values) < WHITE_NOISE.trim_distance]
-    return np.asarray(near.T @ near / max(len(near), 1) / WHITE_NOISE.trim_variance)
+    near = values[np.einsum("ti,ij,tj->t", values, weight, values) < WHITE_NOISE_SETTINGS.trim_distance]
+    return np.asarray(near.T @ near / max(len(near), 1) / WHITE_NOISE_SETTINGS.trim_variance)
 
 
 @dataclass(frozen=True)
@@ -292,7 +296,7 @@ class Cells:
         return Cells(self.covariance[use], self.count[use], self.scale[use], self.row[use])
 
 
-def cells_of(*series: Floats, longest: int = CELLS.longest) -> Cells:
+def cells_of(*series: Floats, longest: int = CELL_SETTINGS.longest) -> Cells:
     """Return the cells of series of samples without gaps.
 
     Parameters
@@ -308,7 +312,7 @@ def cells_of(*series: Floats, longest: int = CELLS.longest) -> Cells:
     parts = []
     for block in scales_of(count, longest):
         values, middle, share = contrasts(sums, block)
-        first = np.arange(0, max(len(values) - CELLS.contrasts // 2, 1), CELLS.contrasts)
+        first = np.arange(0, max(len(values) - CELL_SETTINGS.contrasts // 2, 1), CELL_SETTINGS.contrasts)
         number = np.diff(np.append(first, len(values)))
         products = values[:, :, None] * values[:, None, :]
         covariance = np.add.reduceat(products, first, axis=0) / number[:, None, None]
@@ -320,7 +324,7 @@ def cells_of(*series: Floats, longest: int = CELLS.longest) -> Cells:
     return concatenate_cells(parts)
 
 
-def scales_of(count: int, longest: int = CELLS.longest) -> list[int]:
+def scales_of(count: int, longest: int = CELL_SETTINGS.longest) -> list[int]:
     """Return the lengths of blocks in a record of `count` samples: powers of two up to that part of it.
 
     Half the record is always among them where they go so far: else half of it could be slower than all.

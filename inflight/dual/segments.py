@@ -66,7 +66,7 @@ class SegmentSettings:
     own_drift_bound: float = 4.0
 
 
-SEGMENTS = SegmentSettings()
+SEGMENT_SETTINGS = SegmentSettings()
 
 
 class Ends(NamedTuple):
@@ -163,7 +163,7 @@ def segments_of(readings: Readings) -> Segments:
     jumps, noise = find_jumps(d)
     jumps = confirm_jumps(d, jumps)
     edges = np.concatenate([[0], jumps, [rows.size]]).astype(np.int64)
-    short = np.diff(edges) < SEGMENTS.shortest
+    short = np.diff(edges) < SEGMENT_SETTINGS.shortest
     kept = np.ones(edges.size, dtype=bool)
     kept[1:-1] = ~(short[:-1] & short[1:])
     edges, transient = edges[kept], short[kept[:-1]]
@@ -279,7 +279,7 @@ class DriftFilter:
         self.covariance[:, 1, 0] += walk * seconds / 2.0
         # The variance of the slope is bounded by that of usual slopes, however long the gap.
         free = self.covariance[:, 1, 1] + walk
-        known = np.minimum(free, SEGMENTS.slope_bound * self.rate.slope)
+        known = np.minimum(free, SEGMENT_SETTINGS.slope_bound * self.rate.slope)
         # Value and slope keep their correlation: else the matrix would not stay positive, and the drift
         # would run away.
         correlated = np.sqrt(np.where(free > 0, known / np.where(free > 0, free, 1.0), 1.0))
@@ -349,7 +349,7 @@ def _slope_rates(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floa
     """
     usual, walk = np.zeros(3), np.zeros(3)
     size = 1
-    while len(slope) // size >= SEGMENTS.fewest_groups:
+    while len(slope) // size >= SEGMENT_SETTINGS.fewest_groups:
         edges = np.arange(0, len(slope) - size + 1, size)
         weight = 1.0 / np.maximum(noise, 1e-300)
         error = 1.0 / np.add.reduceat(weight, edges, axis=0)
@@ -367,9 +367,11 @@ def _slope_rates(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floa
 def _excess_variance(values: Floats, noise: Floats, unit: Floats) -> Floats:
     """Return the variance of values (row, axis) a unit (row,) beyond their noise; (axis,), 0 if no more."""
     ratio = values**2 / noise
-    median = np.median(ratio, axis=0) / SEGMENTS.median_square
-    significant = median - 1.0 > SEGMENTS.drift_sigmas * SEGMENTS.median_scatter / np.sqrt(len(values))
-    size = np.median((values**2 / SEGMENTS.median_square - noise) / unit[:, None], axis=0)
+    median = np.median(ratio, axis=0) / SEGMENT_SETTINGS.median_square
+    significant = median - 1.0 > SEGMENT_SETTINGS.drift_sigmas * SEGMENT_SETTINGS.median_scatter / np.sqrt(
+        len(values)
+    )
+    size = np.median((values**2 / SEGMENT_SETTINGS.median_square - noise) / unit[:, None], axis=0)
     return np.asarray(np.where(significant, np.maximum(size, 0.0), 0.0))
 
 
@@ -387,5 +389,5 @@ def segment_drift_covariance(segments: Segments, one: int, rate: DriftRate) -> F
     if not segments.seconds[one] > 0:
         whole = segments.head.slope[one] * seconds
         noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
-    allowed = SEGMENTS.own_drift_bound * noise + seconds * rate.level_walk + seconds**2 * rate.slope
+    allowed = SEGMENT_SETTINGS.own_drift_bound * noise + seconds * rate.level_walk + seconds**2 * rate.slope
     return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))

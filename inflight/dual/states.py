@@ -106,8 +106,8 @@ class UnitSettings:
     near_switchings: int = 2
 
 
-STATES = StateSettings()
-UNITS = UnitSettings()
+STATE_SETTINGS = StateSettings()
+UNIT_SETTINGS = UnitSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,11 +165,13 @@ def find_states(segments: Segments) -> States:
     rate = drift_rate(segments)
     length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
     rates = [rate]
-    for size in STATES.drifts:
+    for size in STATE_SETTINGS.drifts:
         walk = np.maximum(rate.level_walk, (size * sample) ** 2 / length)
         rates.append(rate._replace(level_walk=walk))
-    proven = labels_by_steps(segments, rates, [size * sample for size in STATES.scatters])
-    tried = [_cluster(segments, rate, size * sample, proven) for rate in rates for size in STATES.scatters]
+    proven = labels_by_steps(segments, rates, [size * sample for size in STATE_SETTINGS.scatters])
+    tried = [
+        _cluster(segments, rate, size * sample, proven) for rate in rates for size in STATE_SETTINGS.scatters
+    ]
     return min(tried, key=lambda found: found[0])[1]
 
 
@@ -190,7 +192,7 @@ def _cluster(
             found.assign_all(may_add=False)
         found.update_centres()
         return found.criterion(), replace(found.states(), occupancy=proven.occupancy)
-    for _ in range(STATES.rounds):
+    for _ in range(STATE_SETTINGS.rounds):
         found.update_centres()
         while found.merge():
             pass
@@ -226,7 +228,7 @@ class _Clustering:
         self.segments, self.rate, self.scatter, self.given = segments, rate, scatter, given
         self.steady = np.flatnonzero(~segments.transient)
         self.spread = scatter**2 * np.eye(3)
-        self.limit = float(stats.chi2.isf(STATES.false_states / max(self.steady.size, 1), 3))
+        self.limit = float(stats.chi2.isf(STATE_SETTINGS.false_states / max(self.steady.size, 1), 3))
         self.centre, self.covariance = np.empty((0, 3)), np.empty((0, 3, 3))
         count = len(segments)
         self.label = np.full(count, TRANSIENT, dtype=np.int64)
@@ -237,9 +239,9 @@ class _Clustering:
         )
         self.cost = 0.0
         self.confusion = np.zeros(count)
-        wide = STATES.anywhere_noise * (segments.noise.of_mean(1) + scatter**2 * np.eye(3))
+        wide = STATE_SETTINGS.anywhere_noise * (segments.noise.of_mean(1) + scatter**2 * np.eye(3))
         if self.steady.size >= 2:
-            wide = STATES.anywhere_points * np.cov(segments.level[self.steady].T) + wide
+            wide = STATE_SETTINGS.anywhere_points * np.cov(segments.level[self.steady].T) + wide
         self.anywhere = float(np.linalg.slogdet(wide)[1])
 
     def assign_all(self, *, may_add: bool) -> None:
@@ -375,7 +377,7 @@ def labels_by_steps(
     scatters : sequence of float
         By how much a state's point may vary beyond noise and drift, nT; the likeliest first.
     """
-    if np.count_nonzero(~segments.transient) < UNITS.proof_steps + 2:
+    if np.count_nonzero(~segments.transient) < UNIT_SETTINGS.proof_steps + 2:
         return None
     for rate in rates:
         step, covariance = steps_between(segments, rate)
@@ -427,25 +429,25 @@ def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> Prove
     which: dict[int, tuple[int, int]] = {}
     for one in order.tolist():
         which[one] = match_or_add(changes, Change(step[one], covariance[one], 1), limit)
-        if len(changes) > UNITS.most_vectors:
+        if len(changes) > UNIT_SETTINGS.most_vectors:
             return None
     kept, parts = reduce_to_units(changes)
     vectors = np.array([changes[one].vector for one in kept])
-    if len(real) - len(kept) < UNITS.proof_steps:
+    if len(real) - len(kept) < UNIT_SETTINGS.proof_steps:
         return None
     # Two of the vectors that hardly differ, up to their sign, may be one.
     length = np.linalg.norm(vectors, axis=1)
     sums = np.stack([vectors[:, None] - vectors, vectors[:, None] + vectors])
     apart = np.linalg.norm(sums, axis=3).min(axis=0)
     np.fill_diagonal(apart, np.inf)
-    if np.any(apart < UNITS.least_difference * np.minimum(length[:, None], length[None])):
+    if np.any(apart < UNIT_SETTINGS.least_difference * np.minimum(length[:, None], length[None])):
         return None
     toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
     for one, (change, sign) in which.items():
         for unit, value in parts[change].items():
             toggled[one + 1, unit] = sign * value
     table = simplest_occupancy(np.cumsum(toggled, axis=0))
-    seldom = UNITS.fewest_switchings
+    seldom = UNIT_SETTINGS.fewest_switchings
     if np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=seldom) < seldom:
         return None
     if np.ptp(table, axis=0).max(initial=0) > 1:
@@ -477,7 +479,7 @@ class Change:
 
 def chi2_limit(tests: int) -> float:
     """Return the squared distance that one of so many right changes exceeds once in a thousand times."""
-    return float(stats.chi2.isf(UNITS.missed / max(tests, 1), 3))
+    return float(stats.chi2.isf(UNIT_SETTINGS.missed / max(tests, 1), 3))
 
 
 def squared_distance(vector: Floats, covariance: Floats) -> float:
@@ -548,7 +550,7 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
     """Return a change as a signed sum of two or three others; None when it is none."""
     target = changes[one]
     size = float(np.sqrt(np.mean([np.sum(change.vector**2) for change in changes])))
-    for number in range(2, min(UNITS.together, len(others)) + 1):
+    for number in range(2, min(UNIT_SETTINGS.together, len(others)) + 1):
         choices = list(combinations(others, number))
         signs = list(product((1, -1), repeat=number))
         limit = chi2_limit(1)
@@ -561,7 +563,7 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
                 * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
                 / (size**2 * number / 3.0 * limit) ** 1.5
             )
-            if len(choices) * len(signs) * volume > UNITS.accidents:
+            if len(choices) * len(signs) * volume > UNIT_SETTINGS.accidents:
                 continue
             for sign in signs:
                 total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
@@ -633,12 +635,12 @@ class Units:
         """Return the combinations (state, unit) that no state has: those near to one when units are many."""
         count = len(self)
         observed = {tuple(row) for row in self.occupancy.tolist()}
-        if count <= UNITS.most_predicted:
+        if count <= UNIT_SETTINGS.most_predicted:
             possible = set(product((0, 1), repeat=count))
         else:
             possible = set()
             for row in observed:
-                for number in range(1, UNITS.near_switchings + 1):
+                for number in range(1, UNIT_SETTINGS.near_switchings + 1):
                     for toggled in combinations(range(count), number):
                         possible.add(tuple(1 - min(v, 1) if i in toggled else v for i, v in enumerate(row)))
         rows = sorted(possible - observed)

@@ -122,9 +122,9 @@ class NamingSettings:
     rival: float = 0.9
 
 
-RESIDUAL_STEPS = ResidualStepSettings()
-ATTRIBUTION = AttributionSettings()
-NAMING = NamingSettings()
+RESIDUAL_STEP_SETTINGS = ResidualStepSettings()
+ATTRIBUTION_SETTINGS = AttributionSettings()
+NAMING_SETTINGS = NamingSettings()
 
 Ints = npt.NDArray[np.int64]
 
@@ -181,7 +181,7 @@ def switchings(state: Ints, stamps: Ints, step: int) -> Switchings:
     return Switchings(settled[where], settled[where + 1], known[where], known[where + 1], room)
 
 
-def steps_across(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width) -> Floats:
+def steps_across(field: Floats, at: Switchings, width: int = RESIDUAL_STEP_SETTINGS.width) -> Floats:
     """Return the step of a field at each switching, means after less before; (switching, axis), nT.
 
     NaN where a state is shorter than `width` samples or more than half of them are missing.
@@ -201,7 +201,7 @@ def steps_across(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.widt
     return out
 
 
-def quiet_steps(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width) -> Floats:
+def quiet_steps(field: Floats, at: Switchings, width: int = RESIDUAL_STEP_SETTINGS.width) -> Floats:
     """Return the same steps where nothing switches: at a third and two thirds of the states between.
 
     The same number of samples is left out in the middle as at the switchings, in the median.
@@ -221,9 +221,9 @@ def quiet_steps(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width
 
 def quietest_width(field: Floats, at: Switchings) -> int:
     """Return the width whose steps are smallest where nothing switches; the default without any such step."""
-    sizes = {width: rms_of_steps(quiet_steps(field, at, width)) for width in RESIDUAL_STEPS.widths}
+    sizes = {width: rms_of_steps(quiet_steps(field, at, width)) for width in RESIDUAL_STEP_SETTINGS.widths}
     known = {width: size for width, size in sizes.items() if np.isfinite(size)}
-    return min(known, key=lambda width: known[width]) if known else RESIDUAL_STEPS.width
+    return min(known, key=lambda width: known[width]) if known else RESIDUAL_STEP_SETTINGS.width
 
 
 def rms_of_steps(steps: Floats) -> float:
@@ -254,7 +254,7 @@ class ResidualStep:
     @property
     def is_clear(self) -> bool:
         """Whether a component is certainly not zero."""
-        return bool(np.any(np.abs(self.value) > RESIDUAL_STEPS.clear_sigmas * self.sigma))
+        return bool(np.any(np.abs(self.value) > RESIDUAL_STEP_SETTINGS.clear_sigmas * self.sigma))
 
     def sentence(self, unit: str) -> str:
         """Return the finding in words."""
@@ -281,7 +281,7 @@ def regress_steps(coordinate: str, steps: Floats, change: Floats) -> ResidualSte
     """
     known = np.isfinite(steps).all(axis=1) & np.isfinite(change) & (change != 0)
     x, y = change[known], steps[known]
-    if x.size < RESIDUAL_STEPS.fewest:
+    if x.size < RESIDUAL_STEP_SETTINGS.fewest:
         return None
     square = float(x @ x)
     value = x @ y / square
@@ -352,7 +352,10 @@ class JumpAttribution:
 
 def _sign_of_same(steps: Floats, one: Floats, scatter: float) -> Floats:
     """Return +1 or -1 for steps that are one step or its negative, 0 for others; (step,)."""
-    limit = max(ATTRIBUTION.same_sigmas * scatter, ATTRIBUTION.same_size * float(np.linalg.norm(one)))
+    limit = max(
+        ATTRIBUTION_SETTINGS.same_sigmas * scatter,
+        ATTRIBUTION_SETTINGS.same_size * float(np.linalg.norm(one)),
+    )
     up, down = (np.linalg.norm(steps - sign * one, axis=1) < limit for sign in (1.0, -1.0))
     return np.where(up, 1.0, np.where(down, -1.0, 0.0))
 
@@ -377,19 +380,21 @@ def attribute_jumps(
     if not jumps.size:
         return None
     # Jumps that are too near to be distinguished are one, from its first to its last row.
-    edges = np.flatnonzero(np.diff(jumps) > ATTRIBUTION.one_jump) + 1
+    edges = np.flatnonzero(np.diff(jumps) > ATTRIBUTION_SETTINGS.one_jump) + 1
     first = jumps[np.concatenate([[0], edges])]
     last = jumps[np.concatenate([edges - 1, [jumps.size - 1]])]
     step, rows = _steps_at_jumps(difference, first, last)
     changes = {name: _channel_changes(channels[name], first, last, reach[name]) for name in sorted(channels)}
-    names = [name for name, one in changes.items() if np.count_nonzero(one[0]) >= ATTRIBUTION.fewest_jumps]
+    names = [
+        name for name, one in changes.items() if np.count_nonzero(one[0]) >= ATTRIBUTION_SETTINGS.fewest_jumps
+    ]
     used = [changes[name] for name in names]
     change = np.stack([one[0] for one in used], axis=1) if used else np.zeros((first.size, 0))
     white = np.sqrt(np.trace(white_covariance(difference)) / 3.0)
     # A step's own noise at least: where all steps agree by chance there is no smaller scatter.
     least = float(white * np.sqrt(2.0 / np.median(rows)))
     residual, scatter = _robust_residuals(step, change, np.array([one[1] for one in used]), least)
-    follows = np.linalg.norm(residual, axis=1) <= ATTRIBUTION.disagrees * scatter
+    follows = np.linalg.norm(residual, axis=1) <= ATTRIBUTION_SETTINGS.disagrees * scatter
     spread = 1 + max((reach[name] for name in names), default=0) * follows
     before, after = np.maximum(first - spread, 0), np.minimum(last + spread - 1, stamps.size - 1)
     return JumpAttribution(stamps[before], stamps[after], follows, residual, float(np.median(scatter)))
@@ -402,8 +407,8 @@ def _steps_at_jumps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Fl
     step, rows = np.zeros((first.size, values.shape[1])), np.ones(first.size)
     for one in range(first.size):
         low, high = max(int(first[one]) - 1, 1), min(int(last[one]) + 1, len(values) - 1)
-        before = values[max(int(ends[one]), low - ATTRIBUTION.width, 0) : low]
-        after = values[high : min(int(begins[one]), high + ATTRIBUTION.width)]
+        before = values[max(int(ends[one]), low - ATTRIBUTION_SETTINGS.width, 0) : low]
+        after = values[high : min(int(begins[one]), high + ATTRIBUTION_SETTINGS.width)]
         before = before if len(before) else values[low - 1 : low]
         after = after if len(after) else values[high : high + 1]
         step[one] = after.mean(axis=0) - before.mean(axis=0)
@@ -423,7 +428,9 @@ def _channel_changes(values: Floats, first: Rows, last: Rows, reach: int) -> tup
     if known.size < 2 * width + 2:
         return np.zeros(first.size), 0.0
     usual = MAD_TO_SIGMA * float(np.median(np.abs(known[width:] - known[:-width])))
-    limit = max(ATTRIBUTION.changed_sigmas * usual, ATTRIBUTION.changed_range * float(np.ptp(known)))
+    limit = max(
+        ATTRIBUTION_SETTINGS.changed_sigmas * usual, ATTRIBUTION_SETTINGS.changed_range * float(np.ptp(known))
+    )
     return np.where(np.isfinite(change) & (np.abs(change) > limit), change, 0.0), usual
 
 
@@ -445,15 +452,15 @@ def _robust_residuals(step: Floats, change: Floats, usual: Floats, least: float)
         return step, alone
     x, y = change[changes] / np.abs(change).max(axis=0), step[changes]
     weight, scatter, slope = np.ones(len(x)), least, np.zeros((x.shape[1], 3))
-    for number in range(ATTRIBUTION.rounds):
+    for number in range(ATTRIBUTION_SETTINGS.rounds):
         slope = np.linalg.lstsq(x * weight[:, None], y * weight[:, None], rcond=None)[0]
         size = np.linalg.norm(y - x @ slope, axis=1)
-        scatter = max(float(np.median(size)) / ATTRIBUTION.median_length, least)
+        scatter = max(float(np.median(size)) / ATTRIBUTION_SETTINGS.median_length, least)
         # Least absolute lengths first, which no start misleads; then what lies near.
         root = (
             size / scatter
-            if number < ATTRIBUTION.rounds // 2
-            else 1.0 + (size / (ATTRIBUTION.half_weight * scatter)) ** 2
+            if number < ATTRIBUTION_SETTINGS.rounds // 2
+            else 1.0 + (size / (ATTRIBUTION_SETTINGS.half_weight * scatter)) ** 2
         )
         weight = 1.0 / np.sqrt(np.maximum(root, 1e-2))
     residual = step.copy()
@@ -514,9 +521,13 @@ def match_channels_to_units(
     """
     random = np.random.default_rng(seed)
     # A level below one over the number of rearrangements cannot be shown.
-    pairs = min(max(1, signs.shape[1] * len(changes)), round(NAMING.chance * NAMING.rearrangements / 2.0))
+    pairs = min(
+        max(1, signs.shape[1] * len(changes)),
+        round(NAMING_SETTINGS.chance * NAMING_SETTINGS.rearrangements / 2.0),
+    )
     return [
-        _named(unit, signs[:, unit], changes, NAMING.chance / pairs, random) for unit in range(signs.shape[1])
+        _named(unit, signs[:, unit], changes, NAMING_SETTINGS.chance / pairs, random)
+        for unit in range(signs.shape[1])
     ]
 
 
@@ -526,30 +537,30 @@ def _named(
     """Return the channels of one unit, or why none is named."""
     count = int(np.count_nonzero(sign))
     nameless = UnitChannels(unit=unit, switchings=count, channels=(), agreement=(), per_unit=())
-    if count < NAMING.fewest:
-        too_few = f"it was seen to switch {count} times, at least {NAMING.fewest} needed"
+    if count < NAMING_SETTINGS.fewest:
+        too_few = f"it was seen to switch {count} times, at least {NAMING_SETTINGS.fewest} needed"
         return replace(nameless, reason=too_few)
     if not changes:
         return replace(nameless, reason="there is no housekeeping at its switchings")
     found = []
     for name, change in changes.items():
         known = np.isfinite(change)
-        if np.count_nonzero(sign[known]) < NAMING.fewest:
+        if np.count_nonzero(sign[known]) < NAMING_SETTINGS.fewest:
             continue
         on, by = sign[known], change[known]
         # The squared correlation through zero, and the change for one switching on.
         squares, product = float(by @ by) * float(on @ on), float(on @ by)
         agreement = product**2 / squares if squares > 0 else 0.0
-        if agreement < NAMING.agreement:
+        if agreement < NAMING_SETTINGS.agreement:
             continue
         # The chance that the same changes, at the switchings in another order, agree as well.
-        rearranged = random.permuted(np.broadcast_to(by, (NAMING.rearrangements, by.size)), axis=1)
+        rearranged = random.permuted(np.broadcast_to(by, (NAMING_SETTINGS.rearrangements, by.size)), axis=1)
         better = np.count_nonzero((rearranged @ on) ** 2 / squares >= agreement * (1.0 - 1e-9))
-        if (better + 1) / (NAMING.rearrangements + 1) <= level:
+        if (better + 1) / (NAMING_SETTINGS.rearrangements + 1) <= level:
             found.append((agreement, name, product / float(on @ on)))
     if not found:
         return replace(nameless, reason="no channel changes when it switches")
     found.sort(reverse=True)
-    near = [one for one in found if one[0] >= NAMING.rival * found[0][0]]
+    near = [one for one in found if one[0] >= NAMING_SETTINGS.rival * found[0][0]]
     agreements, names, per_units = zip(*near, strict=True)
     return replace(nameless, channels=names, agreement=agreements, per_unit=per_units)

@@ -46,7 +46,7 @@ class ContinuationSettings:
     least_match: float = 0.5
 
 
-CONTINUATION = ContinuationSettings()
+CONTINUATION_SETTINGS = ContinuationSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ def continue_training(earlier: Training, later: Training) -> ContinuedTraining:
         common = np.linalg.solve(weight.sum(axis=0), np.einsum("pij,pj->i", weight, own - old))
     change = own - (old + common)
     distance = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
-    aged = np.asarray(distance > stats.chi2.isf(CONTINUATION.missed / max(len(matched), 1), 3))
+    aged = np.asarray(distance > stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(matched), 1), 3))
     reference = -1 if later.reference < 0 else int(number[later.number == later.reference][0])
     training = replace(later, number=number, reference=reference, next_number=next_number)
     training = _with_units(earlier, training, matched)
@@ -225,7 +225,7 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     apart = later.centre[None] - earlier.centre[:, None]
     scatter = (earlier.scatter**2 + later.scatter**2) * np.eye(3)
     spread = earlier.centre_covariance[:, None] + later.centre_covariance[None] + scatter
-    limit = stats.chi2.isf(CONTINUATION.missed / max(len(later), 1), 3)
+    limit = stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(later), 1), 3)
     rows, columns = np.flatnonzero(earlier.observed), np.flatnonzero(later.observed)
     between, width = apart[np.ix_(rows, columns)], spread[np.ix_(rows, columns)]
     tried: list[tuple[float, float, Floats, Floats]] = []
@@ -243,12 +243,14 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     most = max(one[0] for one in tried)
     # By the vector of one unit states are shifted onto each other as well, but half of them at most.
     rivals = sorted(
-        (one for one in tried if one[0] >= CONTINUATION.least_match * most), key=lambda one: one[1]
+        (one for one in tried if one[0] >= CONTINUATION_SETTINGS.least_match * most), key=lambda one: one[1]
     )
     weight, size, shift, own = rivals[0]
     # Shifts of one and the same matching differ by their noise only.
     others = [one[1] for one in rivals if squared_distance(one[2] - shift, own + one[3]) > limit]
-    if weight < CONTINUATION.least_match * later.seconds.sum() or (others and size > 0.5 * min(others)):
+    if weight < CONTINUATION_SETTINGS.least_match * later.seconds.sum() or (
+        others and size > 0.5 * min(others)
+    ):
         return nothing
     residual = apart - shift
     distance = np.einsum("kli,klij,klj->kl", residual, np.linalg.inv(spread + own), residual)

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.dual.change_points import Rows, StepNoise, step_noise
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SEGMENTS, DriftRate, Segments, segments_of
+from inflight.dual.segments import SEGMENT_SETTINGS, DriftRate, Segments, segments_of
 from inflight.dual.states import Occupancy, States, Units, find_states, find_units, no_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
@@ -58,7 +58,7 @@ class TrainingSettings:
     prior_size: float = 1.0
 
 
-TRAINING = TrainingSettings()
+TRAINING_SETTINGS = TrainingSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,7 +174,7 @@ def train(readings: Readings, *, ambient: Floats | None = None) -> Training:
     states = find_states(segments)
     if not len(states):
         raise CalibrationError(
-            f"no stretch of {SEGMENTS.shortest} samples without a jump in {len(readings)} samples",
+            f"no stretch of {SEGMENT_SETTINGS.shortest} samples without a jump in {len(readings)} samples",
             remedy="take a longer span, or a shorter minimum dwell",
         )
     units = find_units(states)
@@ -252,7 +252,7 @@ def _fit_outboard(
     # A passage from a state to itself has no parameter.
     moved = np.any(rows != 0, axis=1)
     rows, observed, covariance = rows[moved], steps.step[moved], steps.covariance[moved]
-    prior = TRAINING.prior_size * np.maximum(size, 1e-3 * size.max(initial=1e-6))
+    prior = TRAINING_SETTINGS.prior_size * np.maximum(size, 1e-3 * size.max(initial=1e-6))
     if levels is not None:
         rows = np.column_stack([rows, np.zeros(len(rows))])
         own = np.column_stack([design[label[levels.segment]], np.ones(levels.segment.size)])
@@ -324,8 +324,8 @@ def _local_variance(
     """Return the variance of steps within two segments over the usual one."""
     width = int(noise.length[scale])
     # Those that are nearest to the jump, from both sides.
-    at = [last[pair[0]] - width - (width * np.arange(TRAINING.local_steps)) // 2]
-    at.append(first[pair[1]] + width + (width * np.arange(TRAINING.local_steps)) // 2)
+    at = [last[pair[0]] - width - (width * np.arange(TRAINING_SETTINGS.local_steps)) // 2]
+    at.append(first[pair[1]] + width + (width * np.arange(TRAINING_SETTINGS.local_steps)) // 2)
     inside = [
         one[(one - width >= first[own]) & (one + width <= last[own])]
         for one, own in zip(at, pair, strict=True)
@@ -337,7 +337,9 @@ def _local_variance(
     square = np.einsum("ti,ij,tj->t", step, np.linalg.inv(noise.covariance[scale]), step) / 3.0
     # Half of the overlapping steps are independent.
     number = 0.5 * place.size
-    return float((square.mean() * number + TRAINING.usual_steps) / (number + TRAINING.usual_steps))
+    return float(
+        (square.mean() * number + TRAINING_SETTINGS.usual_steps) / (number + TRAINING_SETTINGS.usual_steps)
+    )
 
 
 @dataclass(frozen=True)
@@ -417,7 +419,7 @@ def fit_stray(design: Floats, observed: Floats, covariance: Floats, prior: Float
     ridge = np.diag(np.repeat(1.0 / prior**2, 3))
     weight = np.ones(len(observed))
     freedom = max(3 * (len(observed) - width), 1)
-    for _ in range(TRAINING.rounds):
+    for _ in range(TRAINING_SETTINGS.rounds):
         weighted = weight[:, None, None] * inverse
         normal = np.einsum("rp,rij,rq->piqj", design, weighted, design).reshape(3 * width, 3 * width)
         right = np.einsum("rp,rij,rj->pi", design, weighted, observed).ravel()
@@ -425,7 +427,7 @@ def fit_stray(design: Floats, observed: Floats, covariance: Floats, prior: Float
         value = (total @ right).reshape(width, 3)
         residual = observed - design @ value
         distance = np.einsum("ri,rij,rj->r", residual, inverse, residual)
-        weight = np.minimum(1.0, TRAINING.huber_limit / np.sqrt(np.maximum(distance, 1e-300)))
+        weight = np.minimum(1.0, TRAINING_SETTINGS.huber_limit / np.sqrt(np.maximum(distance, 1e-300)))
     excess = float(np.sqrt(np.sum(weight * distance) / freedom)) if len(observed) > width else 1.0
     # The prior's share is not noise, and does not grow with it.
     widened = total * max(1.0, excess) ** 2

@@ -3,7 +3,7 @@
 In go samples (`inflight.samples`), values of the effect's parameters, and a sensor; out comes the field the
 cause adds there, nT, or a reading with or without it. An effect knows no time dependence: that is the
 model's. Open `base` first (`Effect`, `Parameter`), then any effect; `registry` finds classes by name,
-`sources` reads a user's own files, `check_effect` (`conformance`) holds a class to all this.
+`user_effects` reads a user's own files, `check_effect` (`conformance`) holds a class to all this.
 """
 
 import lazy_loader

@@ -11,11 +11,10 @@ from .base import (
     with_field,
 )
 from .conformance import ConformanceSettings, check_effect
-from .environment import MOST_ORDER, DayNight, DayNightSeries, order_names
+from .environment import MAX_HARMONIC, DayNight, DayNightSeries, order_names
 from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, VECTOR_ROLES, Affine, ScalarBias, TimeShift, VectorSensor
-from .sources import EffectSource
 from .spacecraft import (
     PANEL_CYCLE_DAYS,
     PANEL_CYCLE_START_H,
@@ -25,11 +24,12 @@ from .spacecraft import (
     panel_weights_at,
 )
 from .spinning_sensor import SpinningSensor, coupling, gains_of, package_to_spin, sensor_axes
+from .user_effects import EffectSource
 
 __all__ = [
     "ANGLES",
     "AXES",
-    "MOST_ORDER",
+    "MAX_HARMONIC",
     "NO_CAUSE",
     "PANEL_CYCLE_DAYS",
     "PANEL_CYCLE_START_H",

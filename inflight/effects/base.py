@@ -165,11 +165,11 @@ class RepetitionSettings:
     diverged: float = 1e9
 
 
-REPETITION = RepetitionSettings()
+REPETITION_SETTINGS = RepetitionSettings()
 
 
 class EffectOrigin(Protocol):
-    """The file a user's effect comes from: see `inflight.effects.sources.EffectSource`."""
+    """The file a user's effect comes from: see `inflight.effects.user_effects.EffectSource`."""
 
     @property
     def path(self) -> str:
@@ -371,12 +371,12 @@ class Effect:
     def _reading_of(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading that `correct` turns into the truth, by repetition; (time, axis) nT."""
         reading, last = truth, np.inf
-        for _ in range(REPETITION.most_steps):
+        for _ in range(REPETITION_SETTINGS.most_steps):
             before, reading = reading, truth + self.field(with_field(samples, reading), values, sensor)
             change = float(np.nanmax(np.abs(reading - before), initial=0.0))
-            if change == 0.0 or last <= change < REPETITION.settled:
+            if change == 0.0 or last <= change < REPETITION_SETTINGS.settled:
                 return reading
-            if change > REPETITION.diverged:
+            if change > REPETITION_SETTINGS.diverged:
                 break
             last = change
         raise ModelError(

@@ -28,7 +28,7 @@ from inflight.design import SENSOR_EQUATIONS, DesignRows, design_matrix, sensor_
 from inflight.effects import registry
 from inflight.effects.base import Effect, Parameter
 from inflight.effects.families import FAMILIES, channel_unit, channels_of, has_orbit
-from inflight.effects.sources import require_sound_class
+from inflight.effects.user_effects import require_sound_class
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.instruments import Channel
@@ -134,14 +134,14 @@ class ConformanceSettings:
     steps: float = 3.0
 
 
-SETTINGS = ConformanceSettings()
+CONFORMANCE_SETTINGS = ConformanceSettings()
 
 
 def check_effect(
     kind: type[Effect],
     mission: Mission | None = None,
     options: Mapping[str, Any] | None = None,
-    settings: ConformanceSettings = SETTINGS,
+    settings: ConformanceSettings = CONFORMANCE_SETTINGS,
 ) -> None:
     """Check that a class of effects keeps its contract; return when it does.
 

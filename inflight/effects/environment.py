@@ -104,7 +104,7 @@ def spherical_harmonics(direction: Floats, degree: int) -> Floats:
 
 
 #: Highest order of a series; above it the shape is better taken from a channel.
-MOST_ORDER = 12
+MAX_HARMONIC = 12
 
 
 def order_names(order: int, sines: bool) -> tuple[str, ...]:
@@ -128,7 +128,7 @@ class Periodic(Effect):
 
     def prepare(self) -> None:
         """Give every order its vectors."""
-        self._order = self.whole_number("order", self.default_order, MOST_ORDER)
+        self._order = self.whole_number("order", self.default_order, MAX_HARMONIC)
         axes = order_names(self._order, self.sines)
         self.sized = {"amplitude": replace(self.amplitude, axes=axes)}
 

@@ -1,7 +1,7 @@
 """Which effects exist: the library's own, those of installed packages, and a user's own classes.
 
 A package adds effects through the entry point group ``inflight.effects``; a mission names files with its
-own (`inflight.effects.sources`); in a notebook `register` makes a class known.
+own (`inflight.effects.user_effects`); in a notebook `register` makes a class known.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from inflight.effects.sensors import (
     TimeShift,
     VectorSensor,
 )
-from inflight.effects.sources import EffectSource, own_effects
 from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.effects.user_effects import EffectSource, own_effects
 from inflight.errors import ModelError
 
 _LIBRARY: tuple[type[Effect], ...] = (

@@ -1,10 +1,10 @@
 """Figures and tables of a diagnosis: verdict, candidates, found effects, ledger, and how the error falls.
 
-Takes the fields that a diagnosis keeps (`Diagnosis.as_json`) and the numbers of `inflight.diagnosis.views`;
-makes HTML that needs no script (the verdict with a scale from nothing to the residual as it was, the ranked
-candidates, found effects with their values and rivals, the ledger, changes of a model) and Bokeh figures
-(gains before and after, the held-out error effect by effect and version by version). A diagnosis that was
-kept is shown like a new one.
+Takes the fields that a diagnosis keeps (`Diagnosis.as_json`) and the numbers of
+`inflight.diagnosis.figure_data`; makes HTML that needs no script (the verdict with a scale from nothing to
+the residual as it was, the ranked candidates, found effects with their values and rivals, the ledger,
+changes of a model) and Bokeh figures (gains before and after, the held-out error effect by effect and
+version by version). A diagnosis that was kept is shown like a new one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import Step, Trial
+from inflight.diagnosis import ErrorContribution, Trial
 from inflight.figures.page import bullet_list, facts_table, html_table, paragraph, render
 from inflight.figures.style import (
     AFTER,
@@ -298,7 +298,7 @@ Fields = Mapping[str, Any]
 _COEFFICIENTS = 6
 
 
-def found_effects(fields: Fields) -> list[str]:
+def found_effects_html(fields: Fields) -> list[str]:
     """Return the found effects with all their values as a table, and the signature of what is left.
 
     Parameters
@@ -383,7 +383,7 @@ def _signature(signature: Fields | None) -> list[str]:
     return [paragraph(f" {text}", bold="Signature of what is left:")]
 
 
-def separating_blocks(fields: Fields) -> list[str]:
+def separating_blocks_html(fields: Fields) -> list[str]:
     """Return the blocks in which rivals differ most, as a table; nothing without rivals."""
     if not fields["confusion_set"] or not fields["separating"]:
         return []
@@ -444,7 +444,7 @@ def facts_list(facts: Mapping[str, Any]) -> str:
 
 
 def waterfall_figure(
-    steps: Sequence[Step], start: float, end: float, floor: tuple[float, float, float]
+    steps: Sequence[ErrorContribution], start: float, end: float, floor: tuple[float, float, float]
 ) -> figure:
     """Draw the held-out rms before, one bar for each effect, the rms after, and the noise floor.
 
@@ -489,7 +489,7 @@ def waterfall_figure(
     return plot
 
 
-def order_figure(steps: Sequence[Step], start: float) -> figure:
+def order_figure(steps: Sequence[ErrorContribution], start: float) -> figure:
     """Draw what each effect takes off the mean square when it is taken first, in its turn, and last.
 
     Effects that share what they explain lie far apart; what an effect takes off last is its own.

@@ -21,8 +21,8 @@ from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.calibration import Jumps
-from inflight.diagnosis import CrossTalk, Shift
+from inflight.calibration import BoundarySteps
+from inflight.diagnosis import CalibrationBias, CrossTalk
 from inflight.figures.page import html_table
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import (
@@ -192,7 +192,7 @@ def strongest_pairs(found: CrossTalk, most: int = 5) -> list[str]:
     return [f"{names[i]} with {names[j]}: {found.correlation[i, j]:+.2f}" for _, i, j in ordered]
 
 
-def shift_table(shifts: Sequence[Shift]) -> str:
+def shift_table(shifts: Sequence[CalibrationBias]) -> str:
     """Return as HTML what each found coefficient, if ignored, would do to the calibration."""
     if not shifts:
         return ""
@@ -294,7 +294,7 @@ def comparison_figure(found: TrendComparison) -> figure:
     return plot
 
 
-def boundary_steps_figure(table: Jumps, trend: Jumps) -> figure:
+def boundary_steps_figure(table: BoundarySteps, trend: BoundarySteps) -> figure:
     """Draw the steps of |B| at the boundaries of a table, and those of continuous parameters."""
     title = f"Steps at boundaries in {table.strength:.0f} nT, rms over directions"
     plot = plain_figure(title, "MJD (2000-01-01)", "nT", width=560)

@@ -14,7 +14,7 @@ from bokeh.plotting import figure
 
 from inflight.arrays import Floats
 from inflight.figures.style import AFTER, BEFORE, HIGHLIGHT, REFERENCE, log_ticks, place_legend, plain_figure
-from inflight.residual import SERIES, Line, Power, format_period, thin_spectrum
+from inflight.residual import SERIES, Line, SpectrumSum, format_period, thin_spectrum
 
 #: What each series is called above its figure.
 _TITLES = {
@@ -117,7 +117,7 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
 
 
 def axis_spectrum_figures(
-    before: Power | None, after: Power, known: Mapping[str, float], lines: Sequence[Line] = ()
+    before: SpectrumSum | None, after: SpectrumSum, known: Mapping[str, float], lines: Sequence[Line] = ()
 ) -> list[figure]:
     """Draw dB u_x, dB u_y, dB u_z: amplitude density against period, both logarithmic.
 

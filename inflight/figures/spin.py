@@ -30,7 +30,16 @@ from inflight.figures.style import (
     place_legend,
     plain_figure,
 )
-from inflight.spin import ROW_NAMES, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
+from inflight.spin import (
+    PARAMETER_UNITS,
+    ROW_NAMES,
+    SPIN_RELATED,
+    TONES,
+    Bools,
+    Selection,
+    ToneDependence,
+    Tones,
+)
 from inflight.time import Int64, to_utc
 
 #: Distance of markers of different kinds, in intervals.
@@ -273,7 +282,7 @@ def _estimates_panel(
     value, uncertainty = selection.estimate[:, at], selection.uncertainty[:, at]
     chosen = selection.chosen[:, at]
     known = np.isfinite(value) & (uncertainty > 0.0)
-    unit = UNITS[name]
+    unit = PARAMETER_UNITS[name]
     plot = plain_figure(
         name,
         f"uncertainty ({unit})",

@@ -1,9 +1,10 @@
-"""Least squares from Gram matrices: the one container, the one solver and the one of each covariance.
+"""Least squares from Gram matrices: one container, one solver, one covariance of each kind.
 
 In go rows of [columns | residual], or their Gram matrices; out come values, covariances and what the data
-determine. Knows nothing of sensors, effects or files. Open `gram_blocks` first (the statistics that
-everything is made from), then `solver` (solving, marginalising, priors), `covariance` (HAC, sandwich,
-jackknife), `clusters` (fits of independent clusters), `robust` and `contrasts`.
+determine. Knows neither effects nor files. Open `gram_blocks` first: `GramBlocks` is the protocol of the
+statistics that everything is made from, `GramArrays` holds them in memory. Then `solver` (solving,
+marginalising, priors), `covariance` (HAC, sandwich, jackknife), `clusters` (fits of independent clusters),
+`robust` (biweight), and `contrasts`: differences across a step, along and across the field.
 """
 
 import lazy_loader

@@ -16,7 +16,7 @@ from .covariance import (
     newey_west_lags,
     sandwich,
     sigma_of_mean,
-    with_least_variance,
+    with_variance_floor,
 )
 from .gram_blocks import (
     RESIDUAL,
@@ -30,9 +30,9 @@ from .gram_blocks import (
     prewhiten,
     shift_reference,
 )
-from .robust import BIWEIGHT_WIDTH, MAD_TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, robust_sigma
+from .robust import BIWEIGHT_RMS_FACTOR, BIWEIGHT_WIDTH, MAD_TO_SIGMA, biweight, biweight_slope, robust_sigma
 from .solver import (
-    SOLVER,
+    SOLVER_SETTINGS,
     Solution,
     correlation_of,
     fit_white,
@@ -49,11 +49,11 @@ from .solver import (
 )
 
 __all__ = [
+    "BIWEIGHT_RMS_FACTOR",
     "BIWEIGHT_WIDTH",
     "MAD_TO_SIGMA",
     "RESIDUAL",
-    "SOLVER",
-    "WEIGHTED_RMS",
+    "SOLVER_SETTINGS",
     "BlockSums",
     "ClusteredFit",
     "GramArrays",
@@ -106,5 +106,5 @@ __all__ = [
     "student_sigma",
     "to_amperes",
     "window_means",
-    "with_least_variance",
+    "with_variance_floor",
 ]

@@ -21,7 +21,7 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq.covariance import jackknife_covariance
 from inflight.lsq.solver import (
-    SOLVER,
+    SOLVER_SETTINGS,
     posterior_covariance,
     residual_sum,
     retained_fraction,
@@ -78,7 +78,11 @@ def grams_by_cluster(
 
 
 def solve_clusters(
-    gram: Floats, rows: Floats, prior_sigma: Floats | None = None, *, fewest: int = SOLVER.fewest_clusters
+    gram: Floats,
+    rows: Floats,
+    prior_sigma: Floats | None = None,
+    *,
+    fewest: int = SOLVER_SETTINGS.fewest_clusters,
 ) -> ClusteredFit:
     """Solve for the columns with the prior 0 +- `prior_sigma`.
 
@@ -118,7 +122,7 @@ def solve_clusters(
     precision = 1.0 / sigma**2
     # The variance of a row about the fit; a prior's part in it is small.
     variance = float(total[-1, -1]) / max(count, 1.0)
-    for _ in range(SOLVER.cluster_variance_passes):
+    for _ in range(SOLVER_SETTINGS.cluster_variance_passes):
         fit = _solve_determined(total[None], variance * precision)[0]
         # The observation is the last column, and the fit is subtracted from it.
         variance = residual_sum(total, -fit) / max(count - fit.size, 1.0)
@@ -129,12 +133,12 @@ def solve_clusters(
     noise = student_sigma(clusters) ** 2 * jackknife_covariance(without, about=value)
     matrix = total[:-1, :-1]
     covariance = posterior_covariance(matrix, sigma, variance)
-    alone = np.sqrt(np.diag(posterior_covariance(matrix, sigma * SOLVER.wide, variance)))
+    alone = np.sqrt(np.diag(posterior_covariance(matrix, sigma * SOLVER_SETTINGS.wide, variance)))
     return ClusteredFit(
         value,
         noise + (covariance * precision) @ covariance,
         retained_fraction(matrix),
-        alone <= SOLVER.determined * sigma,
+        alone <= SOLVER_SETTINGS.determined * sigma,
         variance,
         clusters,
         count,
@@ -176,7 +180,7 @@ def _solve_determined(gram: Floats, precision: Floats) -> Floats:
             f"column {index} of the fit is zero in all clusters but at most one",
             remedy="leave the column out, or state what is known of it beforehand",
         )
-    if np.linalg.eigvalsh(scaled)[:, 0].min() < SOLVER.singular:
+    if np.linalg.eigvalsh(scaled)[:, 0].min() < SOLVER_SETTINGS.singular:
         raise CalibrationError(
             "the columns of the fit are not independent, or only in one cluster",
             remedy="take more data, leave a column out, or state what is known of it beforehand",

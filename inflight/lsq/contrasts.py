@@ -22,7 +22,7 @@ from inflight.errors import SamplesError, SettingsError
 from inflight.frames import direction_of
 from inflight.lsq.covariance import long_run_covariance, sandwich
 from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
-from inflight.lsq.solver import SOLVER, gram_inverse
+from inflight.lsq.solver import SOLVER_SETTINGS, gram_inverse
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
@@ -52,7 +52,7 @@ class ContrastSettings:
     nothing: float = 1e-24
 
 
-CONTRASTS = ContrastSettings()
+CONTRAST_SETTINGS = ContrastSettings()
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
     size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
     unit = rows / size
     robust_weight, extra = np.ones(value.size), 0.0
-    for _ in range(CONTRASTS.passes):
+    for _ in range(CONTRAST_SETTINGS.passes):
         sigma2 = variance + extra
         root = np.sqrt(robust_weight / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
@@ -110,9 +110,9 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
     weight = robust_weight / (variance + extra)
     slopes, weights = (unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit
     # Where outliers make the sum of slopes small, a part of that of the weights takes its place.
-    if not np.trace(slopes) / max(float(np.trace(weights)), 1e-300) > CONTRASTS.least_slope:
-        slopes = CONTRASTS.least_slope * weights
-    bread = gram_inverse(slopes, SOLVER.eigen_cut)
+    if not np.trace(slopes) / max(float(np.trace(weights)), 1e-300) > CONTRAST_SETTINGS.least_slope:
+        slopes = CONTRAST_SETTINGS.least_slope * weights
+    bread = gram_inverse(slopes, SOLVER_SETTINGS.eigen_cut)
     scores = unit * (weight * residual)[:, None]
     covariance = sandwich(bread, long_run_covariance(scores, functions))
     return RobustFit(
@@ -236,7 +236,7 @@ def _orthonormal(drift: Floats) -> Floats:
         for _ in range(2):
             rest = rest - (own @ rest) @ own
         power = float(rest @ rest)
-        if power > CONTRASTS.nothing * float(column @ column):
+        if power > CONTRAST_SETTINGS.nothing * float(column @ column):
             basis[place] = rest / np.sqrt(power)
     return basis
 
@@ -247,11 +247,11 @@ def robust_contrast(
     """Return the contrast without outliers, the samples kept, and the noise of one."""
     kept = usable
     contrast = Contrast.of(drift[kept], shape[kept])
-    for _ in range(CONTRASTS.outlier_passes):
+    for _ in range(CONTRAST_SETTINGS.outlier_passes):
         if contrast is None:
             return None
         residual = contrast.residual(values[kept])
-        limit = CONTRASTS.outlier * robust_sigma(residual)
+        limit = CONTRAST_SETTINGS.outlier * robust_sigma(residual)
         far = np.abs(residual) > max(limit, 1e-12)
         if not far.any():
             break

@@ -8,7 +8,7 @@ One of each:
   (Politis and Romano 1995; Politis and White 2004).
 - `sandwich`: covariance of estimates from that of the scores, clustered by block.
 - `jackknife` and `jackknife_covariance`: from the values without one block each (Efron and Stein 1981).
-- `with_least_variance` and `larger_scatter`: never surer than what is known otherwise.
+- `with_variance_floor` and `larger_scatter`: never surer than what is known otherwise.
 - `hac_t`, `expected_gain_t`, `expected_gain_p`: whether a gain that is spread over blocks is more
   than chance.
 
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, stdtr, stdtrit
 
 from inflight.arrays import Floats
-from inflight.lsq.solver import posterior_covariance
+from inflight.lsq.solver import eigen_of_symmetric, posterior_covariance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class LongRunSettings:
     most_lost: float = 0.5
 
 
-LONG_RUN = LongRunSettings()
+LONG_RUN_SETTINGS = LongRunSettings()
 
 
 def bartlett_weights(lags: int) -> Floats:
@@ -93,7 +93,7 @@ def bartlett_covariance(scores: Floats, lags: int) -> Floats:
     for lag, weight in enumerate(bartlett_weights(lags)[: len(scores) - 1], start=1):
         cross = scores[lag:].T @ scores[:-lag]
         total += weight * (cross + cross.T)
-    return with_least_variance(total, white)
+    return with_variance_floor(total, white)
 
 
 def bartlett_variance(series: Floats, lags: int) -> Floats:
@@ -111,7 +111,7 @@ def bartlett_variance(series: Floats, lags: int) -> Floats:
     return np.asarray(np.maximum(total, white))
 
 
-def with_least_variance(covariance: Floats, least: Floats) -> Floats:
+def with_variance_floor(covariance: Floats, least: Floats) -> Floats:
     """Return a covariance with variances no smaller than those of another one, and its own correlations.
 
     Parameters
@@ -141,7 +141,7 @@ def sandwich(bread: Floats, meat: Floats, least: Floats | None = None) -> Floats
         A covariance whose variances are the least possible, as that of white noise.
     """
     found = np.asarray(bread @ meat @ bread.T)
-    return found if least is None else with_least_variance(found, least)
+    return found if least is None else with_variance_floor(found, least)
 
 
 def jackknife_covariance(without: Floats, about: Floats | None = None) -> Floats:
@@ -184,7 +184,7 @@ def larger_scatter(matrix: Floats, within: Floats, between: Floats, prior_sigma:
     free = np.flatnonzero(prior_sigma > 0)
     grid, sigma = np.ix_(free, free), prior_sigma[free]
     unit = np.outer(sigma, sigma)
-    _, vectors = np.linalg.eigh(matrix[grid] * unit)
+    _, vectors = eigen_of_symmetric(matrix[grid] * unit)
     inside = vectors.T @ (within[grid] * unit) @ vectors
     outside = np.diag(vectors.T @ (between[grid] * unit) @ vectors)
     inside += np.diag(np.where(np.diag(inside) <= 0, outside, 0.0))
@@ -207,13 +207,15 @@ def autocorrelation(series: Floats, lags: int) -> Floats:
 def correlation_steps(series: Floats) -> npt.NDArray[np.int64]:
     """Return the correlation time of each column of (block, column), in blocks; (column,)."""
     blocks = len(series)
-    most = max(int(LONG_RUN.longest * blocks), 1)
-    correlation = np.abs(autocorrelation(series, min(most + LONG_RUN.in_a_row, blocks - 1)))
-    small = correlation < LONG_RUN.chance * np.sqrt(np.log10(max(blocks, 10)) / blocks)
+    most = max(int(LONG_RUN_SETTINGS.longest * blocks), 1)
+    correlation = np.abs(autocorrelation(series, min(most + LONG_RUN_SETTINGS.in_a_row, blocks - 1)))
+    small = correlation < LONG_RUN_SETTINGS.chance * np.sqrt(np.log10(max(blocks, 10)) / blocks)
     # Beyond the last lag nothing is known, and nothing speaks against a run.
-    ahead = np.ones((most + LONG_RUN.in_a_row, small.shape[1]), dtype=np.bool_)
-    ahead[: len(small) - 1] = small[1 : most + LONG_RUN.in_a_row + 1]
-    quiet = np.lib.stride_tricks.sliding_window_view(ahead, LONG_RUN.in_a_row, axis=0)[:most].all(axis=-1)
+    ahead = np.ones((most + LONG_RUN_SETTINGS.in_a_row, small.shape[1]), dtype=np.bool_)
+    ahead[: len(small) - 1] = small[1 : most + LONG_RUN_SETTINGS.in_a_row + 1]
+    quiet = np.lib.stride_tricks.sliding_window_view(ahead, LONG_RUN_SETTINGS.in_a_row, axis=0)[:most].all(
+        axis=-1
+    )
     return np.asarray(np.where(quiet.any(axis=0), quiet.argmax(axis=0), most), dtype=np.int64)
 
 
@@ -253,19 +255,19 @@ def long_run_covariance(scores: Floats, functions: float = 1.0) -> Floats:
         spectrum = np.fft.rfft(np.append(0.0, kernel), size_of)[:, None] * np.fft.rfft(unit, size_of, axis=0)
         shared = unit.T @ np.fft.irfft(spectrum, size_of, axis=0)[:blocks]
         total = total + shared + shared.T
-    lost = min(functions * (1.0 + 2.0 * kernel.sum()) / blocks, LONG_RUN.most_lost)
+    lost = min(functions * (1.0 + 2.0 * kernel.sum()) / blocks, LONG_RUN_SETTINGS.most_lost)
     return np.asarray(_no_smaller(total, plain) * np.outer(size, size) / (1.0 - lost))
 
 
 def _no_smaller(total: Floats, white: Floats) -> Floats:
     """Return a covariance without directions far below what uncorrelated scores have: these are chance."""
-    own, vectors = np.linalg.eigh(white)
+    own, vectors = eigen_of_symmetric(white)
     kept = own > 1e-10 * own.max()
     root = vectors[:, kept] * np.sqrt(own[kept])
     inverse = vectors[:, kept] / np.sqrt(own[kept])
-    ratio, directions = np.linalg.eigh(inverse.T @ total @ inverse)
+    ratio, directions = eigen_of_symmetric(inverse.T @ total @ inverse)
     spread = root @ directions
-    return np.asarray((spread * np.maximum(ratio, LONG_RUN.least)) @ spread.T)
+    return np.asarray((spread * np.maximum(ratio, LONG_RUN_SETTINGS.least)) @ spread.T)
 
 
 def correlated_covariance(
@@ -294,7 +296,7 @@ def correlated_covariance(
     precision = 1.0 / prior_sigma[free] ** 2
     spread = long_run_covariance(scores[:, free] @ white, functions) + (white * precision) @ white
     out = np.zeros_like(information)
-    out[grid] = with_least_variance(spread, white)
+    out[grid] = with_variance_floor(spread, white)
     return out
 
 

@@ -33,7 +33,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import SOLVER, Indices, residual_sum, solve_scaled
+from inflight.lsq.solver import SOLVER_SETTINGS, Indices, residual_sum, solve_scaled
 from inflight.time import GAP, SECOND
 
 #: Columns, by name or by place.
@@ -647,7 +647,7 @@ class GramArrays:
         precision: Floats | None = None,
         dtype: npt.DTypeLike = np.float64,
         *,
-        cut: float = SOLVER.eigen_cut,
+        cut: float = SOLVER_SETTINGS.eigen_cut,
         least_kept: float = LEAST_KEPT,
     ) -> Self:
         """Return what is left of every column after some are fitted anew in each interval.

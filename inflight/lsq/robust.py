@@ -13,7 +13,7 @@ from inflight.arrays import Floats
 BIWEIGHT_WIDTH = 6.0
 
 #: Weighted rms of Gaussian residuals over their standard deviation: the biweight favours small ones.
-WEIGHTED_RMS = 0.9447
+BIWEIGHT_RMS_FACTOR = 0.9447
 
 #: Standard deviation of a Gaussian over the median of its absolute deviations.
 MAD_TO_SIGMA = 1.482602218505602

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 
 from inflight.arrays import Floats
 
@@ -72,7 +73,7 @@ class SolverSettings:
     fewest_clusters: int = 5
 
 
-SOLVER = SolverSettings()
+SOLVER_SETTINGS = SolverSettings()
 
 
 def unit_scaled(matrices: Floats) -> tuple[Floats, Floats]:
@@ -82,8 +83,31 @@ def unit_scaled(matrices: Floats) -> tuple[Floats, Floats]:
     return unit, matrices * unit[..., :, None] * unit[..., None, :]
 
 
+def eigen_of_symmetric(matrix: Floats) -> tuple[Floats, Floats]:
+    """Return eigenvalues (..., n), ascending, and eigenvectors (..., n, n) of symmetric matrices.
+
+    LAPACK's divide and conquer, which numpy calls, now and then does not converge for a sound matrix; the
+    slower QR iteration is asked then.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When neither converges: the matrix holds something that is not a number.
+    """
+    try:
+        values, vectors = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            raise
+        flat = matrix.reshape(-1, *matrix.shape[-2:])
+        each = [scipy.linalg.eigh(one, driver="ev") for one in flat]
+        values = np.stack([one[0] for one in each]).reshape(matrix.shape[:-1])
+        vectors = np.stack([one[1] for one in each]).reshape(matrix.shape)
+    return np.asarray(values), np.asarray(vectors)
+
+
 def solve_scaled(
-    matrix: Floats, right: Floats, cut: float = SOLVER.eigen_cut, precision: Floats | None = None
+    matrix: Floats, right: Floats, cut: float = SOLVER_SETTINGS.eigen_cut, precision: Floats | None = None
 ) -> Floats:
     """Solve symmetric systems in units of their own diagonals; what they do not determine stays 0.
 
@@ -121,27 +145,27 @@ def _solve_free(matrix: Floats, columns: Floats, cut: float) -> Floats:
     right = unit[..., None] * columns
     if cut <= 0:
         return np.asarray(unit[..., None] * np.linalg.solve(scaled, right))
-    own, vectors = np.linalg.eigh(scaled)
+    own, vectors = eigen_of_symmetric(scaled)
     inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
     return np.asarray(unit[..., None] * (vectors @ (inverse[..., None] * (vectors.swapaxes(-1, -2) @ right))))
 
 
-def inverse_square_root(matrices: Floats, cut: float = SOLVER.weak_cut) -> Floats:
+def inverse_square_root(matrices: Floats, cut: float = SOLVER_SETTINGS.weak_cut) -> Floats:
     """Return L with ``L L^T`` the inverse of each matrix where it is one; (..., k, k)."""
     unit, scaled = unit_scaled(matrices)
-    own, vectors = np.linalg.eigh(scaled)
+    own, vectors = eigen_of_symmetric(scaled)
     root = np.where(own > cut, 1.0 / np.sqrt(np.where(own > cut, own, 1.0)), 0.0)
     return np.asarray(unit[..., :, None] * vectors * root[..., None, :])
 
 
-def gram_inverse(matrix: Floats, cut: float = SOLVER.weak_cut) -> Floats:
+def gram_inverse(matrix: Floats, cut: float = SOLVER_SETTINGS.weak_cut) -> Floats:
     """Return the inverse of a Gram matrix (k, k) along what it determines, 0 along what it does not."""
     root = inverse_square_root(matrix, cut)
     return np.asarray(root @ root.T)
 
 
 def regression_coefficients(
-    gram: Floats, fitted: Indices, ignored: Indices, cut: float = SOLVER.weak_cut
+    gram: Floats, fitted: Indices, ignored: Indices, cut: float = SOLVER_SETTINGS.weak_cut
 ) -> Floats:
     """Return how much of each fitted column stands for one unit of each ignored one; (..., fitted, ignored).
 
@@ -160,7 +184,9 @@ def regression_coefficients(
     return solve_scaled(own, gram[..., fitted[:, None], ignored[None, :]], cut)
 
 
-def marginalise(gram: Floats, marginalised: Indices, kept: Indices, cut: float = SOLVER.weak_cut) -> Floats:
+def marginalise(
+    gram: Floats, marginalised: Indices, kept: Indices, cut: float = SOLVER_SETTINGS.weak_cut
+) -> Floats:
     """Return the Gram matrix of the kept columns less what the marginalised ones explain; (..., kept, kept).
 
     The Schur complement ``G_kk - G_km G_mm^-1 G_mk``.
@@ -209,7 +235,7 @@ def retained_fraction(matrix: Floats) -> Floats:
     """Return, a column, the part of its square that the others cannot explain; (column,) in [0, 1]."""
     diagonal = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
     safe = np.where(diagonal > 0, diagonal, 1.0)
-    mu, vectors = np.linalg.eigh(matrix / safe[:, None] / safe[None, :])
+    mu, vectors = eigen_of_symmetric(matrix / safe[:, None] / safe[None, :])
     inflation = (vectors**2 / np.maximum(mu, 1e-14)).sum(axis=1)
     return np.where(diagonal > 0, np.minimum(1.0 / inflation, 1.0), 0.0)
 
@@ -323,9 +349,9 @@ def _information(matrix: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
 
     The rounding of sums of squares must not pass for information.
     """
-    own, vectors = np.linalg.eigh(matrix * np.outer(prior_sigma, prior_sigma))
+    own, vectors = eigen_of_symmetric(matrix * np.outer(prior_sigma, prior_sigma))
     parts = np.abs(vectors).T @ (prior_sigma * np.sqrt(np.clip(np.diag(matrix), 0.0, None)))
-    rounding = SOLVER.rounding * np.maximum(parts**2, 0.125 * max(own[-1], 0.0))
+    rounding = SOLVER_SETTINGS.rounding * np.maximum(parts**2, 0.125 * max(own[-1], 0.0))
     return np.where(own > rounding, own, 0.0), vectors
 
 
@@ -335,7 +361,7 @@ def solve(
     count: float,
     prior: Floats,
     prior_sigma: Floats,
-    least: float = SOLVER.min_information,
+    least: float = SOLVER_SETTINGS.min_information,
 ) -> Solution:
     """Solve ``min |y + X d|^2`` with a Gaussian prior on d.
 
@@ -358,20 +384,20 @@ def solve(
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
     value, variance = prior, _variance(gram, prior, count)
-    for _ in range(SOLVER.variance_passes):
+    for _ in range(SOLVER_SETTINGS.variance_passes):
         found = _directions(matrix, scatter, variance, prior_sigma, least)
         value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
         before, variance = variance, _variance(gram, value, count)
         # A prior that is far off makes the residual look noisy and hides directions; less at each pass.
         if abs(before - variance) <= 1e-6 * variance:
             break
-    alone = _directions(matrix, scatter, variance, prior_sigma * SOLVER.wide, least)
+    alone = _directions(matrix, scatter, variance, prior_sigma * SOLVER_SETTINGS.wide, least)
     return Solution(
         value,
         found.covariance(prior_sigma),
         determined=(
-            np.sqrt(np.clip(np.diag(alone.covariance(prior_sigma * SOLVER.wide)), 0, None))
-            <= SOLVER.determined * prior_sigma
+            np.sqrt(np.clip(np.diag(alone.covariance(prior_sigma * SOLVER_SETTINGS.wide)), 0, None))
+            <= SOLVER_SETTINGS.determined * prior_sigma
         )
         & (prior_sigma > 0),
         retained=retained_fraction(matrix),
@@ -443,4 +469,4 @@ def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Fl
 
 def _variance(gram: Floats, change: Floats, count: float) -> float:
     """Return the variance of the residual after a scaled change, nT^2."""
-    return max(residual_sum(gram, change) / max(count - change.size, 1.0), SOLVER.smallest_variance)
+    return max(residual_sum(gram, change) / max(count - change.size, 1.0), SOLVER_SETTINGS.smallest_variance)

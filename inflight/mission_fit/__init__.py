@@ -3,7 +3,7 @@
 In go samples and the Gram matrices of days (`inflight.calibration`, `inflight.lsq`); out come trends in
 time, one continuous calibration, and the fields of temperature, day and night, currents and torquers with
 their uncertainties. Nothing here reads or writes a file. Open `daily_equations` first (what is kept of a
-day), then `continuous` (one fit of all days), `trends` and `causes`.
+day), then `continuous` (one fit of all days), `trends` and `joint_effects`.
 """
 
 import lazy_loader

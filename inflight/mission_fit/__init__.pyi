@@ -1,11 +1,3 @@
-from .causes import (
-    JointDayNight,
-    compare_temperatures_jointly,
-    fit_coil_lag,
-    fit_day_night_jointly,
-    joint_cross_talk,
-    nine_parameter_cross_talk,
-)
 from .continuous import MissionFit, continuous_table, daily_parameters, fit_mission, shift_columns
 from .crosstalk import DISPLAY_UNITS, CrossTalkTable, IgnoredCause, correlation, cross_talk
 from .daily_equations import (
@@ -30,9 +22,16 @@ from .day_night import (
     sunlit_duty,
     switched_columns,
 )
-from .epochs import EpochStack, concat_epochs, extract_epochs, fit_step, stack_epochs
+from .joint_effects import (
+    JointDayNight,
+    compare_temperatures_jointly,
+    fit_coil_lag,
+    fit_day_night_jointly,
+    joint_cross_talk,
+    nine_parameter_cross_talk,
+)
 from .panels import LocalTimeDependence, PanelModel, fit_by_local_time, select_panel_model
-from .parameters import (
+from .parameter_series import (
     WEEKDAYS,
     ClockFaults,
     EventSteps,
@@ -45,6 +44,7 @@ from .parameters import (
     running_mean,
 )
 from .periods import KNOWN_PERIODS, MIN_CYCLES, ParameterSpectrum, parameter_spectrum
+from .superposed_epochs import EpochStack, concat_epochs, extract_epochs, fit_step, stack_epochs
 from .temperature import (
     CoilBlock,
     CoilFit,
@@ -66,13 +66,13 @@ from .torquers import (
     daily_fits,
     filled_running_mean,
     fit_band,
-    fit_eta,
+    fit_remanence_factor,
     remanent_field,
     robust_mean,
 )
 from .trend_selection import RivalTrend, TrendComparison, fit_origin
 from .trends import TrendFit, fit_trends, make_trend
-from .two_fluxgates import CLUSTER_S, corner_moments, corners_of, relation_grams, relation_of
+from .two_fluxgates import CLUSTER_S, relation_grams, relation_of, three_cornered_hat, three_cornered_hat_sums
 from .z_offset import (
     OffsetsFromSpread,
     SpreadLaw,
@@ -125,8 +125,6 @@ __all__ = [
     "concat_band_equations",
     "concat_epochs",
     "continuous_table",
-    "corner_moments",
-    "corners_of",
     "correlation",
     "cross_talk",
     "daily_fits",
@@ -144,9 +142,9 @@ __all__ = [
     "fit_coil_samples",
     "fit_day_night",
     "fit_day_night_jointly",
-    "fit_eta",
     "fit_mission",
     "fit_origin",
+    "fit_remanence_factor",
     "fit_slope",
     "fit_spread_law",
     "fit_step",
@@ -175,6 +173,8 @@ __all__ = [
     "sunlit_duty",
     "switched_columns",
     "temperature_entry",
+    "three_cornered_hat",
+    "three_cornered_hat_sums",
     "wide_and_auxiliary_equations",
     "with_auxiliary_columns",
     "with_nine_parameters",

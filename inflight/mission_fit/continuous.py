@@ -20,12 +20,12 @@ from inflight.arrays import Floats
 from inflight.calibration import (
     PARAMETER_GROUPS,
     PARAMETER_UNITS,
-    SOURCES,
+    VALUE_ORIGINS,
     NormalEquations,
     reference_of,
     vector_sensor_of,
 )
-from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, SOLVER, gram_inverse, retained_fraction
+from inflight.lsq import MAD_TO_SIGMA, RESIDUAL, SOLVER_SETTINGS, gram_inverse, retained_fraction
 from inflight.mission_fit.daily_equations import (
     DayDrift,
     about_offsets,
@@ -60,7 +60,7 @@ class ContinuousSettings:
     fewest: int = 10
 
 
-CONTINUOUS = ContinuousSettings()
+CONTINUOUS_SETTINGS = ContinuousSettings()
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _select_kind(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
     """Return the kind of trend that predicts held-out days best; all but the nine stay at a common fit."""
-    if len(equations) < CONTINUOUS.folds * CONTINUOUS.fold_days:
+    if len(equations) < CONTINUOUS_SETTINGS.folds * CONTINUOUS_SETTINGS.fold_days:
         return "linear", None
     wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", equations.middle)), sigma)
     reference = equations.first_reference.copy()
@@ -160,7 +160,7 @@ def _select_kind(
         if name not in names:
             reference[place] = wide.value[wide.index(name)][0]
     nine = equations.at(reference).select(equations.columns[:9])
-    choice = compare_trends(nine, names, sigma[:9], t0=origin, folds=CONTINUOUS.folds)
+    choice = compare_trends(nine, names, sigma[:9], t0=origin, folds=CONTINUOUS_SETTINGS.folds)
     return choice.chosen, choice
 
 
@@ -222,7 +222,7 @@ def continuous_table(
             "source": (
                 each,
                 np.broadcast_to(np.where(known, 2, 1).astype(np.int8), shape).copy(),
-                {"flag_meanings": " ".join(SOURCES)},
+                {"flag_meanings": " ".join(VALUE_ORIGINS)},
             ),
             "prior": ("parameter", prior.value),
             "prior_sigma": ("parameter", prior.sigma),
@@ -319,7 +319,7 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     inflation = np.ones(len(columns))
     for index, standardised in enumerate((change / sigma).T):
         steps = np.abs(np.diff(standardised[np.isfinite(standardised)])) / np.sqrt(2.0)
-        if steps.size >= CONTINUOUS.fewest:
+        if steps.size >= CONTINUOUS_SETTINGS.fewest:
             inflation[index] = max(MAD_TO_SIGMA * float(np.median(steps)), 1.0)
     sigma = sigma * inflation
     each = ("interval", "parameter")
@@ -346,10 +346,10 @@ def _solve_day(gram: Floats, rows: float) -> tuple[Floats, Floats]:
     """
     own, cross = gram[:-1, :-1], gram[:-1, -1]
     change, sigma = np.full((2, len(own)), np.nan)
-    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > CONTINUOUS.least_retained))
+    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > CONTINUOUS_SETTINGS.least_retained))
     if rows <= kept.size or not kept.size:
         return change, sigma
-    inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER.eigen_cut)
+    inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER_SETTINGS.eigen_cut)
     change[kept] = -inverse @ cross[kept]
     rest = max(float(gram[-1, -1] + change[kept] @ cross[kept]), 0.0)
     sigma[kept] = np.sqrt(np.diag(inverse) * rest / (rows - kept.size))

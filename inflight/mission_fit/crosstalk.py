@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NINE_UNITS, NormalEquations
+from inflight.calibration import NINE_PARAMETER_NAMES, NINE_PARAMETER_UNITS, NormalEquations
 from inflight.errors import CalibrationError, SamplesError
 from inflight.lsq import regression_coefficients
 
@@ -144,7 +144,7 @@ class CrossTalkTable:
 def cross_talk(
     equations: NormalEquations,
     ignored: Sequence[IgnoredCause],
-    fitted: Sequence[str] = NINE,
+    fitted: Sequence[str] = NINE_PARAMETER_NAMES,
     units: Mapping[str, str] | None = None,
 ) -> CrossTalkTable:
     """Return what each ignored cause does to the fitted parameters, alone.
@@ -176,7 +176,7 @@ def cross_talk(
     own, other = equations.index(fitted), equations.index([one.column for one in ignored])
     scale = equations.scale
     size = np.array([one.size for one in ignored])
-    known = NINE_UNITS | dict(units or {})
+    known = NINE_PARAMETER_UNITS | dict(units or {})
     shown = [DISPLAY_UNITS.get(known.get(name, ""), (1.0, known.get(name, ""))) for name in fitted]
     # From one scaled unit of the cause to its size, from scaled to shown units of the parameter.
     factor = scale[own][:, None] * np.array([one for one, _ in shown])[:, None] * size / scale[other]

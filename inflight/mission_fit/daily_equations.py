@@ -73,7 +73,7 @@ class DayEquationSettings:
     resolutions: float = 4.0
 
 
-DAY_ROWS = DayEquationSettings()
+DAY_EQUATION_SETTINGS = DayEquationSettings()
 
 #: Scale factors are the first columns.
 SCALES = 3
@@ -98,7 +98,9 @@ def temperature_entry(model: Model) -> ModelEffect | None:
 
 def reference_of(entry: ModelEffect | None) -> float:
     """Return where the change of a temperature is 0, degC."""
-    return DAY_ROWS.reference if entry is None else float(entry.parameters["reference"].value[0, 0])
+    return (
+        DAY_EQUATION_SETTINGS.reference if entry is None else float(entry.parameters["reference"].value[0, 0])
+    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,9 @@ class AuxiliaryColumns:
                 geometry = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", centre)}))
                 sunlit, phase = (np.asarray(geometry[name].values) for name in ("sunlit", "sun_phase"))
             along = np.asarray(rows.samples["field_direction"].values)
-            found |= switched_columns(along, sunlit) | series_columns(along, phase, DAY_ROWS.series_order)
+            found |= switched_columns(along, sunlit) | series_columns(
+                along, phase, DAY_EQUATION_SETTINGS.series_order
+            )
         return found
 
 
@@ -283,7 +287,7 @@ class DayDrift:
 
 def scale_factor_rates(fit: TrendFit, equations: NormalEquations) -> Floats:
     """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
-    times, step, out = equations.middle, DAY_ROWS.rate_step_ns, []
+    times, step, out = equations.middle, DAY_EQUATION_SETTINGS.rate_step_ns, []
     for name in equations.columns[:SCALES]:
         trend, value = fit.trends[name], fit.value[fit.index(name)]
         later, earlier = (trend.basis(times + shift, name) @ value for shift in (step, -step))
@@ -339,7 +343,7 @@ def wide_and_auxiliary_equations(
     rows: ResidualRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
-    bin_s: float = DAY_ROWS.bin_s,
+    bin_s: float = DAY_EQUATION_SETTINGS.bin_s,
     auxiliary: AuxiliaryColumns | None = None,
 ) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the wide equations of one block, and those of its auxiliary columns.
@@ -441,8 +445,10 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     known = np.isfinite(change)
     if not known.any():
         return out
-    least = DAY_ROWS.usual_differences * MAD_TO_SIGMA * float(np.median(change[known]))
-    far = known & (change > max(least, DAY_ROWS.resolutions * float(channel.attrs.get("resolution") or 0.0)))
+    least = DAY_EQUATION_SETTINGS.usual_differences * MAD_TO_SIGMA * float(np.median(change[known]))
+    far = known & (
+        change > max(least, DAY_EQUATION_SETTINGS.resolutions * float(channel.attrs.get("resolution") or 0.0))
+    )
     for shift in range(reach + 1):
         out[shift : shift + far.size] |= far
     return out

@@ -21,11 +21,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
-from inflight.effects import AXES, MOST_ORDER, DayNight, DayNightSeries, order_names
+from inflight.calibration import NINE_PARAMETER_NAMES, NINE_PARAMETER_UNITS, NormalEquations, field_columns
+from inflight.effects import AXES, MAX_HARMONIC, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters, student_sigma
+from inflight.lsq import SOLVER_SETTINGS, gram_inverse, marginalise, solve_clusters, student_sigma
 from inflight.mission_fit.crosstalk import DISPLAY_UNITS
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
@@ -81,9 +81,9 @@ def series_columns(
     SamplesError
         When the order is below 1 or above 12.
     """
-    if not 1 <= order <= MOST_ORDER:
+    if not 1 <= order <= MAX_HARMONIC:
         raise SamplesError(
-            f"order {order} of a day/night series", remedy=f"take 1 to {MOST_ORDER}, or the switched form"
+            f"order {order} of a day/night series", remedy=f"take 1 to {MAX_HARMONIC}, or the switched form"
         )
     phase, found = np.deg2rad(sun_phase), {}
     for k in range(0 if constant else 1, order + 1):
@@ -225,7 +225,7 @@ class DayNightField:
 
 
 def fit_day_night(
-    equations: NormalEquations, marginalised: Sequence[str] = NINE, each_block: bool = True
+    equations: NormalEquations, marginalised: Sequence[str] = NINE_PARAMETER_NAMES, each_block: bool = True
 ) -> DayNightField:
     """Fit the day/night columns of normal equations together with the nine parameters.
 
@@ -251,7 +251,7 @@ def fit_day_night(
         )
     both = equations.select([*names, *marginalised])
     groups = None if each_block else [range(len(both))]
-    rest = both.marginalise(marginalised, groups, cut=SOLVER.weak_cut, least_kept=0.0)
+    rest = both.marginalise(marginalised, groups, cut=SOLVER_SETTINGS.weak_cut, least_kept=0.0)
     own = both.index(names)
     retained, determined = _retained(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():
@@ -322,8 +322,8 @@ def block_parameters(
     start = equations.first_reference.copy()
     for name, value in (given or {}).items():
         start[equations.index([name])[0]] = value
-    nine = equations.at(start).select(NINE)
-    factor = np.array([DISPLAY_UNITS[NINE_UNITS[name]][0] for name in NINE])
+    nine = equations.at(start).select(NINE_PARAMETER_NAMES)
+    factor = np.array([DISPLAY_UNITS[NINE_PARAMETER_UNITS[name]][0] for name in NINE_PARAMETER_NAMES])
     values, sigmas = np.empty((len(nine), 9)), np.empty((len(nine), 9))
     for index in range(len(nine)):
         one = nine.of_blocks(slice(index, index + 1))
@@ -331,7 +331,9 @@ def block_parameters(
         values[index] = (found - one.first_reference) * factor
         sigmas[index] = np.sqrt(np.diag(covariance)) * factor
     row = ("block", "parameter")
-    units = np.array([DISPLAY_UNITS[NINE_UNITS[name]][1] for name in NINE], dtype="U8")
+    units = np.array(
+        [DISPLAY_UNITS[NINE_PARAMETER_UNITS[name]][1] for name in NINE_PARAMETER_NAMES], dtype="U8"
+    )
     return xr.Dataset(
         {
             "value": (row, values),
@@ -340,7 +342,7 @@ def block_parameters(
             "start": ("block", nine.start, {"units": "ns", "scale": "TT2000"}),
             "end": ("block", nine.end, {"units": "ns", "scale": "TT2000"}),
         },
-        coords={"parameter": list(NINE)},
+        coords={"parameter": list(NINE_PARAMETER_NAMES)},
     )
 
 

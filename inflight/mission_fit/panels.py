@@ -35,7 +35,7 @@ from inflight.effects import (
 )
 from inflight.errors import SamplesError
 from inflight.lsq import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
-from inflight.mission_fit.epochs import PRIOR, fit_contrasts, weights_of
+from inflight.mission_fit.superposed_epochs import PRIOR, fit_contrasts, weights_of
 from inflight.time import DAY, utc_text
 
 MODELS = ("constant", "two_panels", "two_sides", "three_panels")
@@ -54,7 +54,7 @@ class PanelSettings:
     tie: float = 2.0
 
 
-PANEL_CHOICE = PanelSettings()
+PANEL_SETTINGS = PanelSettings()
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class PanelModel:
     @property
     def ties(self) -> bool:
         """True when held-out days do not separate it from the best."""
-        return self.behind <= PANEL_CHOICE.tie * self.behind_sigma
+        return self.behind <= PANEL_SETTINGS.tie * self.behind_sigma
 
 
 @dataclass(frozen=True)

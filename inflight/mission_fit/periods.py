@@ -49,7 +49,7 @@ class PeriodSettings:
     most: int = 12
 
 
-PERIODS = PeriodSettings()
+PERIOD_SETTINGS = PeriodSettings()
 
 
 #: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
@@ -175,9 +175,10 @@ def parameter_spectrum(
         When fewer than 30 days have a value.
     """
     use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
-    if use.sum() < PERIODS.fewest:
+    if use.sum() < PERIOD_SETTINGS.fewest:
         raise CalibrationError(
-            f"{int(use.sum())} days with a value make no spectrum", remedy=f"use {PERIODS.fewest} or more"
+            f"{int(use.sum())} days with a value make no spectrum",
+            remedy=f"use {PERIOD_SETTINGS.fewest} or more",
         )
     t, y = mjd[use], value[use]
     # The values scatter beyond their own errors by this variance.
@@ -195,7 +196,11 @@ def parameter_spectrum(
     known = KNOWN_PERIODS if known is None else known
     span = float(np.ptp(t))
     named = _named_periods(waves, y, noise, known, span)
-    limit = float(-np.log1p(-((1.0 - PERIODS.false_alarm) ** (1.0 / effective)))) if effective > 1 else 4.6
+    limit = (
+        float(-np.log1p(-((1.0 - PERIOD_SETTINGS.false_alarm) ** (1.0 / effective))))
+        if effective > 1
+        else 4.6
+    )
     back = np.sqrt(2.0 * noise.power(waves.frequency) / weight.sum())
     amplitude = np.sqrt(2.0 * power / weight.sum())
     peaks = _peaks(waves, y, noise, float(effective), known, span)
@@ -228,9 +233,9 @@ class _Waves:
     @classmethod
     def of(cls, days: Floats, weight: Floats, shortest: float) -> _Waves:
         span = float(np.ptp(days))
-        frequency = np.arange(PERIODS.oversampling, span / shortest * PERIODS.oversampling + 1) / (
-            span * PERIODS.oversampling
-        )
+        frequency = np.arange(
+            PERIOD_SETTINGS.oversampling, span / shortest * PERIOD_SETTINGS.oversampling + 1
+        ) / (span * PERIOD_SETTINGS.oversampling)
         root = np.sqrt(weight)
         line, _ = np.linalg.qr(np.stack([root, root * (days - days.mean())], axis=1))
         angle = 2 * np.pi * frequency[:, None] * (days - days.mean())
@@ -265,12 +270,12 @@ class _Noise:
         span = float(np.ptp(waves.days))
         found = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0)
         square = (2 * np.pi * waves.frequency) ** 2
-        for _ in range(PERIODS.passes):
+        for _ in range(PERIOD_SETTINGS.passes):
             before = kept
             found = like = cls._most_likely(square[kept], power[kept], span, like)
-            peak = power > PERIODS.line * found.power(waves.frequency)
+            peak = power > PERIOD_SETTINGS.line * found.power(waves.frequency)
             # A line spreads over its neighbours.
-            kept = ~np.convolve(peak, np.ones(2 * PERIODS.oversampling + 1), mode="same").astype(bool)
+            kept = ~np.convolve(peak, np.ones(2 * PERIOD_SETTINGS.oversampling + 1), mode="same").astype(bool)
             if kept.sum() < 0.5 * kept.size or np.array_equal(kept, before):
                 break
         return found
@@ -322,7 +327,7 @@ class _Noise:
 def _background(waves: _Waves, y: Floats) -> _Noise:
     """Return the noise of a series without its lines; their side lobes are no noise either."""
     noise = _Noise.fit(waves, waves.power(y[:, None])[0])
-    for _ in range(PERIODS.passes):
+    for _ in range(PERIOD_SETTINGS.passes):
         lines = _find_lines(waves, y, noise, float(waves.frequency.size))
         if not lines:
             break
@@ -356,11 +361,11 @@ def _find_lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> li
     """Subtract the highest peak and its wave from the series, again and again: its side lobes go with it."""
     frequencies: list[float] = []
     residual = y
-    while len(frequencies) < PERIODS.most:
+    while len(frequencies) < PERIOD_SETTINGS.most:
         power = waves.power(residual[:, None])[0]
         ratio = power / noise.power(waves.frequency)
         at = int(np.argmax(ratio))
-        if _false_alarm(float(ratio[at]), effective) > PERIODS.false_alarm:
+        if _false_alarm(float(ratio[at]), effective) > PERIOD_SETTINGS.false_alarm:
             break
         frequencies.append(_refine_frequency(waves, residual, float(waves.frequency[at])))
         residual = _residual(waves, y, frequencies)
@@ -440,6 +445,8 @@ def _why_unresolved(name: str, known: Mapping[str, float], span: float) -> str:
         return f"{span:.0f} days are less than {MIN_CYCLES:g} periods"
     for other, days in known.items():
         beat = np.inf if other == name else abs(1.0 / days - 1.0 / known[name])
-        if span * beat < PERIODS.beats:
-            return f"{span:.0f} days do not tell it from {other}, {PERIODS.beats / beat:.0f} are needed"
+        if span * beat < PERIOD_SETTINGS.beats:
+            return (
+                f"{span:.0f} days do not tell it from {other}, {PERIOD_SETTINGS.beats / beat:.0f} are needed"
+            )
     return ""

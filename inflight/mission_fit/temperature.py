@@ -26,10 +26,16 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NormalEquations, block_equations, concat_equations, nine_columns
+from inflight.calibration import (
+    NINE_PARAMETER_NAMES,
+    NormalEquations,
+    block_equations,
+    concat_equations,
+    nine_columns,
+)
 from inflight.effects import AXES, time_derivative
 from inflight.errors import CalibrationError
-from inflight.lsq import SOLVER, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
+from inflight.lsq import SOLVER_SETTINGS, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
 from inflight.time import GAP, SECOND, Int64
 
 
@@ -79,7 +85,7 @@ class TemperatureSettings:
     reach: tuple[float, float] = (0.03, 0.97)
 
 
-TEMPERATURE = TemperatureSettings()
+TEMPERATURE_SETTINGS = TemperatureSettings()
 
 
 #: Kinds of columns of a temperature, three axes each: of the coefficients, then of their lag.
@@ -192,7 +198,7 @@ def coil_columns_of(key: str, kinds: Sequence[str] = KINDS) -> list[str]:
 def coil_columns(
     channel: str, field: Floats, stamps: Int64, temperature: Floats, lag: float, reference: float
 ) -> dict[str, Floats]:
-    """Return the columns of a temperature: ``channel.kind[axis]`` for every one of `KINDS`, (time,).
+    """Return the columns of a temperature: ``channel.kind[axis]`` for every one of `KIND_SETTINGS`, (time,).
 
     Parameters
     ----------
@@ -219,7 +225,7 @@ def coil_columns(
     rate = time_derivative(change, stamps)
     parts = (-change, -(change**2), rate, 2.0 * change * rate)
     nine = nine_columns(field)
-    scale_factors = [nine[name] for name in NINE[:3]]
+    scale_factors = [nine[name] for name in NINE_PARAMETER_NAMES[:3]]
     columns = [part * one for part in parts for one in scale_factors]
     return dict(zip(coil_columns_of(channel), columns, strict=True))
 
@@ -247,7 +253,7 @@ def fit_coil(
     *,
     lag: float = 0.0,
     reference: float = 20.0,
-    each: Sequence[str] = NINE,
+    each: Sequence[str] = NINE_PARAMETER_NAMES,
     prior: tuple[float, float, float] = PRIOR,
 ) -> CoilFit:
     """Fit one temperature to wide normal equations, its lag to first order about the one they hold.
@@ -278,7 +284,7 @@ def fit_coil(
 def residual_grams(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
     common = equations.at_one_reference().select([*coil_columns_of(channel), *each])
-    rest = common.marginalise(each, cut=SOLVER.weak_cut, least_kept=0.0) if each else common
+    rest = common.marginalise(each, cut=SOLVER_SETTINGS.weak_cut, least_kept=0.0) if each else common
     return rest.in_units, rest.count
 
 
@@ -307,7 +313,7 @@ def solve_coil(
     basis = np.zeros((13, 7))
     basis[:_LAG, :_LAG], basis[-1, -1] = np.eye(_LAG), -1.0
     value = np.append(solve_clusters(basis.T @ gram @ basis, count, sigma[:_LAG]).value, 0.0)
-    for _ in range(TEMPERATURE.passes):
+    for _ in range(TEMPERATURE_SETTINGS.passes):
         # Linear about the values. The solution is the unknowns themselves, not a change of them, so that
         # a prior holds them at 0.
         coefficients, slopes = coefficients_of(value)
@@ -339,7 +345,7 @@ def _follows_temperature(gram: Floats, value: Floats, fit: ClusteredFit) -> bool
         weights[axis, [axis, axis + 3]] = 1.0, total[axis, axis + 3] / max(total[axis, axis], 1e-300)
     sigma = np.sqrt(np.diag(weights @ fit.covariance @ weights.T))
     chance = 2.0 * stats.t.sf(np.abs(weights @ value) / np.maximum(sigma, 1e-300), fit.clusters - 1)
-    return bool(3.0 * chance.min() < TEMPERATURE.false_alarm)
+    return bool(3.0 * chance.min() < TEMPERATURE_SETTINGS.false_alarm)
 
 
 def fit_coil_samples(
@@ -348,7 +354,7 @@ def fit_coil_samples(
     *,
     lag: float = 0.0,
     reference: float = 20.0,
-    each: Sequence[str] = NINE,
+    each: Sequence[str] = NINE_PARAMETER_NAMES,
     prior: tuple[float, float, float] = PRIOR,
 ) -> CoilFit:
     """Fit one temperature to samples: columns are formed anew at each lag, until it settles.
@@ -366,7 +372,7 @@ def fit_coil_samples(
         Fewer than five blocks have rows, or a lag that does not settle.
     """
     at = lag
-    for _ in range(TEMPERATURE.formations):
+    for _ in range(TEMPERATURE_SETTINGS.formations):
         equations = []
         for block in blocks:
             own = replace(block, temperature={channel: block.temperature[channel]})
@@ -376,11 +382,11 @@ def fit_coil_samples(
             concat_equations(equations), channel, lag=at, reference=reference, each=each, prior=prior
         )
         change = fit.lag[0] - at
-        if not fit.fit.determined[_LAG] or abs(change) <= TEMPERATURE.settled * fit.lag[1]:
+        if not fit.fit.determined[_LAG] or abs(change) <= TEMPERATURE_SETTINGS.settled * fit.lag[1]:
             return fit
         at = fit.lag[0]
     raise CalibrationError(
-        f"the lag of '{channel}' does not settle: {at:.0f} s after {TEMPERATURE.formations} turns",
+        f"the lag of '{channel}' does not settle: {at:.0f} s after {TEMPERATURE_SETTINGS.formations} turns",
         remedy="start nearer to it, or take a longer span",
     )
 
@@ -397,7 +403,7 @@ class TemperatureRival:
     @property
     def ties(self) -> bool:
         """True when held-out blocks do not separate it from the best."""
-        return self.behind <= TEMPERATURE.tie * self.behind_sigma
+        return self.behind <= TEMPERATURE_SETTINGS.tie * self.behind_sigma
 
 
 @dataclass(frozen=True)
@@ -459,7 +465,7 @@ def compare_temperatures(
     channels: Sequence[str],
     *,
     folds: int = 5,
-    each: Sequence[str] = NINE,
+    each: Sequence[str] = NINE_PARAMETER_NAMES,
     prior: tuple[float, float, float] = PRIOR,
 ) -> TemperatureChoice:
     """Judge temperatures, and none, by what they leave of contiguous blocks that were not fitted.
@@ -557,8 +563,8 @@ class HysteresisLoop:
 def rate_of(mjd: Floats, temperature: Floats) -> Floats:
     """Return the slope of the temperature around each day, K/d; NaN where too few days are near (day,)."""
     known = np.isfinite(temperature)
-    low = np.searchsorted(mjd, mjd - TEMPERATURE.around)
-    high = np.searchsorted(mjd, mjd + TEMPERATURE.around, side="right")
+    low = np.searchsorted(mjd, mjd - TEMPERATURE_SETTINGS.around)
+    high = np.searchsorted(mjd, mjd + TEMPERATURE_SETTINGS.around, side="right")
     sums = {}
     away = np.where(known, mjd - mjd[0], 0.0)
     warm = np.where(known, temperature - np.nanmean(temperature), 0.0)
@@ -569,7 +575,7 @@ def rate_of(mjd: Floats, temperature: Floats) -> Floats:
     spread = sums["tt"] - sums["t"] ** 2 / count
     shared = sums["tT"] - sums["t"] * sums["T"] / count
     slope = np.divide(shared, spread, out=np.full_like(spread, np.nan), where=spread > 1e-6)
-    return np.where(sums["1"] >= TEMPERATURE.fewest_around, slope, np.nan)
+    return np.where(sums["1"] >= TEMPERATURE_SETTINGS.fewest_around, slope, np.nan)
 
 
 def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str = "") -> HysteresisLoop:
@@ -590,38 +596,45 @@ def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str =
     """
     rate = rate_of(mjd, temperature)
     use = np.isfinite(rate) & np.isfinite(value) & np.isfinite(temperature) & (rate != 0)
-    if use.sum() < 2 * TEMPERATURE.fewest_bins * TEMPERATURE.fewest_days:
+    if use.sum() < 2 * TEMPERATURE_SETTINGS.fewest_bins * TEMPERATURE_SETTINGS.fewest_days:
         raise CalibrationError(f"{int(use.sum())} days make no loop", remedy="use a longer span")
     warm, up = temperature[use], rate[use] > 0
     curve = np.polynomial.Polynomial.fit(warm, value[use], 2)
-    low, high = (float(edge) for edge in np.quantile(warm, TEMPERATURE.reach))
-    edges = np.linspace(low, high, TEMPERATURE.bins + 1)
+    low, high = (float(edge) for edge in np.quantile(warm, TEMPERATURE_SETTINGS.reach))
+    edges = np.linspace(low, high, TEMPERATURE_SETTINGS.bins + 1)
     # Counts and sums in cells of (block of time, rising bins then falling bins).
-    place, blocks, cells = np.digitize(warm, edges) - 1, TEMPERATURE.blocks, 2 * TEMPERATURE.bins
-    inside = (place >= 0) & (place < TEMPERATURE.bins)
-    cell = np.where(up, place, place + TEMPERATURE.bins) + np.arange(warm.size) * blocks // warm.size * cells
+    place, blocks, cells = (
+        np.digitize(warm, edges) - 1,
+        TEMPERATURE_SETTINGS.blocks,
+        2 * TEMPERATURE_SETTINGS.bins,
+    )
+    inside = (place >= 0) & (place < TEMPERATURE_SETTINGS.bins)
+    cell = (
+        np.where(up, place, place + TEMPERATURE_SETTINGS.bins)
+        + np.arange(warm.size) * blocks // warm.size * cells
+    )
     count, total = (
         np.bincount(cell[inside], weights=weights, minlength=blocks * cells).reshape(blocks, cells)
         for weights in (np.ones(int(inside.sum())), (value[use] - curve(warm))[inside])
     )
-    enough = count.sum(axis=0) >= TEMPERATURE.fewest_days
-    common = enough.reshape(2, TEMPERATURE.bins).all(axis=0)
-    if common.sum() < TEMPERATURE.fewest_bins:
+    enough = count.sum(axis=0) >= TEMPERATURE_SETTINGS.fewest_days
+    common = enough.reshape(2, TEMPERATURE_SETTINGS.bins).all(axis=0)
+    if common.sum() < TEMPERATURE_SETTINGS.fewest_bins:
         raise CalibrationError(
-            f"rising and falling temperature share {int(common.sum())} bins of {TEMPERATURE.bins}",
+            f"rising and falling temperature share {int(common.sum())} bins of {TEMPERATURE_SETTINGS.bins}",
             remedy="use a span with whole cycles of temperature",
         )
     mean = _means(total.sum(axis=0), count.sum(axis=0))
     without = _means(total.sum(axis=0) - total, count.sum(axis=0) - count)
-    width, centre = (high - low) / TEMPERATURE.bins, 0.5 * (edges[1:] + edges[:-1])
+    width, centre = (high - low) / TEMPERATURE_SETTINGS.bins, 0.5 * (edges[1:] + edges[:-1])
     sigma = np.where(enough, jackknife(without), np.nan)
     shown = np.where(enough, mean, np.nan)
     return HysteresisLoop(
         centre,
-        shown[: TEMPERATURE.bins] + curve(centre),
-        shown[TEMPERATURE.bins :] + curve(centre),
-        sigma[: TEMPERATURE.bins],
-        sigma[TEMPERATURE.bins :],
+        shown[: TEMPERATURE_SETTINGS.bins] + curve(centre),
+        shown[TEMPERATURE_SETTINGS.bins :] + curve(centre),
+        sigma[: TEMPERATURE_SETTINGS.bins],
+        sigma[TEMPERATURE_SETTINGS.bins :],
         float(_area(mean[None], common, width)[0]),
         float(jackknife(_area(without, common, width)[:, None])[0]),
         float(np.corrcoef(warm, value[use])[0, 1]),
@@ -636,5 +649,5 @@ def _means(total: Floats, count: Floats) -> Floats:
 
 def _area(means: Floats, common: np.ndarray, width: float) -> Floats:
     """Return the areas of loops (loop, branch * bin) over the bins that both branches have; (loop,)."""
-    apart = means[:, : TEMPERATURE.bins] - means[:, TEMPERATURE.bins :]
+    apart = means[:, : TEMPERATURE_SETTINGS.bins] - means[:, TEMPERATURE_SETTINGS.bins :]
     return np.asarray(apart[:, common].sum(axis=1) * width)

@@ -39,7 +39,7 @@ from inflight.effects import AXES
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.lsq import (
     MAD_TO_SIGMA,
-    SOLVER,
+    SOLVER_SETTINGS,
     ClusteredFit,
     biweight,
     robust_sigma,
@@ -72,7 +72,7 @@ class TorquerSettings:
     fewest_pairs: int = 3
 
 
-TORQUERS = TorquerSettings()
+TORQUER_SETTINGS = TorquerSettings()
 
 #: Hz, around the 20 s of the modulation.
 TORQUER_BAND_HZ = (0.045, 0.055)
@@ -304,7 +304,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
     fits, kept, short = [], [], 0
     for this in np.unique(day):
         part = np.flatnonzero(day == this)
-        if part.size < SOLVER.fewest_clusters:
+        if part.size < SOLVER_SETTINGS.fewest_clusters:
             short += 1
             continue
         fit = solve_clusters(gram[part], rows[part])
@@ -312,7 +312,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
         kept.append(int(this))
     if not fits:
         raise SamplesError(
-            f"{short} days found, none with {SOLVER.fewest_clusters} stretches of samples",
+            f"{short} days found, none with {SOLVER_SETTINGS.fewest_clusters} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
     first = fits[0].table().drop_vars("covariance")
@@ -342,9 +342,9 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
         day over its sigma: 1 when the days differ by their errors).
     """
     value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
-    if len(value) < SOLVER.fewest_clusters:
+    if len(value) < SOLVER_SETTINGS.fewest_clusters:
         raise SamplesError(
-            f"{len(value)} days, at least {SOLVER.fewest_clusters} needed for the error of a mean",
+            f"{len(value)} days, at least {SOLVER_SETTINGS.fewest_clusters} needed for the error of a mean",
             remedy="take more days",
         )
     columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]
@@ -368,14 +368,14 @@ def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
     order = np.argsort(value)
     share = np.cumsum(own[order]) / own.sum()
     mean = float(value[order][np.searchsorted(share, 0.5)])
-    for _ in range(TORQUERS.passes):
+    for _ in range(TORQUER_SETTINGS.passes):
         standardised = (value - mean) * np.sqrt(own)
         scatter = robust_sigma(standardised, floor=1e-12)
         weight = own * biweight(standardised / scatter)
         mean = float(weight @ value / weight.sum())
     # A day that weighs much pulls the mean to itself: its residual is scaled to its size without the pull.
     share = weight / weight.sum()
-    residual = (value - mean) / (1.0 - np.minimum(share, TORQUERS.most_share))
+    residual = (value - mean) / (1.0 - np.minimum(share, TORQUER_SETTINGS.most_share))
     return mean, float(np.sqrt(np.sum((share * residual) ** 2))), scatter
 
 
@@ -449,8 +449,8 @@ class FilledRunningMean:
     coverage : ndarray, shape (day,)
         Part of the window around the day that has data, in [0, 1].
     state : ndarray of int8, shape (day,)
-        Codes of `STATES`: *whole* window; *partial*, the mean of what is there; *interpolated* between
-        days with enough coverage; *held* at the nearest such day, at the ends of the record.
+        Codes of `STATE_SETTINGS`: *whole* window; *partial*, the mean of what is there; *interpolated*
+        between days with enough coverage; *held* at the nearest such day, at the ends of the record.
     daily : ndarray, shape (day, 3)
         The daily means, A; NaN where there are none.
     window : float
@@ -542,7 +542,7 @@ def filled_running_mean(
     sigma = np.hypot(
         scatter / np.sqrt(np.maximum(means.weight, 1e-12))[:, None], (1.0 - coverage)[:, None] * spread
     )
-    state = np.where(coverage >= TORQUERS.whole, 0, 1).astype(np.int8)
+    state = np.where(coverage >= TORQUER_SETTINGS.whole, 0, 1).astype(np.int8)
     mean, sigma, state = _fill_uncovered(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
     return FilledRunningMean(days, mean, sigma, coverage, state, daily, window)
@@ -598,7 +598,7 @@ def _rms_change(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknown
     measured = 0
     for lag in range(1, longest + 1):
         both = good[lag:] & good[:-lag]
-        if both.sum() >= TORQUERS.fewest_pairs:
+        if both.sum() >= TORQUER_SETTINGS.fewest_pairs:
             change[lag] = np.sqrt(np.mean((mean[lag:][both] - mean[:-lag][both]) ** 2, axis=0))
             measured = lag
         else:
@@ -685,7 +685,9 @@ class EtaFit:
         return self.difference / share, self.difference_sigma / abs(share)
 
 
-def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, block: int = 60) -> EtaFit:
+def fit_remanence_factor(
+    day: Int64, gram: Floats, rows: Floats, mean: FilledRunningMean, *, block: int = 60
+) -> EtaFit:
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean

@@ -18,7 +18,7 @@ from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
 from inflight.lsq import (
-    SOLVER,
+    SOLVER_SETTINGS,
     BlockSums,
     correlated_covariance,
     gram_inverse,
@@ -37,7 +37,7 @@ from inflight.mission_fit.trends import (
     outlier_weights,
     score_statistic,
 )
-from inflight.model import Dependence
+from inflight.model import TimeDependence
 from inflight.time import Int64, from_mjd2000, mjd2000
 
 
@@ -69,12 +69,12 @@ class TrendSelectionSettings:
     tied: float = 2.0
 
 
-SELECTION = TrendSelectionSettings()
+TREND_SELECTION_SETTINGS = TrendSelectionSettings()
 
 
 def fit_origin(
     equations: NormalEquations,
-    trends: Mapping[str, Dependence],
+    trends: Mapping[str, TimeDependence],
     prior_sigma: Floats,
     weight: Floats | None = None,
     units: Mapping[str, str] | None = None,
@@ -112,7 +112,7 @@ def fit_origin(
     fitted = fit_trends(equations, profile.trends_at(best), prior_sigma, given.weight, units)
     covariance, inflation = _with_unknown_origin(common, sums, fitted, prior_sigma)
     sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
-    limit = profile.total(best) + SELECTION.limit * inflation * fitted.rms**2
+    limit = profile.total(best) + TREND_SELECTION_SETTINGS.limit * inflation * fitted.rms**2
     far, near = profile.crossings(best, grid, limit)
     determined = bool(np.isfinite(far)) and grid[0] < best < 0.99 * grid[-1]
     origin = Origin(
@@ -129,7 +129,7 @@ class _Profile:
 
     equations: NormalEquations
     sums: BlockSums
-    trends: dict[str, Dependence]
+    trends: dict[str, TimeDependence]
     logs: list[str]
     prior_sigma: Floats
     variance: float
@@ -142,14 +142,15 @@ class _Profile:
     def grid(self) -> Floats:
         """Distances of the first search, days."""
         span = float(mjd2000(self.equations.middle[-1])) - self.first
-        most = min(SELECTION.spans * span, SELECTION.farthest_days)
+        most = min(TREND_SELECTION_SETTINGS.spans * span, TREND_SELECTION_SETTINGS.farthest_days)
         return np.geomspace(
-            SELECTION.nearest_days,
+            TREND_SELECTION_SETTINGS.nearest_days,
             most,
-            int(SELECTION.per_decade * np.log10(most / SELECTION.nearest_days)) + 2,
+            int(TREND_SELECTION_SETTINGS.per_decade * np.log10(most / TREND_SELECTION_SETTINGS.nearest_days))
+            + 2,
         )
 
-    def trends_at(self, distance: float) -> dict[str, Dependence]:
+    def trends_at(self, distance: float) -> dict[str, TimeDependence]:
         """Return the trends with their origin so far before the first block; straight lines at infinity."""
         if np.isinf(distance):
             line = make_trend("linear", self.equations.middle)
@@ -160,7 +161,7 @@ class _Profile:
     def total(self, distance: float) -> float:
         """Return the least sum of squares with the origin so far before the first block."""
         trends = self.trends_at(distance)
-        every = {name: trends.get(name, Dependence()) for name in self.equations.columns}
+        every = {name: trends.get(name, TimeDependence()) for name in self.equations.columns}
         expansion = Expansion.of(self.equations.middle, every)
         scale = self.equations.scale[:-1]
         return profile_sum(self.sums, expansion, scale, self.prior_sigma, self.variance)
@@ -227,7 +228,7 @@ def _with_unknown_origin(
     covariance = correlated_covariance(scores / variance, matrix / variance, wide, functions)
     covariance /= np.outer(unit, unit)
     free = np.flatnonzero(~fixed)
-    white = gram_inverse(matrix[np.ix_(free, free)], SOLVER.eigen_cut)
+    white = gram_inverse(matrix[np.ix_(free, free)], SOLVER_SETTINGS.eigen_cut)
     plain = white[-1, -1] * variance / unit[-1] ** 2
     return covariance, max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0
 
@@ -378,7 +379,7 @@ def compare_trends(
         behind = whole[kind] - whole[best]
         sigma = _sigma_behind(common, held[kind], held[best]) / float(count.sum()) if behind > 0 else 0.0
         size = maker.coefficients(kind)
-        tied = kind == best or behind < SELECTION.tied * sigma
+        tied = kind == best or behind < TREND_SELECTION_SETTINGS.tied * sigma
         rivals.append(RivalTrend(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
     chosen = min((one for one in rivals if one.tied), key=lambda one: one.coefficients).kind
     unit = "sigma" if equations.attributes.get("filter") == "table" else "nT"
@@ -398,7 +399,7 @@ class _TrendMaker:
         sizes = {"constant": 1, "parabola": 3, "spline": self.knots}
         return sizes.get(kind, 2) + (kind == "log" and self.t0 is None)
 
-    def trends(self, kind: str, times: Int64) -> dict[str, Dependence]:
+    def trends(self, kind: str, times: Int64) -> dict[str, TimeDependence]:
         # Where the origin is fitted, the span before the first block is only where the search starts.
         span = int(times[-1] - times[0])
         t0 = (self.t0 if self.t0 is not None else self.first - span // 4) if kind == "log" else None

@@ -22,7 +22,7 @@ from inflight.effects import Parameter
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     RESIDUAL,
-    SOLVER,
+    SOLVER_SETTINGS,
     GramArrays,
     correlated_covariance,
     gram_inverse,
@@ -32,7 +32,7 @@ from inflight.lsq import (
     solve,
     solve_scaled,
 )
-from inflight.model import Dependence, TimedValue, component_names
+from inflight.model import TimeDependence, TimedValue, component_names
 from inflight.time import DAY, Int64, mjd2000
 
 
@@ -61,13 +61,15 @@ class TrendSettings:
     passes: int = 4
 
 
-TRENDS = TrendSettings()
+TREND_SETTINGS = TrendSettings()
 
 
 TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
 
 
-def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5) -> Dependence:
+def make_trend(
+    kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5
+) -> TimeDependence:
     """Return a kind of trend for a span of times.
 
     Parameters
@@ -88,18 +90,18 @@ def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, k
     if kind not in TREND_KINDS:
         raise CalibrationError(f"trend {kind!r} is unknown", remedy=f"one of {', '.join(TREND_KINDS)}")
     if kind == "constant":
-        return Dependence()
+        return TimeDependence()
     if kind == "spline":
         places = np.quantile(times.astype(np.float64), np.linspace(0, 1, knots)).astype(np.int64)
         if np.unique(places).size < max(knots, 2):
             raise CalibrationError(f"{times.size} times make no {knots} knots", remedy="ask for fewer knots")
-        return Dependence("spline", at=tuple(int(place) for place in places))
+        return TimeDependence("spline", at=tuple(int(place) for place in places))
     if kind == "log" and (t0 is None or t0 >= times.min()):
         raise CalibrationError(
             "a logarithm of time needs an origin before its first time", remedy="give t0, or have it fitted"
         )
     origin = int(times.min() // 2 + times.max() // 2) if t0 is None else t0
-    return Dependence(kind, origin, per)
+    return TimeDependence(kind, origin, per)
 
 
 def equations_of_table(table: xr.Dataset) -> NormalEquations:
@@ -142,7 +144,9 @@ def equations_of_table(table: xr.Dataset) -> NormalEquations:
         else:
             covariance = np.diag(table["sigma"].values[interval] ** 2)
         unit = scale[use]
-        information = gram_inverse(covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER.eigen_cut)
+        information = gram_inverse(
+            covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER_SETTINGS.eigen_cut
+        )
         away = (value[interval, use] - centre[use]) / unit
         gram[np.ix_(use, use)] = information
         gram[use, -1] = gram[-1, use] = -information @ away
@@ -187,8 +191,8 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
         precision = variance * (scale / prior_sigma) ** 2
     columns, out = np.arange(scale.size), np.empty(len(scores))
     # Some blocks at a time: see `TrendSettings.at_once`.
-    for first in range(0, len(scores), TRENDS.at_once):
-        part = slice(first, first + TRENDS.at_once)
+    for first in range(0, len(scores), TREND_SETTINGS.at_once):
+        part = slice(first, first + TREND_SETTINGS.at_once)
         matrix = equations.rows(columns, columns, part)
         change = solve_scaled(matrix, scores[part], 0.0, precision)
         out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", change, scores[part]), 0.0))
@@ -200,13 +204,15 @@ def outlier_weights(distance: Floats) -> Floats:
 
     The scale is the spread of the distances themselves, so that scatter from day to day is no outlier.
     """
-    if distance.size < TRENDS.fewest:
+    if distance.size < TREND_SETTINGS.fewest:
         return np.ones_like(distance)
     centre = float(np.median(distance))
     spread = robust_sigma(distance - centre)
     # Distances of few dimensions scatter by at least a part of their size.
     z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
-    return np.asarray(np.clip((TRENDS.lost - z) / (TRENDS.lost - TRENDS.far), 0.0, 1.0))
+    return np.asarray(
+        np.clip((TREND_SETTINGS.lost - z) / (TREND_SETTINGS.lost - TREND_SETTINGS.far), 0.0, 1.0)
+    )
 
 
 def check_names(equations: NormalEquations, names: Sequence[str]) -> None:
@@ -238,7 +244,7 @@ class Expansion:
         Coefficients of a trend that is 1 at all times, for parameters that are expanded.
     """
 
-    trends: dict[str, Dependence]
+    trends: dict[str, TimeDependence]
     columns: tuple[str, ...]
     functions: dict[str, Floats]
     back: Floats
@@ -246,7 +252,7 @@ class Expansion:
     unit: Floats
 
     @classmethod
-    def of(cls, times: Int64, trends: dict[str, Dependence]) -> Expansion:
+    def of(cls, times: Int64, trends: dict[str, TimeDependence]) -> Expansion:
         """Make the functions of all parameters for blocks with these middles (block,), TT2000."""
         columns, functions, parts, bases, units = [], {}, [], [], []
         for name, trend in trends.items():
@@ -357,7 +363,7 @@ class TrendFit:
         Present when the origin was fitted.
     """
 
-    trends: dict[str, Dependence]
+    trends: dict[str, TimeDependence]
     columns: tuple[str, ...]
     value: Floats
     covariance: Floats
@@ -487,7 +493,7 @@ class TrendFit:
             When components follow different trends.
         """
         names = component_names(key, parameter)
-        first = self.trends[names[0]] if names[0] in self.trends else Dependence()
+        first = self.trends[names[0]] if names[0] in self.trends else TimeDependence()
         if any(self.trends.get(name) != first for name in names):
             raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
         places = [self.index(name) for name in names]
@@ -507,7 +513,7 @@ class TrendFit:
 
 def fit_trends(
     equations: NormalEquations,
-    trends: Mapping[str, Dependence],
+    trends: Mapping[str, TimeDependence],
     prior_sigma: Floats,
     weight: Floats | None = None,
     units: Mapping[str, str] | None = None,
@@ -533,11 +539,11 @@ def fit_trends(
         When there are fewer blocks than coefficients of a trend, or a name is unknown.
     """
     check_names(equations, list(trends))
-    every = {name: trends.get(name, Dependence()) for name in equations.columns}
+    every = {name: trends.get(name, TimeDependence()) for name in equations.columns}
     # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
     common = equations.at_one_reference()
     expansion = Expansion.of(common.middle, every)
-    passes = 1 if weight is not None else TRENDS.passes
+    passes = 1 if weight is not None else TREND_SETTINGS.passes
     used = np.ones(len(common)) if weight is None else weight
     for last in [False] * (passes - 1) + [True]:
         found = _solve(common, used, expansion, prior_sigma, with_covariance=last)
@@ -558,7 +564,7 @@ def fit_trends(
 
 
 @dataclass(frozen=True)
-class Solved:
+class WeightedFit:
     """One weighted fit, in coefficients of the trends; see `TrendFit`."""
 
     value: Floats
@@ -578,7 +584,7 @@ def _solve(
     expansion: Expansion,
     prior_sigma: Floats,
     with_covariance: bool,
-) -> Solved:
+) -> WeightedFit:
     """Fit the functions; the covariance takes longest, and is 0 where it is not asked for."""
     owners, values = expansion.owners, expansion.values
     scale = equations.scale[:-1][owners]
@@ -607,7 +613,7 @@ def _solve(
     back = expansion.back
     # Coefficients are determined together: all those of a trend whose every function is.
     undetermined = np.bincount(owners, weights=~solution.determined)
-    return Solved(
+    return WeightedFit(
         back @ value + expansion.unit @ equations.first_reference,
         back @ covariance @ back.T,
         (undetermined == 0)[owners],

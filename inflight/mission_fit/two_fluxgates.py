@@ -1,7 +1,8 @@
 """Two vector sensors and a scalar one: the rotation between the two, and which of the three disagrees.
 
 Takes corrected fields or residuals; makes the relation of the two vector sensors (`relation_of`) and the
-variance of each sensor's own error (`corners_of`), both from sums of clusters that are stored day by day.
+variance of each sensor's own error (`three_cornered_hat`), both from sums of clusters that are stored day by
+day.
 
 Along the field direction b three sensors have three residuals: ``main = b.f1 - s``, ``second = b.f2 - s``
 and ``between = f1 - f2``, with f1, f2 the errors at the vector sensors and s that of the scalar one. So
@@ -28,7 +29,7 @@ from scipy.spatial.transform import Rotation
 from inflight.arrays import Floats
 from inflight.effects import AXES
 from inflight.errors import CalibrationError
-from inflight.lsq import SOLVER, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
+from inflight.lsq import SOLVER_SETTINGS, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
 
 
@@ -48,7 +49,7 @@ class TwoFluxgateSettings:
     passes: int = 4
 
 
-TWO_FLUXGATES = TwoFluxgateSettings()
+TWO_FLUXGATE_SETTINGS = TwoFluxgateSettings()
 
 
 #: Two orbits: clusters of samples whose errors belong together.
@@ -164,12 +165,12 @@ def relation_grams(
     use &= True if good is None else good
     difference, columns = first - second, _columns(second)
     cluster = _cluster_of(stamps, cluster_s)
-    for _ in range(TWO_FLUXGATES.passes):
+    for _ in range(TWO_FLUXGATE_SETTINGS.passes):
         gram, rows = _grams(columns[use], difference[use], cluster[use])
         fit = solve_clusters(gram, rows)
         residual = difference - columns @ fit.value
         size = np.array([robust_sigma(component, floor=1e-9) for component in residual[use].T])
-        near = use & (np.abs(residual) <= TWO_FLUXGATES.far * size).all(axis=1)
+        near = use & (np.abs(residual) <= TWO_FLUXGATE_SETTINGS.far * size).all(axis=1)
         if np.array_equal(near, use):
             break
         use = near
@@ -289,10 +290,12 @@ def corners(
     if along is not None:
         use = np.isfinite(main) & np.isfinite(second)
         closure = float(np.sqrt(np.nanmean((main - second - along)[use] ** 2)))
-    return corners_of(corner_moments(main, second, stamps, mean_s, cluster_s), mean_s, closure)
+    return three_cornered_hat(
+        three_cornered_hat_sums(main, second, stamps, mean_s, cluster_s), mean_s, closure
+    )
 
 
-def corner_moments(
+def three_cornered_hat_sums(
     main: Floats, second: Floats, stamps: Int64, mean_s: float = 60.0, cluster_s: float = CLUSTER_S
 ) -> Floats:
     """Return the sums of clusters that the three variances are made of; parameters as `corners`.
@@ -312,8 +315,10 @@ def corner_moments(
     return np.stack([np.bincount(which, one) for one in (np.ones(a.size), a, b, a * a, a * b, b * b)], axis=1)
 
 
-def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> ThreeCornerVariances:
-    """Return the variances that all clusters determine; as `corner_moments` makes them.
+def three_cornered_hat(
+    moments: Floats, mean_s: float = 60.0, closure: float = np.nan
+) -> ThreeCornerVariances:
+    """Return the variances that all clusters determine; as `three_cornered_hat_sums` makes them.
 
     Raises
     ------
@@ -321,9 +326,10 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
         When there are fewer than five clusters.
     """
     total = len(moments)
-    if total < SOLVER.fewest_clusters:
+    if total < SOLVER_SETTINGS.fewest_clusters:
         raise CalibrationError(
-            f"{total} clusters with data found, at least {SOLVER.fewest_clusters} needed for an uncertainty",
+            f"{total} clusters with data found, "
+            f"at least {SOLVER_SETTINGS.fewest_clusters} needed for an uncertainty",
             remedy="take a longer span or shorter clusters",
         )
     whole = moments.sum(axis=0)

@@ -17,7 +17,7 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     BIWEIGHT_WIDTH,
-    SOLVER,
+    SOLVER_SETTINGS,
     RobustFit,
     biweight,
     biweight_slope,
@@ -50,7 +50,7 @@ class SpreadSettings:
     passes: int = 20
 
 
-SPREAD = SpreadSettings()
+SPREAD_SETTINGS = SpreadSettings()
 
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
@@ -92,9 +92,9 @@ def day_statistics(
         away = np.abs(residual - np.median(residual[use]))
         use &= away <= BIWEIGHT_WIDTH * robust_sigma(away[use], floor=1e-9)
     count = int(use.sum())
-    if count < SPREAD.fewest_samples:
+    if count < SPREAD_SETTINGS.fewest_samples:
         raise CalibrationError(
-            f"{count} usable samples for a day's spread, {SPREAD.fewest_samples} needed",
+            f"{count} usable samples for a day's spread, {SPREAD_SETTINGS.fewest_samples} needed",
             remedy="see the day's coverage and flags",
         )
     y, e = residual[use], direction[use]
@@ -105,7 +105,7 @@ def day_statistics(
     # The orbit is not random: of the spread only what the noise adds to the square is uncertain.
     spread = 2.0 * slope * centre * rest + rest**2 - np.var(rest)
     influence = np.stack([rest, spread, centre * rest / geometry], axis=1) / count
-    sums = np.array([part.sum(axis=0) for part in np.array_split(influence, SPREAD.sub_blocks)])
+    sums = np.array([part.sum(axis=0) for part in np.array_split(influence, SPREAD_SETTINGS.sub_blocks)])
     numbers = {"mean": mean, "variance": float(np.var(y)), "slope": slope, "rest": float(np.var(rest))}
     numbers |= {"geometry": geometry, "count": float(count)}
     each = ("interval", "axis")
@@ -181,7 +181,7 @@ def fit_spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> Spr
     """
     known = np.isfinite(offset) & np.isfinite(sigma)
     square = offset[known] ** 2 - sigma[known] ** 2
-    if known.sum() < SPREAD.fewest_days or np.ptp(square) == 0:
+    if known.sum() < SPREAD_SETTINGS.fewest_days or np.ptp(square) == 0:
         raise CalibrationError(
             f"{int(known.sum())} days with an offset do not tell how the spread follows it",
             remedy="use five or more days of different offsets",
@@ -209,7 +209,7 @@ def _fit_both_with_errors(square: Floats, spread: Floats, variance: Floats, sigm
     """
     robust_weight, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
-    for _ in range(SPREAD.passes):
+    for _ in range(SPREAD_SETTINGS.passes):
         true = np.maximum(spread - value[1], 0.0) / value[0]
         of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
         total = variance + extra + value[0] ** 2 * of_x
@@ -228,7 +228,7 @@ def _fit_both_with_errors(square: Floats, spread: Floats, variance: Floats, sigm
     bread = np.linalg.inv((instrument * slopes[:, None]).T @ rows)
     scores = instrument * (weight * residual)[:, None]
     # Few days near zero offset determine the noise: their scatter may be small by chance.
-    stated = gram_inverse((instrument * weight[:, None]).T @ instrument, SOLVER.eigen_cut)
+    stated = gram_inverse((instrument * weight[:, None]).T @ instrument, SOLVER_SETTINGS.eigen_cut)
     covariance = sandwich(bread, long_run_covariance(scores, 2.0), stated)
     return RobustFit(value, covariance, residual, robust_weight, float(np.sqrt(extra)))
 

@@ -1,22 +1,31 @@
 from .apply import ModelEffect, correct_plain
 from .diff import changes, parse_tree
 from .model import Model, make_effect
-from .rows import Band, Layout, ResidualRows, RowFilter, filter_rows, folding_of, rows_of, spin_residual
-from .substitution import EffectSubstitution, SubstitutedSamples, Typical, missing_rows, substitute
-from .time_dependence import Dependence, TimedValue, component_names
+from .rows import (
+    Band,
+    ResidualDefinition,
+    ResidualRows,
+    RowFilter,
+    filter_rows,
+    folding_of,
+    rows_of,
+    spin_residual,
+)
+from .substitution import EffectSubstitution, SubstitutedSamples, TypicalValue, missing_rows, substitute
+from .time_dependence import TimeDependence, TimedValue, component_names
 
 __all__ = [
     "Band",
-    "Dependence",
     "EffectSubstitution",
-    "Layout",
     "Model",
     "ModelEffect",
+    "ResidualDefinition",
     "ResidualRows",
     "RowFilter",
     "SubstitutedSamples",
+    "TimeDependence",
     "TimedValue",
-    "Typical",
+    "TypicalValue",
     "changes",
     "component_names",
     "correct_plain",

@@ -32,7 +32,7 @@ from inflight.errors import InflightError, ModelError
 from inflight.mission import Sensor, sensors_of
 from inflight.model.apply import ModelEffect, correct, correct_plain, correction_terms, disturb
 from inflight.model.diff import changes, parse_tree
-from inflight.model.rows import Layout, rows_of
+from inflight.model.rows import ResidualDefinition, rows_of
 from inflight.model.time_dependence import TimedValue, parse_timed
 from inflight.samples import PlainSamples
 from inflight.units import product_factor
@@ -157,7 +157,7 @@ class Model:
     effects: tuple[ModelEffect, ...]
     version: int = 0
     parent: int | None = None
-    layout: Layout | None = None
+    layout: ResidualDefinition | None = None
     own: tuple[EffectSource, ...] = ()
 
     @classmethod
@@ -195,7 +195,7 @@ class Model:
             effects,
             int(tree.get("version", 0)),
             tree.get("parent"),
-            Layout.of(mission, comparison),
+            ResidualDefinition.of(mission, comparison),
             own,
         )
 
@@ -325,9 +325,9 @@ class Model:
         )
 
     @property
-    def known_layout(self) -> Layout:
+    def known_layout(self) -> ResidualDefinition:
         """The layout; of a model without one, from the sensors of its effects."""
-        return self.layout or Layout.of_sensors(entry.sensor for entry in self.effects)
+        return self.layout or ResidualDefinition.of_sensors(entry.sensor for entry in self.effects)
 
     def correct(self, samples: xr.Dataset) -> xr.Dataset:
         """Take the effects out of the readings: see `inflight.model.apply.correct`."""

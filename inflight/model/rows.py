@@ -55,7 +55,7 @@ class BandFilterSettings:
     shortest_periods: float = 1.0
 
 
-BAND_FILTER = BandFilterSettings()
+BAND_FILTER_SETTINGS = BandFilterSettings()
 
 
 class RowFilter(Protocol):
@@ -78,7 +78,7 @@ class Band(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layout:
+class ResidualDefinition:
     """Kind, sensors and filter of a comparison.
 
     Attributes
@@ -99,7 +99,7 @@ class Layout:
     folding: Folding | None = None
 
     @classmethod
-    def of(cls, mission: Mission, comparison: str = "main") -> Layout:
+    def of(cls, mission: Mission, comparison: str = "main") -> ResidualDefinition:
         """Return the layout of a mission's comparison.
 
         Raises
@@ -113,7 +113,7 @@ class Layout:
         return cls(entry.kind, sensors, band, folding_of(mission, comparison))
 
     @classmethod
-    def of_sensors(cls, sensors: Iterable[Sensor]) -> Layout:
+    def of_sensors(cls, sensors: Iterable[Sensor]) -> ResidualDefinition:
         """Return the layout of a dual or scalar comparison that knows only some of its sensors."""
         by_role = {sensor.role: sensor for sensor in sensors}
         dual = bool({"inboard", "outboard"} & set(by_role))
@@ -166,7 +166,7 @@ class Correction(Protocol):
         """Name of the comparison, for errors."""
 
     @property
-    def known_layout(self) -> Layout:
+    def known_layout(self) -> ResidualDefinition:
         """Kind and sensors of the comparison."""
 
     def corrected(self, samples: xr.Dataset) -> Mapping[str, xr.Variable]:
@@ -235,10 +235,14 @@ def filter_rows(
     finite = np.asarray(np.isfinite(wide).all(axis=1))
     usable = finite if good is None else finite & good
     if band.high_hz >= 0.5 / step_s:
-        sections = signal.butter(BAND_FILTER.order, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
+        sections = signal.butter(
+            BAND_FILTER_SETTINGS.order, band.low_hz, "highpass", fs=1.0 / step_s, output="sos"
+        )
     else:
-        sections = signal.butter(BAND_FILTER.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
-    shortest = int(BAND_FILTER.shortest_periods / (band.low_hz * step_s))
+        sections = signal.butter(
+            BAND_FILTER_SETTINGS.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos"
+        )
+    shortest = int(BAND_FILTER_SETTINGS.shortest_periods / (band.low_hz * step_s))
     out = np.full(wide.shape, np.nan)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
     for first, last in edges.reshape(-1, 2).tolist():
@@ -248,7 +252,7 @@ def filter_rows(
     return out.reshape(values.shape)
 
 
-def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+def _scalar(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
     """Return ``|B_vector| - F``."""
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
     along = field_direction(corrected)[:, None, :]
@@ -264,7 +268,7 @@ def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     )
 
 
-def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+def _dual(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
     """Return ``R_in B_in - R_out B_out``."""
     inboard, outboard = layout.sensor("inboard"), layout.sensor("outboard")
     fields = {one.name: _values(corrected, one.role) for one in (inboard, outboard)}
@@ -284,7 +288,7 @@ def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     )
 
 
-def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+def _platform(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
     """Return F in the layout's band; a field at the vector sensor only rotates a direction a little."""
     field, total = _values(corrected, "field"), _values(corrected, "scalar")
     along = field_direction(corrected)[:, None, :]
@@ -303,7 +307,7 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     )
 
 
-def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
+def _spin(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
     """Return what rotates with the spin: along the axis, and of the modulus across it.
 
     Directions are those of a steady field outside, and so is the field that effects are given: with the

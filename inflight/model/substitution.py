@@ -62,11 +62,11 @@ class SubstitutionSettings:
     flat: float = 1e-12
 
 
-SUBSTITUTION = SubstitutionSettings()
+SUBSTITUTION_SETTINGS = SubstitutionSettings()
 
 
 @dataclass(frozen=True)
-class Typical:
+class TypicalValue:
     """What a channel usually reads.
 
     Attributes
@@ -87,7 +87,7 @@ class Typical:
     source: str
 
     @classmethod
-    def of(cls, values: Floats, stamps: Int64, source: str) -> Typical | None:
+    def of(cls, values: Floats, stamps: Int64, source: str) -> TypicalValue | None:
         """Return it from values, (time,) or (time, component), at TT2000; None with fewer than two."""
         rows = values.reshape(len(values), -1)
         there = np.isfinite(rows).all(axis=1)
@@ -96,7 +96,7 @@ class Typical:
             return None
         covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
         own, vectors = np.linalg.eigh(covariance)
-        used = own > SUBSTITUTION.flat * max(float(own[-1]), 1e-300)
+        used = own > SUBSTITUTION_SETTINGS.flat * max(float(own[-1]), 1e-300)
         modes = (vectors[:, used] * np.sqrt(own[used])).T
         steps = np.diff(seconds)
         near = steps <= GAP * np.median(steps)
@@ -137,7 +137,7 @@ class SubstitutedSamples:
 
     samples: xr.Dataset
     rows: Mapping[str, Rows]
-    typical: Mapping[str, Typical]
+    typical: Mapping[str, TypicalValue]
     ranges: Mapping[str, tuple[float, float]]
 
     @property
@@ -192,7 +192,7 @@ class SubstitutedSamples:
         for name, rows in self.rows.items():
             users = [entry for entry in model.effects if name in _series_of(entry, self.samples)]
             missing = _any_component(rows)
-            near = np.convolve(missing, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0
+            near = np.convolve(missing, np.ones(2 * SUBSTITUTION_SETTINGS.margin + 1), mode="same") > 0
             part = self.samples.isel(time=near)
             known = self.model(model)
             before = _fields(known, part)
@@ -219,7 +219,10 @@ class SubstitutedSamples:
         places = _TRIED_VALUES.get(name, np.empty(0))
         if not len(places) and name in self.ranges:
             low, high = self.ranges[name]
-            places = low + (high - low) * (np.arange(SUBSTITUTION.parts) + 0.5) / SUBSTITUTION.parts
+            places = (
+                low
+                + (high - low) * (np.arange(SUBSTITUTION_SETTINGS.parts) + 0.5) / SUBSTITUTION_SETTINGS.parts
+            )
         for place in places:
             yield _with_series(part, name, np.where(rows, place, np.asarray(part[name].values)))
 
@@ -242,7 +245,7 @@ class SubstitutedSamples:
 def substitute(
     model: Model,
     samples: xr.Dataset,
-    typical: Mapping[str, Typical],
+    typical: Mapping[str, TypicalValue],
     ranges: Mapping[str, tuple[float, float]] | None = None,
     missing: Mapping[str, Rows] | None = None,
 ) -> SubstitutedSamples | None:

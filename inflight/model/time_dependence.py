@@ -43,7 +43,7 @@ KEYS = ("t0", "per", "at", "events", "interpolation")
 
 
 @dataclass(frozen=True)
-class Dependence:
+class TimeDependence:
     """How a value depends on time.
 
     Attributes
@@ -133,7 +133,7 @@ class Dependence:
         return found
 
 
-def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event] = ()) -> Dependence:
+def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event] = ()) -> TimeDependence:
     """Read how a parameter depends on time.
 
     Parameters
@@ -167,21 +167,21 @@ def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event]
         return _parse_trend(key, time, entry)
     if time in ("event", "spline"):
         return _parse_dated(key, time, entry, events)
-    return Dependence(time)
+    return TimeDependence(time)
 
 
-def _parse_trend(key: str, time: str, entry: Mapping[str, Any]) -> Dependence:
+def _parse_trend(key: str, time: str, entry: Mapping[str, Any]) -> TimeDependence:
     if "t0" not in entry:
         raise ModelError(f"'{key}' changes with time but has no 't0'", remedy="say from when: t0: 2000-05-30")
     per = str(entry.get("per", "1 d"))
     per = per if per.strip()[:1].isdigit() else f"1 {per}"
     try:
-        return Dependence(time, int(to_tt2000(parse_utc(entry["t0"]))), parse_duration(per))
+        return TimeDependence(time, int(to_tt2000(parse_utc(entry["t0"]))), parse_duration(per))
     except ValueError as error:
         raise ModelError(f"'{key}': {error}", remedy="write t0: 2000-05-30, per: 1 d") from None
 
 
-def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence[Event]) -> Dependence:
+def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence[Event]) -> TimeDependence:
     if time == "event" and "events" in entry:
         kind = str(entry["events"])
         given: Sequence[Any] = sorted(to_utc(event.at) for event in events if event.kind == kind)
@@ -210,7 +210,7 @@ def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence
             f"'{key}': interpolation {interpolation!r} is unknown",
             remedy=f"one of {', '.join(INTERPOLATIONS)}",
         )
-    return Dependence(time, at=at, interpolation=interpolation)
+    return TimeDependence(time, at=at, interpolation=interpolation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,9 +255,9 @@ class TimedValue:
     interpolation: str = "cubic"
 
     @property
-    def dependence(self) -> Dependence:
+    def dependence(self) -> TimeDependence:
         """Which functions of time the coefficients multiply."""
-        return Dependence(self.time, self.t0, self.per, self.change_times, self.interpolation)
+        return TimeDependence(self.time, self.t0, self.per, self.change_times, self.interpolation)
 
     @property
     def columns(self) -> list[str]:
@@ -379,7 +379,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
     )
 
 
-def _filled(parameter: Parameter, dependence: Dependence, default: Floats | float) -> Floats:
+def _filled(parameter: Parameter, dependence: TimeDependence, default: Floats | float) -> Floats:
     """Return a default for every coefficient, (component, coefficient); a trend does not grow."""
     filled = np.zeros((parameter.size, dependence.count))
     filled[:, : 1 if dependence.is_trend else None] = np.reshape(default, (-1, 1))
@@ -387,7 +387,7 @@ def _filled(parameter: Parameter, dependence: Dependence, default: Floats | floa
 
 
 def _coefficients(
-    key: str, parameter: Parameter, dependence: Dependence, given: Any, default: Floats | float
+    key: str, parameter: Parameter, dependence: TimeDependence, given: Any, default: Floats | float
 ) -> Floats:
     """Return an array (component, coefficient) from a number, a list, or a mapping by axis."""
     if given is None:

@@ -64,7 +64,7 @@ class StepSettings:
     fewest_steady: int = 4
 
 
-STEPS = StepSettings()
+STEP_SETTINGS = StepSettings()
 
 
 def channel_noise(values: Floats, resolution: float | None = None) -> tuple[float, float]:
@@ -119,9 +119,9 @@ def clean_readings(stamps: Int64, current: Floats, resolution: float | None = No
         )
     good = np.isfinite(values)
     times, values = times[good], values[good]
-    if times.size < 2 * STEPS.fewest + 2:
+    if times.size < 2 * STEP_SETTINGS.fewest + 2:
         raise SamplesError(
-            f"{times.size} readings of the current found, at least {2 * STEPS.fewest + 2} needed",
+            f"{times.size} readings of the current found, at least {2 * STEP_SETTINGS.fewest + 2} needed",
             remedy="take a longer span",
         )
     if np.any(np.diff(times) <= 0):
@@ -285,12 +285,12 @@ def find_steps(
     seconds = (times - times[0]) / SECOND
     cadence = float(np.median(np.diff(seconds)))
     noise, smallest_step = channel_noise(values, resolution)
-    lag = min(max(1, round(STEPS.scale_s / cadence)), values.size // 4)
+    lag = min(max(1, round(STEP_SETTINGS.scale_s / cadence)), values.size // 4)
     change, apart = _own_change(seconds, values, lag, longest)
     # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
     usual = robust_sigma(change, floor=float(np.sqrt(2.0)) * noise)
     near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
-    fast = (np.abs(change) > np.maximum(significance * usual, STEPS.rest * near)) & (apart <= longest)
+    fast = (np.abs(change) > np.maximum(significance * usual, STEP_SETTINGS.rest * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)
     channel = _Readings(seconds, values, noise, longest, window)
     # A run's own readings: from the end of the run before it to the start of the next.
@@ -389,7 +389,7 @@ def _lines_around(
     """Return transition, its middle and both lines, the transition widened until both hold."""
     seconds, values = channel.seconds, channel.values
     span, found = run, None
-    for _ in range(STEPS.rounds):
+    for _ in range(STEP_SETTINGS.rounds):
         middle = float(0.5 * (seconds[span[0]] + seconds[span[1]]))
         before, after = _sides(seconds, allowed, span, channel.window)
         old = _Line.through(seconds[before] - middle, values[before], channel.noise)
@@ -399,7 +399,7 @@ def _lines_around(
         found = span, middle, old, new
         # A line is itself known to its own sigma only.
         spread = float(np.sqrt(channel.noise**2 + max(old.sigma, new.sigma) ** 2))
-        rest = max(STEPS.settled * spread, STEPS.rest * abs(new.level - old.level))
+        rest = max(STEP_SETTINGS.settled * spread, STEP_SETTINGS.rest * abs(new.level - old.level))
         wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
         if wider == span:
             break
@@ -431,7 +431,7 @@ class _Line:
 
     @classmethod
     def through(cls, seconds: Floats, values: Floats, noise: float) -> _Line | None:
-        if seconds.size < STEPS.fewest:
+        if seconds.size < STEP_SETTINGS.fewest:
             return None
         shapes = np.column_stack([np.ones_like(seconds), seconds])
         inverse = np.linalg.inv(shapes.T @ shapes)
@@ -487,11 +487,15 @@ def piecewise_mean(values: Floats) -> Floats:
     white = MAD_TO_SIGMA * float(np.median(np.abs(change))) / np.sqrt(2.0) if readings.size > 1 else 0.0
     if not white > 0.0:
         return values
-    begins = np.concatenate([[0], np.flatnonzero(np.abs(change) > STEPS.jump * np.sqrt(2.0) * white) + 1])
+    begins = np.concatenate(
+        [[0], np.flatnonzero(np.abs(change) > STEP_SETTINGS.jump * np.sqrt(2.0) * white) + 1]
+    )
     count = np.diff(np.append(begins, readings.size))
     mean = np.add.reduceat(readings, begins) / count
     scatter = np.sqrt(np.add.reduceat((readings - np.repeat(mean, count)) ** 2, begins) / count)
-    level = np.repeat((scatter <= STEPS.steady * white) & (count >= STEPS.fewest_steady), count)
+    level = np.repeat(
+        (scatter <= STEP_SETTINGS.steady * white) & (count >= STEP_SETTINGS.fewest_steady), count
+    )
     out = values.copy()
     out[known] = np.where(level, np.repeat(mean, count), readings)
     return out

@@ -85,7 +85,7 @@ class DependenceSettings:
     turning: float = 0.1
 
 
-DEPENDENCES = DependenceSettings()
+DEPENDENCE_SETTINGS = DependenceSettings()
 
 
 @dataclass(frozen=True)
@@ -153,14 +153,14 @@ class BinnedFit:
         """Trace of the Gram matrices; (block, bin). Of unit columns the number of samples."""
         return np.asarray(np.trace(self.gram, axis1=2, axis2=3).real)
 
-    def met(self, fewest_blocks: int = DEPENDENCES.lonely, fewest: int = 1) -> Bools:
+    def met(self, fewest_blocks: int = DEPENDENCE_SETTINGS.lonely, fewest: int = 1) -> Bools:
         """Return the bins that enough blocks and samples meet and whose equations can be solved; (bin,)."""
         size = self.size
         enough = (size > 0).sum(axis=0) >= min(fewest_blocks, len(size))
         enough &= self.count.sum(axis=0) >= fewest
         if self.gram.shape[2] > 1:
             eye = np.eye(self.gram.shape[2])
-            enough &= np.linalg.cond(self.gram.sum(axis=0) + 1e-12 * eye) < DEPENDENCES.condition
+            enough &= np.linalg.cond(self.gram.sum(axis=0) + 1e-12 * eye) < DEPENDENCE_SETTINGS.condition
         return np.asarray(enough)
 
     @property
@@ -223,11 +223,11 @@ def bin_indices(values: Floats, edges: Floats) -> Ints:
     return np.asarray(np.clip(place, 0, edges.size - 2), dtype=np.int64)
 
 
-def bin_count(kind: str, block: Ints, bins: int = DEPENDENCES.bins) -> int:
+def bin_count(kind: str, block: Ints, bins: int = DEPENDENCE_SETTINGS.bins) -> int:
     """Return the bins of a coordinate of a kind: in time, each takes several blocks."""
     if kind != "time":
         return bins
-    return int(np.clip(np.unique(block).size // DEPENDENCES.block_bins, 2, bins))
+    return int(np.clip(np.unique(block).size // DEPENDENCE_SETTINGS.block_bins, 2, bins))
 
 
 def rising_or_falling(values: Floats, reach: int) -> Floats:
@@ -240,12 +240,12 @@ def rising_or_falling(values: Floats, reach: int) -> Floats:
         change[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
     change = np.nan_to_num(change)
     spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
-    return np.where(np.abs(change) > DEPENDENCES.moving * spread, np.sign(change), 0.0)
+    return np.where(np.abs(change) > DEPENDENCE_SETTINGS.moving * spread, np.sign(change), 0.0)
 
 
 def placebo_shifts_of(values: Any) -> Iterator[Any]:
     """Yield a coordinate (sample,) as it was in other parts of the record: a placebo."""
-    for part in DEPENDENCES.shifts:
+    for part in DEPENDENCE_SETTINGS.shifts:
         yield np.roll(values, round(part * len(values)))
 
 
@@ -273,7 +273,7 @@ class Loop:
     @property
     def is_open(self) -> bool:
         """True when the branches differ by five sigma."""
-        return self.opening > DEPENDENCES.clear * self.sigma_opening
+        return self.opening > DEPENDENCE_SETTINGS.clear * self.sigma_opening
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,7 +305,7 @@ class Dependence:
     @property
     def is_clear(self) -> bool:
         """True when the amplitude stands out by five sigma."""
-        return self.amplitude > DEPENDENCES.clear * self.sigma_amplitude
+        return self.amplitude > DEPENDENCE_SETTINGS.clear * self.sigma_amplitude
 
 
 def dependence(
@@ -315,7 +315,7 @@ def dependence(
     residual: Floats,
     block: Ints,
     rising: Floats | None = None,
-    bins: int = DEPENDENCES.bins,
+    bins: int = DEPENDENCE_SETTINGS.bins,
 ) -> Dependence | None:
     """Measure how a residual depends on a coordinate.
 
@@ -342,7 +342,7 @@ def dependence(
     x, y = coordinate[good], residual[good]
     blocks, which = np.unique(block[good], return_inverse=True)
     edges = bin_edges(x, bins)
-    if blocks.size < DEPENDENCES.min_blocks or edges is None:
+    if blocks.size < DEPENDENCE_SETTINGS.min_blocks or edges is None:
         return None
     index, count = bin_indices(x, edges), edges.size - 1
     y = y - y.mean()
@@ -425,8 +425,8 @@ class AxisResponse:
     def axis(self) -> str:
         """The axis that stands out: x, y or z; empty when none does by three sigma."""
         ratio = self.amplitude / self.sigma_amplitude
-        best = int(np.argmax(np.where(ratio > DEPENDENCES.axis_clear, self.amplitude, 0.0)))
-        return "xyz"[best] if ratio[best] > DEPENDENCES.axis_clear else ""
+        best = int(np.argmax(np.where(ratio > DEPENDENCE_SETTINGS.axis_clear, self.amplitude, 0.0)))
+        return "xyz"[best] if ratio[best] > DEPENDENCE_SETTINGS.axis_clear else ""
 
 
 def axis_response(
@@ -436,7 +436,7 @@ def axis_response(
     residual: Floats,
     direction: Floats,
     block: Ints,
-    bins: int = DEPENDENCES.field_bins,
+    bins: int = DEPENDENCE_SETTINGS.field_bins,
 ) -> AxisResponse | None:
     """Fit in each bin of a coordinate the field (three components) that the residual is the projection of.
 
@@ -462,7 +462,7 @@ def axis_response(
     x, y, u = coordinate[good], residual[good], direction[good]
     blocks, which = np.unique(block[good], return_inverse=True)
     edges = bin_edges(x, bins) if bins > 1 else np.array([-np.inf, np.inf])
-    if blocks.size < DEPENDENCES.min_blocks or edges is None:
+    if blocks.size < DEPENDENCE_SETTINGS.min_blocks or edges is None:
         return None
     index, count = bin_indices(x, edges), edges.size - 1
     cells = BinnedFit.of(u[:, None, :], (y - y.mean())[:, None, None], which, index, count)
@@ -503,7 +503,13 @@ class Curve:
 
 
 def curve_of(
-    label: str, x: Floats, y: Floats, block: Ints, edges: Floats, used: Bools, settings: Any = DEPENDENCES
+    label: str,
+    x: Floats,
+    y: Floats,
+    block: Ints,
+    edges: Floats,
+    used: Bools,
+    settings: Any = DEPENDENCE_SETTINGS,
 ) -> Curve:
     """Return the mean residual in bins between given edges.
 
@@ -574,7 +580,7 @@ def field_axes(direction: Floats, is_scalar: bool) -> tuple[Floats, tuple[str, .
     """
     if not is_scalar:
         return direction, ("x", "y", "z")
-    if np.linalg.cond(np.einsum("tra,trb->ab", direction, direction)) < DEPENDENCES.condition:
+    if np.linalg.cond(np.einsum("tra,trb->ab", direction, direction)) < DEPENDENCE_SETTINGS.condition:
         return direction, ("x", "y", "z")
     return np.ones((len(direction), 1, 1)), ("B",)
 
@@ -611,13 +617,13 @@ def field_response(
     name, unit, x = coordinate
     u, axes = columns
     good = used & np.isfinite(x)
-    edges = bin_edges(x[good], DEPENDENCES.curve_bins)
-    if edges is None or np.unique(block[good]).size < DEPENDENCES.min_blocks:
+    edges = bin_edges(x[good], DEPENDENCE_SETTINGS.curve_bins)
+    if edges is None or np.unique(block[good]).size < DEPENDENCE_SETTINGS.min_blocks:
         return None
     before, index, count = residuals["before"], bin_indices(x, edges), edges.size - 1
     sign = rising_or_falling(x, reach) if x.size > 2 * reach else np.zeros_like(x)
     branches: dict[str, list[Curve]] = {}
-    if min((sign > 0).mean(), (sign < 0).mean()) > DEPENDENCES.turning:
+    if min((sign > 0).mean(), (sign < 0).mean()) > DEPENDENCE_SETTINGS.turning:
         sides = {"rising": good & (sign > 0), "falling": good & (sign < 0)}
     else:
         sides = {"all": good}
@@ -653,7 +659,7 @@ def _field_curves(
     _, which = np.unique(block[inside], return_inverse=True)
     place, cells = side * bins + index[inside], len(sides) * bins
     fit = BinnedFit.of(u[inside], residual[inside][:, :, None], which, place, cells)
-    met = fit.met(1, DEPENDENCES.fewest)
+    met = fit.met(1, DEPENDENCE_SETTINGS.fewest)
     share, total = fit.share(met), fit.count.sum(axis=0)
     sums = np.bincount(place, weights=x[inside], minlength=cells)
     centre = np.divide(sums, total, out=np.full(cells, np.nan), where=total > 0)
@@ -858,7 +864,7 @@ def rank_dependences(
     def response(of: Floats, best: Dependence) -> AxisResponse | None:
         one = coordinates[best.coordinate]
         # What follows the field itself is a constant field, or no field at all.
-        bins = 1 if one.kind.startswith("field_") else DEPENDENCES.field_bins
+        bins = 1 if one.kind.startswith("field_") else DEPENDENCE_SETTINGS.field_bins
         return axis_response(one.name, one.unit, one.values, of, direction, block, bins)
 
     def removed(of: Floats, best: Dependence) -> Floats:
@@ -878,7 +884,9 @@ def rank_dependences(
         moved = (Coordinate(one.name, one.unit, one.kind, values) for values in placebo_shifts_of(one.values))
         return max((each.amplitude for each in measure_dependences(moved, rest, block)), default=0.0)
 
-    least = DEPENDENCES.least_part * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
+    least = (
+        DEPENDENCE_SETTINGS.least_part * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
+    )
     structures = select_successively(
         residual,
         measured,
@@ -887,7 +895,7 @@ def rank_dependences(
         remove=removed,
         chance=chance,
         least=least,
-        count=DEPENDENCES.count,
+        count=DEPENDENCE_SETTINGS.count,
     )
     return [
         RankedDependence(best, response(of, best), coordinates[best.coordinate].kind, rank)

@@ -19,7 +19,14 @@ import numpy as np
 from scipy import signal, stats
 
 from inflight.arrays import Floats
-from inflight.residual.spectrum import SERIES, SPECTRA, Power, SpectrumSettings, background_of, record_power
+from inflight.residual.spectrum import (
+    SERIES,
+    SPECTRUM_SETTINGS,
+    SpectrumSettings,
+    SpectrumSum,
+    background_of,
+    record_power,
+)
 
 _DAY_S = 86_400.0
 
@@ -89,7 +96,7 @@ class LineSettings:
     comparable: float = 0.5
 
 
-LINES = LineSettings()
+LINE_SETTINGS = LineSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,13 +185,13 @@ def known_periods(periods: Mapping[str, float], orbit: float | None) -> dict[str
     whole = orbit or periods.get("orbit")
     if whole:
         found["orbit"] = whole
-        found |= {f"orbit/{k}": whole / k for k in range(2, LINES.known_harmonics + 1)}
+        found |= {f"orbit/{k}": whole / k for k in range(2, LINE_SETTINGS.known_harmonics + 1)}
     return found | {"day": _DAY_S, "day/2": _DAY_S / 2, "day/3": _DAY_S / 3}
 
 
 def drawn_periods(known: Mapping[str, float]) -> dict[str, float]:
     """Return the known periods that a figure marks: of the orbit's harmonics, the first six."""
-    late = {f"orbit/{k}" for k in range(LINES.drawn_harmonics + 1, LINES.known_harmonics + 1)}
+    late = {f"orbit/{k}" for k in range(LINE_SETTINGS.drawn_harmonics + 1, LINE_SETTINGS.known_harmonics + 1)}
     return {name: seconds for name, seconds in known.items() if name not in late | {"day/2", "day/3"}}
 
 
@@ -229,7 +236,9 @@ class KnownPeriods:
     width: Floats
 
     @classmethod
-    def of(cls, known: Mapping[str, float], step: float, settings: LineSettings = LINES) -> KnownPeriods:
+    def of(
+        cls, known: Mapping[str, float], step: float, settings: LineSettings = LINE_SETTINGS
+    ) -> KnownPeriods:
         """Return what follows from known periods on a grid of frequencies.
 
         Parameters
@@ -281,12 +290,12 @@ def _sideband_name(name: str, side: int, unit: str) -> str:
 
 
 def find_lines(
-    power: Power,
+    power: SpectrumSum,
     known: Mapping[str, float],
     shortest: float = 0.0,
     longest: float = np.inf,
     most: int = 20,
-    settings: LineSettings = LINES,
+    settings: LineSettings = LINE_SETTINGS,
 ) -> list[Line]:
     """Return the lines of a mean spectrum: new ones, those that follow from them, known ones.
 
@@ -382,7 +391,7 @@ def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]
 
 
 def _amplitudes(
-    power: Power, density: Floats, background: Floats, peak: int, spread: int
+    power: SpectrumSum, density: Floats, background: Floats, peak: int, spread: int
 ) -> tuple[Floats, Floats]:
     """Return a line's amplitude in each series and its standard deviation; NaN below three sigma."""
     around = slice(max(peak - spread, 0), peak + spread + 1)
@@ -403,8 +412,8 @@ def resolve_lines(
     residual: Floats,
     direction: Floats,
     lines: Sequence[Line],
-    power: Power,
-    settings: LineSettings = LINES,
+    power: SpectrumSum,
+    settings: LineSettings = LINE_SETTINGS,
 ) -> list[Line]:
     """Return the lines that are fields along the axes of their own, not sidebands of others.
 
@@ -432,7 +441,7 @@ def resolve_lines(
     rows = residual.reshape(len(residual), -1)
     factors = direction.reshape(*rows.shape, 3)
     known = np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2))
-    if not lines or known.sum() < SPECTRA.least_samples:
+    if not lines or known.sum() < SPECTRUM_SETTINGS.least_samples:
         return []
     count = rows.shape[1]
     y, u = rows[known].reshape(-1), factors[known].reshape(-1, 3)
@@ -561,8 +570,8 @@ def record_lines(
     step: float,
     known: Mapping[str, float],
     shortest: float = 0.0,
-    settings: SpectrumSettings = SPECTRA,
-) -> tuple[Power | None, list[Line]]:
+    settings: SpectrumSettings = SPECTRUM_SETTINGS,
+) -> tuple[SpectrumSum | None, list[Line]]:
     """Return the spectrum of a record of means, and the lines in it that are no sidebands of others.
 
     Parameters
@@ -582,7 +591,7 @@ def record_lines(
     return power, resolve_lines(*record, find_lines(power, known, shortest=shortest), power)
 
 
-def strongest_new(lines: Sequence[Line], step: float, settings: LineSettings = LINES) -> Line | None:
+def strongest_new(lines: Sequence[Line], step: float, settings: LineSettings = LINE_SETTINGS) -> Line | None:
     """Return the strongest line that nothing explains, or the fundamental it is a multiple of; None without.
 
     Parameters

@@ -1,6 +1,6 @@
 """The size of a residual, its noise floor, and the scatter of the daily parameters behind it.
 
-Takes a residual at equal steps, or a table of daily parameters; makes `Size`, `NoiseFloor` and
+Takes a residual at equal steps, or a table of daily parameters; makes `ResidualStatistics`, `NoiseFloor` and
 `ParameterScatter`.
 
 The noise floor is the white level of the residual, measured from its own fast part, whatever its slow part
@@ -81,7 +81,7 @@ class NoiseSettings:
     fewest_days: int = 3
 
 
-NOISE = NoiseSettings()
+NOISE_SETTINGS = NoiseSettings()
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class NoiseFloor:
     @property
     def sigma_nT(self) -> float:  # noqa: N802
         """Standard deviation of the level, nT."""
-        return (self.high_nT - self.low_nT) / (2 * NOISE.wide)
+        return (self.high_nT - self.low_nT) / (2 * NOISE_SETTINGS.wide)
 
 
 NO_FLOOR = NoiseFloor(float("nan"), float("nan"), float("nan"))
@@ -127,7 +127,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
         return NO_FLOOR
     variance, sigma = _level_and_sigma(power)
     mean_of = max(1.0, working / cadence) if working else 1.0
-    reach = NOISE.wide * sigma
+    reach = NOISE_SETTINGS.wide * sigma
     edges = np.maximum([variance, variance - reach, variance + reach], 0.0) / mean_of
     level, low, high = (float(edge) for edge in np.sqrt(edges))
     return NoiseFloor(level, low, high, int(np.isfinite(values).sum()))
@@ -145,12 +145,14 @@ def join_floors(floors: Sequence[NoiseFloor]) -> NoiseFloor:
     weight /= weight.sum()
     each = np.array([floor.level_nT for floor in known]) ** 2
     variance = float(weight @ each)
-    if len(known) >= NOISE.segments:
+    if len(known) >= NOISE_SETTINGS.segments:
         sigma = float(np.sqrt(np.sum(weight**2 * (each - variance) ** 2) / (1.0 - np.sum(weight**2))))
     else:
         own = np.array([2.0 * floor.level_nT * floor.sigma_nT for floor in known])
         sigma = float(np.sqrt(np.sum((weight * own) ** 2)))
-    low, high = np.sqrt(np.maximum([variance - NOISE.wide * sigma, variance + NOISE.wide * sigma], 0.0))
+    low, high = np.sqrt(
+        np.maximum([variance - NOISE_SETTINGS.wide * sigma, variance + NOISE_SETTINGS.wide * sigma], 0.0)
+    )
     return NoiseFloor(float(np.sqrt(variance)), float(low), float(high), sum(f.samples for f in known))
 
 
@@ -187,7 +189,7 @@ def _without_outliers(values: Floats) -> Floats:
     usual = MAD_TO_SIGMA * float(np.median(np.abs(away[known])))
     # Readings so coarse that most do not change have no usual distance; their steps are no outliers.
     usual = usual if usual > 0 else float(np.std(away[known]))
-    return np.where(known & (np.abs(away) > NOISE.outlier * usual), np.nan, values)
+    return np.where(known & (np.abs(away) > NOISE_SETTINGS.outlier * usual), np.nan, values)
 
 
 def _segment_powers(values: Floats) -> Floats | None:
@@ -197,18 +199,18 @@ def _segment_powers(values: Floats) -> Floats | None:
     """
     finite = np.isfinite(values)
     count = int(finite.sum())
-    if count < NOISE.fewest:
+    if count < NOISE_SETTINGS.fewest:
         return None
     sums = np.concatenate([[0], np.cumsum(finite)])
-    for length in NOISE.lengths:
+    for length in NOISE_SETTINGS.lengths:
         stride = length // 2 if length > 64 else length // 4
         starts = np.arange(0, max(finite.size - length + 1, 0), stride)
         # Where segments without a gap begin.
         whole = starts[sums[starts + length] - sums[starts] == length]
         spans = whole.size * stride / length
-        shortest = length == NOISE.lengths[-1]
-        long_enough = shortest or whole.size * stride >= NOISE.enough * count
-        if spans >= (NOISE.fewest_segments if shortest else NOISE.segments) and long_enough:
+        shortest = length == NOISE_SETTINGS.lengths[-1]
+        long_enough = shortest or whole.size * stride >= NOISE_SETTINGS.enough * count
+        if spans >= (NOISE_SETTINGS.fewest_segments if shortest else NOISE_SETTINGS.segments) and long_enough:
             parts = np.lib.stride_tricks.sliding_window_view(values, length)[whole]
             _, power = signal.periodogram(
                 signal.detrend(parts, axis=1), window="hann", detrend=False, return_onesided=False, axis=1
@@ -217,14 +219,14 @@ def _segment_powers(values: Floats) -> Floats | None:
             # Segments with a burst in them are left out.
             loud = power[:, _first(power) :].mean(axis=1)
             usual = float(np.median(loud))
-            return power[loud <= NOISE.loud * usual] if usual > 0 else power
+            return power[loud <= NOISE_SETTINGS.loud * usual] if usual > 0 else power
     return None
 
 
 def _first(power: Floats) -> int:
     """Return the first frequency that neither the slow part nor the window's width touches."""
     last = int(power.shape[1]) - 1
-    return min(max(math.ceil(NOISE.band * last), 1) + NOISE.mixed, last - 1)
+    return min(max(math.ceil(NOISE_SETTINGS.band * last), 1) + NOISE_SETTINGS.mixed, last - 1)
 
 
 def _level_and_sigma(power: Floats) -> tuple[float, float]:
@@ -232,7 +234,7 @@ def _level_and_sigma(power: Floats) -> tuple[float, float]:
 
     The deviation is the jackknife's over groups of neighbouring segments.
     """
-    groups = np.array_split(power, min(NOISE.groups, max(2, power.shape[0] // 4)))
+    groups = np.array_split(power, min(NOISE_SETTINGS.groups, max(2, power.shape[0] // 4)))
     sums = np.array([part.sum(axis=0) for part in groups])
     counts = np.array([part.shape[0] for part in groups], dtype=np.float64)
     total, number = sums.sum(axis=0), counts.sum()
@@ -241,7 +243,7 @@ def _level_and_sigma(power: Floats) -> tuple[float, float]:
         [_white((total - one) / (number - n), number - n) for one, n in zip(sums, counts, strict=True)]
     )
     factor = (len(groups) - 1) / len(groups)
-    return level, NOISE.shared * float(np.sqrt(factor * np.sum((without - without.mean()) ** 2)))
+    return level, NOISE_SETTINGS.shared * float(np.sqrt(factor * np.sum((without - without.mean()) ** 2)))
 
 
 def _white(power: Floats, segments: float) -> float:
@@ -253,7 +255,7 @@ def _white(power: Floats, segments: float) -> float:
     if not model[0] > 0:
         return float(seen.mean())
     # A frequency may scatter by this much: half the overlapping segments count.
-    most = 1.0 + NOISE.lines / np.sqrt(max(0.5 * segments, 1.0))
+    most = 1.0 + NOISE_SETTINGS.lines / np.sqrt(max(0.5 * segments, 1.0))
     shapes = np.stack([np.ones_like(frequency), frequency**-2.0], axis=1)
     part = np.array([model[0], 0.0])
     for _ in range(4):
@@ -264,7 +266,7 @@ def _white(power: Floats, segments: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Size:
+class ResidualStatistics:
     """Size of a residual, nT, over its finite samples."""
 
     count: int
@@ -281,19 +283,19 @@ class Size:
 
 
 #: The size of nothing.
-NO_SIZE = Size(
+NO_STATISTICS = ResidualStatistics(
     count=0,
     **dict.fromkeys(("mean", "std", "rms", "robust", "least", "largest"), float("nan")),
 )
 
 
-def size_of(residual: Floats) -> Size:
+def residual_statistics(residual: Floats) -> ResidualStatistics:
     """Return the size of a residual (time,) in nT; NaN are left out."""
     finite = residual[np.isfinite(residual)]
     if finite.size == 0:
-        return NO_SIZE
+        return NO_STATISTICS
     middle = np.median(finite)
-    return Size(
+    return ResidualStatistics(
         count=int(finite.size),
         mean=float(finite.mean()),
         std=float(finite.std()),
@@ -304,17 +306,17 @@ def size_of(residual: Floats) -> Size:
     )
 
 
-def join_sizes(sizes: Sequence[Size]) -> Size:
+def merge_statistics(sizes: Sequence[ResidualStatistics]) -> ResidualStatistics:
     """Return the size of several residuals together; the robust sigma is the median of theirs."""
     filled = [one for one in sizes if one.count]
     if not filled:
-        return NO_SIZE
+        return NO_STATISTICS
     count = np.array([one.count for one in filled], dtype=np.float64)
     mean = float(np.sum(count * [one.mean for one in filled]) / count.sum())
     square = float(np.sum(count * [one.rms**2 for one in filled]) / count.sum())
     # From the parts' own spreads: the square less the squared mean cancels where the mean is large.
     spread = float(np.sum(count * [one.std**2 + (one.mean - mean) ** 2 for one in filled]) / count.sum())
-    return Size(
+    return ResidualStatistics(
         count=int(count.sum()),
         mean=mean,
         std=float(np.sqrt(spread)),
@@ -382,7 +384,7 @@ def daily_scatter(
         known = one["determined"].values & np.isfinite(one["sigma"].values) & np.isfinite(one["value"].values)
         days = int(known.sum())
         std = sigma = ratio = error = nan
-        if days >= NOISE.fewest_days:
+        if days >= NOISE_SETTINGS.fewest_days:
             std = float(np.std(one["value"].values[known], ddof=1))
             sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
             ratio = std / sigma if sigma > 0 else nan

@@ -60,11 +60,11 @@ class SpectrumSettings:
     points: int = 1200
 
 
-SPECTRA = SpectrumSettings()
+SPECTRUM_SETTINGS = SpectrumSettings()
 
 
 @dataclass
-class Power:
+class SpectrumSum:
     """Sums of the spectra of stretches on one grid of frequencies.
 
     Attributes
@@ -84,7 +84,7 @@ class Power:
     stretches: int = 0
     square: Floats = field(default_factory=lambda: np.zeros(len(SERIES)))
 
-    def add(self, other: Power) -> None:
+    def add(self, other: SpectrumSum) -> None:
         """Add the stretches of another one on the same grid."""
         self.total = self.total + other.total
         self.stretches += other.stretches
@@ -107,7 +107,10 @@ class Power:
 
 
 def density_with_gaps(
-    values: Floats, known: npt.NDArray[np.bool_], cadence: float, settings: SpectrumSettings = SPECTRA
+    values: Floats,
+    known: npt.NDArray[np.bool_],
+    cadence: float,
+    settings: SpectrumSettings = SPECTRUM_SETTINGS,
 ) -> Floats | None:
     """Return the one-sided power densities of series with common gaps; (series, frequency) with zero.
 
@@ -138,8 +141,8 @@ def density_with_gaps(
 
 
 def stretch_power(
-    residual: Floats, direction: Floats, cadence: float, settings: SpectrumSettings = SPECTRA
-) -> Power | None:
+    residual: Floats, direction: Floats, cadence: float, settings: SpectrumSettings = SPECTRUM_SETTINGS
+) -> SpectrumSum | None:
     """Return the spectra of one stretch at equal steps, such as a day.
 
     Parameters
@@ -171,10 +174,10 @@ def stretch_power(
     count = rows.shape[1]
     total = np.concatenate([density[:count].sum(axis=0)[None], density[count:]])
     square = np.append(1.0, np.mean(np.sum(factors**2, axis=1), axis=0))
-    return Power(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
+    return SpectrumSum(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
 
 
-def add_power(sums: dict[tuple[int, float], Power], power: Power | None) -> None:
+def add_power(sums: dict[tuple[int, float], SpectrumSum], power: SpectrumSum | None) -> None:
     """Add a stretch to the sums of its grid of frequencies; a mission's spectra are never held one by one."""
     if power is None:
         return
@@ -185,7 +188,7 @@ def add_power(sums: dict[tuple[int, float], Power], power: Power | None) -> None
         sums[grid] = power
 
 
-def finest_power(sums: Mapping[tuple[int, float], Power]) -> Power | None:
+def finest_power(sums: Mapping[tuple[int, float], SpectrumSum]) -> SpectrumSum | None:
     """Return the sums on the finest grid; None without any."""
     return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
 
@@ -220,8 +223,8 @@ def record_power(
     residual: Floats,
     direction: Floats,
     step: float,
-    settings: SpectrumSettings = SPECTRA,
-) -> Power | None:
+    settings: SpectrumSettings = SPECTRUM_SETTINGS,
+) -> SpectrumSum | None:
     """Return the spectra of a long record of means, for periods of hours to weeks.
 
     Parameters
@@ -247,7 +250,7 @@ def record_power(
     if count * step < settings.shortest_s:
         return None
     length = min(int(settings.longest_s / step), count)
-    sums: dict[tuple[int, float], Power] = {}
+    sums: dict[tuple[int, float], SpectrumSum] = {}
     for start in range(0, count - length + 1, max(length // 2, 1)):
         part = grid[start : start + length]
         add_power(sums, stretch_power(part[:, :rows], part[:, rows:], step, settings))
@@ -255,7 +258,7 @@ def record_power(
 
 
 def mean_density(
-    grid: Floats, step: float, length: int, settings: SpectrumSettings = SPECTRA
+    grid: Floats, step: float, length: int, settings: SpectrumSettings = SPECTRUM_SETTINGS
 ) -> tuple[Floats, Floats, int]:
     """Return the mean power of all rows of a record over many short stretches that overlap by half.
 
@@ -290,7 +293,7 @@ def mean_density(
     return frequency, total / max(used, 1), used
 
 
-def background_of(density: Floats, settings: SpectrumSettings = SPECTRA) -> Floats:
+def background_of(density: Floats, settings: SpectrumSettings = SPECTRUM_SETTINGS) -> Floats:
     """Return the running median around each frequency; narrower towards the slow end."""
     filled = np.maximum(density, 1e-300)
     wide = ndimage.median_filter(filled, settings.wide, mode="reflect")
@@ -299,7 +302,9 @@ def background_of(density: Floats, settings: SpectrumSettings = SPECTRA) -> Floa
     return np.asarray(near ** (1 - weight) * wide**weight)
 
 
-def thin_spectrum(frequency: Floats, density: Floats, points: int = SPECTRA.points) -> tuple[Floats, Floats]:
+def thin_spectrum(
+    frequency: Floats, density: Floats, points: int = SPECTRUM_SETTINGS.points
+) -> tuple[Floats, Floats]:
     """Return about so many points of a spectrum: means in steps of equal ratio, single ones at the slow end.
 
     `density` has shape (..., frequency).

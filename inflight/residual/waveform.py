@@ -52,7 +52,7 @@ class WaveformSettings:
     square: tuple[float, float] = (0.25, 0.75)
 
 
-WAVEFORMS = WaveformSettings()
+WAVEFORM_SETTINGS = WaveformSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +96,7 @@ def waveform_of(
     direction: Floats,
     frequency: float,
     spread: float,
-    settings: WaveformSettings = WAVEFORMS,
+    settings: WaveformSettings = WAVEFORM_SETTINGS,
 ) -> Waveform:
     """Return the waveform of a line.
 
@@ -116,7 +116,7 @@ def waveform_of(
     own, vectors = np.linalg.eigh(u.T @ u)
     seen = vectors[:, own > settings.least_seen * own[-1]]
     best = _refined(time, y, u @ seen, frequency, spread, settings)
-    curve, sigma = fold(time, y, u @ seen, 1.0 / best, settings)
+    curve, sigma = fold_by_period(time, y, u @ seen, 1.0 / best, settings)
     whole, errors = curve @ seen.T, np.sqrt(sigma**2 @ (seen.T**2))
     amplitude = np.ptp(curve, axis=0) / 2.0
     clear = amplitude / np.maximum(np.sqrt(np.mean(sigma**2, axis=0)), 1e-12)
@@ -126,11 +126,11 @@ def waveform_of(
     if seen.shape[1] == 3:
         axis = int(np.argmax(amplitudes[:, 0] / np.maximum(amplitudes[:, 1], 1e-12)))
         size = float(amplitudes[axis, 0])
-        shape, duty = shape_of(whole[:, axis], errors[:, axis], settings)
+        shape, duty = classify_waveform(whole[:, axis], errors[:, axis], settings)
         if shape in ("square", "pulse"):
             steps = steps_of(whole, errors, axis)
     else:
-        shape, duty = shape_of(curve[:, main], sigma[:, main], settings)
+        shape, duty = classify_waveform(curve[:, main], sigma[:, main], settings)
     # The error of the frequency of a sine in white noise is sqrt(6) / (pi T) over its signal to noise.
     span, strength = float(time[-1] - time[0]), float(clear[main]) * np.sqrt(settings.phases / 2.0)
     explained = _explained(time, y, u @ seen, best, settings.harmonics)
@@ -177,8 +177,8 @@ def _refined(
     return best
 
 
-def fold(
-    seconds: Floats, y: Floats, u: Floats, period: float, settings: WaveformSettings = WAVEFORMS
+def fold_by_period(
+    seconds: Floats, y: Floats, u: Floats, period: float, settings: WaveformSettings = WAVEFORM_SETTINGS
 ) -> tuple[Floats, Floats]:
     """Return the field along each axis by phase, its median taken off, and its error; (phase, axis), nT.
 
@@ -204,8 +204,8 @@ def fold(
     return curve - np.median(curve, axis=0), sigma
 
 
-def shape_of(
-    curve: Floats, sigma: Floats, settings: WaveformSettings = WAVEFORMS
+def classify_waveform(
+    curve: Floats, sigma: Floats, settings: WaveformSettings = WAVEFORM_SETTINGS
 ) -> tuple[str, float | None]:
     """Return whether a folded curve is a sine, a square wave with its duty, or another shape.
 

@@ -8,7 +8,7 @@ from .derived import (
     parse_channel,
     slow_response,
 )
-from .spin_folding import FOLD_ORDER, FOLDING_VERSION, Complex, Folding, fold, fold_series
+from .spin_folding import FOLD_ORDER, FOLDING_VERSION, Complex, Folding, fold_series, fold_spins
 
 __all__ = [
     "FIELD_ROLES",
@@ -23,8 +23,8 @@ __all__ = [
     "base_channels",
     "channel_product",
     "derive_channel",
-    "fold",
     "fold_series",
+    "fold_spins",
     "parse_channel",
     "slow_response",
 ]

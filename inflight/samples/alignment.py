@@ -64,7 +64,7 @@ class AlignmentSettings:
     usual_step_of: int = 2001
 
 
-ALIGNMENT = AlignmentSettings()
+ALIGNMENT_SETTINGS = AlignmentSettings()
 
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
 
@@ -170,7 +170,7 @@ def _resample_values(
     base_step = _usual_step(target)
     is_field = name in FIELD_ROLES
     # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
-    faster = is_field and target.size > 1 and cadence < base_step * (1 - ALIGNMENT.same_cadence)
+    faster = is_field and target.size > 1 and cadence < base_step * (1 - ALIGNMENT_SETTINGS.same_cadence)
     picked = None if faster else _pick(stamps, target, cadence)
     if picked is not None:
         index, there = picked
@@ -181,16 +181,24 @@ def _resample_values(
     if own_flags is not None:
         # A reading its own instrument rejects would spread under the window to good ones.
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
-    if is_field and cadence <= base_step * (1 + ALIGNMENT.same_cadence):
+    if is_field and cadence <= base_step * (1 + ALIGNMENT_SETTINGS.same_cadence):
         cutoff = min(1.0, cadence / base_step)
-        found = _sinc(stamps, wide, target, float(cadence), cutoff, ALIGNMENT.lobes, ALIGNMENT.kaiser_beta)
+        found = _sinc(
+            stamps,
+            wide,
+            target,
+            float(cadence),
+            cutoff,
+            ALIGNMENT_SETTINGS.lobes,
+            ALIGNMENT_SETTINGS.kaiser_beta,
+        )
         return found.reshape(shape), "band_limited"
     return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
 
 
 def _usual_step(stamps: Int64) -> int:
     """Return the median distance of neighbours, of the first ones: gaps are rare."""
-    return int(np.median(np.diff(stamps[: ALIGNMENT.usual_step_of]))) if stamps.size > 1 else 1
+    return int(np.median(np.diff(stamps[: ALIGNMENT_SETTINGS.usual_step_of]))) if stamps.size > 1 else 1
 
 
 def _slice_of(stamps: Int64, target: Int64) -> slice | None:
@@ -203,8 +211,11 @@ def _slice_of(stamps: Int64, target: Int64) -> slice | None:
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
     """Return where the targets are among the stamps, or None when they run between them."""
     if (
-        target.size > ALIGNMENT.probe
-        and _pick(stamps, target[:: target.size // ALIGNMENT.probe][: ALIGNMENT.probe], cadence) is None
+        target.size > ALIGNMENT_SETTINGS.probe
+        and _pick(
+            stamps, target[:: target.size // ALIGNMENT_SETTINGS.probe][: ALIGNMENT_SETTINGS.probe], cadence
+        )
+        is None
     ):
         return None
     right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
@@ -212,9 +223,11 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
     right = np.minimum(right, stamps.size - 1)
     nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
     off = np.abs(stamps[nearest] - target)
-    there = off <= ALIGNMENT.same_stamp * cadence
+    there = off <= ALIGNMENT_SETTINGS.same_stamp * cadence
     # A target in a gap of the channel has no stamp near it and cannot decide.
-    between = (off > ALIGNMENT.same_stamp * cadence) & (off < 0.5 * cadence * (1 + ALIGNMENT.same_cadence))
+    between = (off > ALIGNMENT_SETTINGS.same_stamp * cadence) & (
+        off < 0.5 * cadence * (1 + ALIGNMENT_SETTINGS.same_cadence)
+    )
     return None if between.any() else (nearest.astype(np.int64), there)
 
 
@@ -226,7 +239,7 @@ def _flags_at(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
         return out
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
-    same = int(ALIGNMENT.same_stamp * cadence)
+    same = int(ALIGNMENT_SETTINGS.same_stamp * cadence)
     left = np.searchsorted(stamps, target + same, side="right") - 1
     on_stamp = (left >= 0) & (target - stamps[np.clip(left, 0, None)] <= same)
     for index in (left, np.where(on_stamp, left, left + 1)):

@@ -48,7 +48,7 @@ class ResponseSettings:
     usual_step_of: int = 2000
 
 
-RESPONSE = ResponseSettings()
+RESPONSE_SETTINGS = ResponseSettings()
 
 _PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<placebo>[1-9]\d*))?$")
 
@@ -98,7 +98,7 @@ class ChannelFactor:
     @property
     def history_s(self) -> float:
         """Seconds of earlier data it needs: eight lags, and a day for a play."""
-        return RESPONSE.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
+        return RESPONSE_SETTINGS.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
 
     def of(self, values: Floats, step_s: float | Floats) -> Floats:
         """Return response and play of a channel; (time,) or (time, axis), in its unit.
@@ -267,8 +267,8 @@ def slow_response(values: Floats, step_s: float | Floats, lag_s: float) -> Float
     count = max(values.shape[0] - 1, 0)
     steps = np.broadcast_to(np.asarray(step_s, dtype=np.float64), (count,))
     series = np.ascontiguousarray(np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1))
-    usual = float(np.median(steps[: RESPONSE.usual_step_of])) if count else 0.0
-    longest = max(RESPONSE.long_gap * lag_s, GAP * usual)
+    usual = float(np.median(steps[: RESPONSE_SETTINGS.usual_step_of])) if count else 0.0
+    longest = max(RESPONSE_SETTINGS.long_gap * lag_s, GAP * usual)
     found = _respond(series, np.ascontiguousarray(steps), float(lag_s), longest)
     return np.asarray(found).reshape(values.shape)
 

@@ -84,7 +84,7 @@ class FoldingSettings:
     outlier: float = 8.0
 
 
-FOLDING = FoldingSettings()
+FOLDING_SETTINGS = FoldingSettings()
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def _solve_sums(sums: Complex, right: Complex, order: int) -> Complex:
     enough = sums[:, 0].real >= size
     if enough.any():
         spread = np.linalg.eigvalsh(gram[enough])
-        sound = np.flatnonzero(enough)[spread[:, 0] * FOLDING.worst_condition > spread[:, -1]]
+        sound = np.flatnonzero(enough)[spread[:, 0] * FOLDING_SETTINGS.worst_condition > spread[:, -1]]
         if sound.size:
             out[sound] = np.linalg.solve(gram[sound], right[sound])
     return out
@@ -195,10 +195,10 @@ class Folding:
     sectors: int = SECTORS
 
     @classmethod
-    def of_period(cls, spin_ns: int, turns: int = FOLDING.turns) -> Folding:
+    def of_period(cls, spin_ns: int, turns: int = FOLDING_SETTINGS.turns) -> Folding:
         """Return the folding whose intervals hold about so many turns and divide a day."""
         length = turns * spin_ns / SECOND
-        return cls(min(FOLDING.lengths_s, key=lambda one: abs(np.log(one / length))) * SECOND)
+        return cls(min(FOLDING_SETTINGS.lengths_s, key=lambda one: abs(np.log(one / length))) * SECOND)
 
     def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
         """Return rows of folded samples less their interval's mean, which the outside field decides.
@@ -254,7 +254,7 @@ class Folding:
         return (np.arange(self.sectors) + 0.5) * _TWO_PI / self.sectors
 
 
-def fold(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dataset:
+def fold_spins(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dataset:
     """Fold native samples of a turning sensor into synthetic turns.
 
     Parameters
@@ -385,7 +385,7 @@ class _Day:
         rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
         rows[~good] = 0.0
         fits = self._fit_turns(rows.astype(np.complex128), good)
-        tones = fits.coefficients[:, FOLDING.turn_order + 1 :].reshape(self.turns, -1)
+        tones = fits.coefficients[:, FOLDING_SETTINGS.turn_order + 1 :].reshape(self.turns, -1)
         # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
         change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
         first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
@@ -396,7 +396,7 @@ class _Day:
         with np.errstate(invalid="ignore", divide="ignore"):
             total = np.bincount(place[1:][known], change[known], self.intervals) / count
             # Twice the real part of each tone, on average over two rows.
-            return np.asarray(np.sqrt(FOLDING.harmonics_power * total / count))
+            return np.asarray(np.sqrt(FOLDING_SETTINGS.harmonics_power * total / count))
 
     def _outlying(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples are far from their own turn's fit."""
@@ -408,11 +408,11 @@ class _Day:
         finite = good & np.isfinite(off)
         np.fmax.at(around, self.turn[finite], off[finite])
         worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
-        return np.asarray(finite & worst & (off > FOLDING.outlier * _TO_SIGMA * max(usual, 1e-6)))
+        return np.asarray(finite & worst & (off > FOLDING_SETTINGS.outlier * _TO_SIGMA * max(usual, 1e-6)))
 
     def _fit_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
         phase = np.where(self.known, self.phase, 0.0)
-        return fourier_sums(values, phase, self.turn, self.turns, FOLDING.turn_order, good)
+        return fourier_sums(values, phase, self.turn, self.turns, FOLDING_SETTINGS.turn_order, good)
 
     def _slow_change(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
         """Return the change that is slower than the spin: a smooth line through the turns' means."""
@@ -430,7 +430,7 @@ class _Day:
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)
         # Beyond the ends, and next to a missing turn, the line is a guess.
-        known = inside & (knots[after] - knots[after - 1] < FOLDING.neighbour_turns * _TWO_PI)
+        known = inside & (knots[after] - knots[after - 1] < FOLDING_SETTINGS.neighbour_turns * _TWO_PI)
         out = np.asarray(line(np.where(known, phase, knots[0])))
         out[~known] = np.nan
         return out
@@ -453,7 +453,7 @@ class _Day:
         """Return sums at the phases of a synthetic turn, one after another; (time, column)."""
         usual = self.folding.interval_ns / max(1.0, float(np.median(np.diff(self.stamps))))
         values = found.at(self.folding.phases)
-        values[found.count < FOLDING.least_share * usual] = np.nan
+        values[found.count < FOLDING_SETTINGS.least_share * usual] = np.nan
         return np.asarray(values.reshape(-1, values.shape[2]))
 
     def channel(self, series: xr.DataArray, good: npt.NDArray[np.bool_]) -> xr.Variable:
@@ -481,7 +481,7 @@ class _Day:
         lost = ~np.isfinite(made["vector"].values).all(axis=1)
         noise = np.repeat(self.noise, self.folding.sectors)
         with np.errstate(invalid="ignore", divide="ignore"):
-            weight = np.minimum(1.0, (FOLDING.quiet_nT / noise) ** 2)
+            weight = np.minimum(1.0, (FOLDING_SETTINGS.quiet_nT / noise) ** 2)
         flag = np.where(lost, np.uint32(Flag.VECTOR_MISSING), np.uint32(0)).astype(np.uint32)
         phases = np.tile(self.folding.phases, self.intervals)
         made |= {

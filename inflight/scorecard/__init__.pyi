@@ -1,16 +1,16 @@
-from .figure import Basis, Figure, Report, Verdict, Within
+from .figure import Agreement, EvidenceKind, PublishedFigure, ScorecardResult, ToleranceInterval
 from .registry import SECTIONS, figures, run_scorecard, select_figures
-from .scene import OrbitDay, Scene
+from .scene import OrbitDay, SimulatedDays
 
 __all__ = [
     "SECTIONS",
-    "Basis",
-    "Figure",
+    "Agreement",
+    "EvidenceKind",
     "OrbitDay",
-    "Report",
-    "Scene",
-    "Verdict",
-    "Within",
+    "PublishedFigure",
+    "ScorecardResult",
+    "SimulatedDays",
+    "ToleranceInterval",
     "figures",
     "run_scorecard",
     "select_figures",

@@ -8,9 +8,9 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.mission_fit import day_statistics
-from inflight.scorecard.figure import Figure, Within
+from inflight.scorecard.figure import PublishedFigure, ToleranceInterval
 from inflight.scorecard.scalar_calibration import scale_factors
-from inflight.scorecard.scene import DAYS, Scene
+from inflight.scorecard.scene import DAYS, SimulatedDays
 
 SECTION = "continuous-parameters"
 #: Field strength at which ageing is given in nT: high latitudes on CHAMP's orbit.
@@ -40,7 +40,7 @@ def offset_slope(direction: Floats, axis: int) -> float:
     return float(day["variance"].item())
 
 
-def dipole_slope(scene: Scene) -> float:
+def dipole_slope(scene: SimulatedDays) -> float:
     """Return a of a Z offset on a circular orbit over the poles of a dipole."""
     colatitude = np.linspace(0.0, 2.0 * np.pi, 100_000, endpoint=False)
     along, down = np.sin(colatitude), 2.0 * np.cos(colatitude)
@@ -48,11 +48,11 @@ def dipole_slope(scene: Scene) -> float:
     return offset_slope(field / np.linalg.norm(field, axis=1, keepdims=True), 2)
 
 
-def _mean_slope(scene: Scene, axis: int) -> float:
+def _mean_slope(scene: SimulatedDays, axis: int) -> float:
     return float(np.mean([offset_slope(scene.day(mjd).direction, axis) for mjd in DAYS]))
 
 
-def slopes_of_orbits(scene: Scene) -> tuple[float, float]:
+def slopes_of_orbits(scene: SimulatedDays) -> tuple[float, float]:
     """Return the smallest and the largest a of a single orbit."""
     slopes = [
         float(day.direction[start : start + _ORBIT, 2].var())
@@ -62,8 +62,8 @@ def slopes_of_orbits(scene: Scene) -> tuple[float, float]:
     return min(slopes), max(slopes)
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 FIGURES = (
     derived(
@@ -104,7 +104,7 @@ FIGURES = (
         unit="1",
         source="Yin 2010, eq. 3.6",
         published=0.6655,
-        tolerance=Within(0.655, 0.68),
+        tolerance=ToleranceInterval(0.655, 0.68),
         why="Geometry alone gives it: single days scatter by 0.01; the regression itself needs CHAMP's dB.",
         obtain=partial(_mean_slope, axis=2),
     ),
@@ -114,7 +114,7 @@ FIGURES = (
         unit="1",
         source="geometry of the IGRF along CHAMP's orbit; the thesis prints none",
         published=(0.63, 0.69),
-        tolerance=Within(0.63, 0.69),
+        tolerance=ToleranceInterval(0.63, 0.69),
         why="Longitude matters: single orbits scatter three times as much as days.",
         obtain=slopes_of_orbits,
         printed=False,

@@ -8,7 +8,13 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NormalEquations, block_equations, concat_equations, nine_columns
+from inflight.calibration import (
+    NINE_PARAMETER_NAMES,
+    NormalEquations,
+    block_equations,
+    concat_equations,
+    nine_columns,
+)
 from inflight.frames import sun_direction
 from inflight.mission_fit import (
     SWITCHED,
@@ -19,9 +25,9 @@ from inflight.mission_fit import (
     sunlit_duty,
     switched_columns,
 )
-from inflight.scorecard.figure import RECOVERED, Figure
+from inflight.scorecard.figure import RECOVERED, PublishedFigure
 from inflight.scorecard.residual import DAY_NIGHT, SECTION, XZ, ignored_causes
-from inflight.scorecard.scene import DAYS, MIDNIGHT, NOON, Scene
+from inflight.scorecard.scene import DAYS, MIDNIGHT, NOON, SimulatedDays
 
 _INCLINATION = 87.3
 #: Seeds over which an injection is repeated, and its noise, nT.
@@ -34,12 +40,12 @@ _CYCLES, LOCAL_TIME_DAYS = tuple(range(2300, 3082, 12)), 260.5
 _LOOSE = np.array([0.01] * 3 + [1.0] * 3 + [100.0] * 3)
 
 
-def noon_and_midnight(scene: Scene, cause: str, parameter: str) -> tuple[float, ...]:
+def noon_and_midnight(scene: SimulatedDays, cause: str, parameter: str) -> tuple[float, ...]:
     """Return the shift of a parameter by an ignored cause on the thesis' days near noon and midnight."""
     return tuple(scene.cached(ignored_causes, mjd).of(cause, parameter) for mjd in (NOON, MIDNIGHT))
 
 
-def duty(scene: Scene, *days: int) -> Floats:
+def duty(scene: SimulatedDays, *days: int) -> Floats:
     """Return the sunlit part of the orbit, by the angle of Sun and orbit plane; (day,)."""
     declination = _declination(np.array(days) - 0.5)
     orbits = [scene.day(mjd) for mjd in days]
@@ -47,20 +53,20 @@ def duty(scene: Scene, *days: int) -> Floats:
     return np.array([float(sunlit_duty(day.altitude, one)) for day, one in zip(orbits, beta, strict=True)])
 
 
-def daytime(scene: Scene, *days: int) -> tuple[float, ...]:
+def daytime(scene: SimulatedDays, *days: int) -> tuple[float, ...]:
     """Return the minutes of sunlight in an orbit, counted over each day's samples."""
     orbits = [scene.day(mjd) for mjd in days]
     return tuple(day.sunlit_part * orbit_period(day.altitude) / 60.0 for day in orbits)
 
 
-def least_duty_at_dawn(scene: Scene) -> float:
+def least_duty_at_dawn(scene: SimulatedDays) -> float:
     """Return the smallest sunlit part of an orbit at local times 06 and 18 over a year."""
     declination = _declination(np.arange(366.0))
     hours = [orbit_plane_sun(np.array(hour), declination, _INCLINATION) for hour in (6.0, 18.0)]
     return float(min(sunlit_duty(scene.day(NOON).altitude, beta).min() for beta in hours))
 
 
-def recovered_field(scene: Scene) -> tuple[float, float]:
+def recovered_field(scene: SimulatedDays) -> tuple[float, float]:
     """Return mean and scatter over seeds of a day/night field on z that was put into days with noise, nT."""
     found = []
     for seed in range(_SEEDS):
@@ -69,7 +75,7 @@ def recovered_field(scene: Scene) -> tuple[float, float]:
     return float(np.mean(found)), float(np.std(found, ddof=1))
 
 
-def _injected(scene: Scene, days: Sequence[int], seed: int, *, robust: bool) -> NormalEquations:
+def _injected(scene: SimulatedDays, days: Sequence[int], seed: int, *, robust: bool) -> NormalEquations:
     """Return the normal equations of days with noise and a day/night field on z."""
     generator, blocks = np.random.default_rng(seed), []
     for mjd in days:
@@ -80,7 +86,7 @@ def _injected(scene: Scene, days: Sequence[int], seed: int, *, robust: bool) -> 
     return concat_equations(blocks)
 
 
-def angle_variation(scene: Scene) -> tuple[float, float]:
+def angle_variation(scene: SimulatedDays) -> tuple[float, float]:
     """Return the amplitude of 260.5 days in the daily angle xz, arcsec: a field by day ignored, and known.
 
     The field is put into days over three cycles of local time and, for the second number, fitted to the same
@@ -92,7 +98,9 @@ def angle_variation(scene: Scene) -> tuple[float, float]:
     waves = np.column_stack([np.cos(turn), np.sin(turn), np.ones(turn.size)])
     amplitudes = []
     for known in (None, found.values):
-        daily = block_parameters(equations, _LOOSE, known)["value"].sel(parameter=NINE[4]).values
+        daily = (
+            block_parameters(equations, _LOOSE, known)["value"].sel(parameter=NINE_PARAMETER_NAMES[4]).values
+        )
         amplitudes.append(float(np.hypot(*np.linalg.lstsq(waves, daily)[0][:2])))
     return amplitudes[0], amplitudes[1]
 
@@ -102,9 +110,9 @@ def _declination(days: Floats) -> Floats:
     return np.asarray(np.degrees(np.arcsin(sun_direction(days)[:, 2])))
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 FIGURES = (
     derived(

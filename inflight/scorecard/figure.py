@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from inflight.errors import SettingsError
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.scene import SimulatedDays
 
-Basis = Literal["derived", "recovered_from_injection", "measured", "needs_mission_data"]
-Verdict = Literal["reproduced", "contradicted", "not reproducible", "needs data"]
+EvidenceKind = Literal["derived", "recovered_from_injection", "measured", "needs_mission_data"]
+Agreement = Literal["reproduced", "contradicted", "not reproducible", "needs data"]
 #: Why a figure is reproduced that was put into simulated data and given back.
 RECOVERED = "The estimator returns what was put in: this proves it, not the figure."
 #: A number, or several that belong together.
@@ -22,7 +22,7 @@ Value = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Within:
+class ToleranceInterval:
     """An interval as tolerance: the obtained value must lie in it, its ends included."""
 
     low: float
@@ -30,11 +30,11 @@ class Within:
 
 
 #: Largest distance of each obtained number from the published one, or where it must lie.
-Tolerance = float | tuple[float, ...] | Within
+Tolerance = float | tuple[float, ...] | ToleranceInterval
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
+class PublishedFigure:
     """One figure of the literature; nothing of it is an obtained value.
 
     Attributes
@@ -69,9 +69,9 @@ class Figure:
     source: str
     published: Value
     tolerance: Tolerance
-    basis: Basis
+    basis: EvidenceKind
     why: str
-    obtain: Callable[[Scene], Value] | None = None
+    obtain: Callable[[SimulatedDays], Value] | None = None
     printed: bool = True
 
     def __post_init__(self) -> None:
@@ -86,25 +86,25 @@ class Figure:
                 remedy="give one, or as many",
             )
 
-    def report(self, scene: Scene) -> Report:
+    def report(self, scene: SimulatedDays) -> ScorecardResult:
         """Work the figure out."""
         obtained = self.obtain(scene) if self.obtain else None
         if isinstance(obtained, tuple):
             obtained = tuple(float(one) for one in obtained)
         elif obtained is not None:
             obtained = float(obtained)
-        return Report(self, obtained)
+        return ScorecardResult(self, obtained)
 
 
 @dataclass(frozen=True)
-class Report:
+class ScorecardResult:
     """A figure and what was obtained just now; the verdict follows from both."""
 
-    figure: Figure
+    figure: PublishedFigure
     obtained: Value | None
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Agreement:
         """Return the verdict.
 
         ``needs data`` and ``not reproducible`` (the source does not say enough) where nothing can be
@@ -116,7 +116,7 @@ class Report:
 
     def _agrees(self, obtained: tuple[float, ...]) -> bool:
         published, tolerance = _as_tuple(self.figure.published), self.figure.tolerance
-        if isinstance(tolerance, Within):
+        if isinstance(tolerance, ToleranceInterval):
             return all(tolerance.low <= one <= tolerance.high for one in obtained)
         if len(obtained) != len(published):
             return False
@@ -129,7 +129,7 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name; an interval of tolerance is an object with ``low`` and ``high``."""
         figure, tolerance = self.figure, self.figure.tolerance
-        if isinstance(tolerance, Within):
+        if isinstance(tolerance, ToleranceInterval):
             within: Any = {"low": tolerance.low, "high": tolerance.high}
         else:
             within = tolerance

@@ -24,15 +24,15 @@ from inflight.mission_fit import (
     daily_fits,
     extract_epochs,
     filled_running_mean,
-    fit_eta,
+    fit_remanence_factor,
     fit_step,
     robust_mean,
     select_panel_model,
 )
 from inflight.residual import find_steps
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import RECOVERED, Figure
-from inflight.scorecard.scene import DAYS, MJD_ZERO, Scene
+from inflight.scorecard.figure import RECOVERED, PublishedFigure
+from inflight.scorecard.scene import DAYS, MJD_ZERO, SimulatedDays
 from inflight.scorecard.spacecraft_fields import CAMERA, CHANGE, CHANGE_ERROR, PANELS, SCALAR, VECTOR
 from inflight.simulate import Parameters, Sampling, mean_current, torquer_currents
 from inflight.simulate import mjd as mjd_of_seconds
@@ -69,7 +69,7 @@ class FastDay:
     local_time: float
 
 
-def fast_day(scene: Scene, mjd: int) -> FastDay:
+def fast_day(scene: SimulatedDays, mjd: int) -> FastDay:
     """Return a day of the scene every second; the field turns smoothly between its samples."""
     day = scene.day(mjd)
     slow = 30.0 * np.arange(len(day.direction))
@@ -112,7 +112,7 @@ def _epochs(day: FastDay, residual: Floats, current: Floats, name: str) -> xr.Da
     return extract_epochs(samples, residual, steps, channel=name)
 
 
-def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
+def _arrays(scene: SimulatedDays, both: bool) -> tuple[xr.Dataset, Floats]:
     """Return epochs of the solar current and the local time of each, `both` panels in turn or the first."""
     parts, hours = [], []
     for mjd in DAYS:
@@ -129,20 +129,20 @@ def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
     return concat_epochs(parts), np.concatenate(hours)
 
 
-def difference_of_array(scene: Scene) -> tuple[float, ...]:
+def difference_of_array(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the field of the first panel at the vector sensor less that at the scalar sensor, nT/A."""
     epochs, _ = _arrays(scene, both=False)
     return tuple(fit_step(epochs).value[0])
 
 
-def both_panels(scene: Scene) -> tuple[float, ...]:
+def both_panels(scene: SimulatedDays) -> tuple[float, ...]:
     """Return both panels' fields at the vector sensor: the fitted differences, split as a dipole's; nT/A."""
     epochs, hours = _arrays(scene, both=True)
     model = next(one for one in select_panel_model(epochs, hours).models if one.name == "two_panels")
     return tuple(float(one) for row in model.value for one in dipole_split(row, VECTOR, SCALAR).vector)
 
 
-def field_of_camera(scene: Scene) -> float:
+def field_of_camera(scene: SimulatedDays) -> float:
     """Return the change of dB along z of the camera's current, nT/mA."""
     parts = []
     for mjd in DAYS:
@@ -153,7 +153,7 @@ def field_of_camera(scene: Scene) -> float:
     return float(fit_step(concat_epochs(parts)).value[0, 2]) / 1e3
 
 
-def change_of_matrix(scene: Scene) -> tuple[float, ...]:
+def change_of_matrix(scene: SimulatedDays) -> tuple[float, ...]:
     """Return what the scalar sensor's torquer matrix lacks: robust mean of daily fits, row by row, nT/A."""
     parts = []
     for mjd in DAYS:
@@ -169,7 +169,7 @@ def change_of_matrix(scene: Scene) -> tuple[float, ...]:
     return tuple((-found["value"].values).ravel())
 
 
-def eta(scene: Scene) -> float:
+def eta(scene: SimulatedDays) -> float:
     """Return the mean over seeds of eta at the scalar sensor, fitted to dB on the mean currents, nT/mA."""
     over = _SPLIT[0] / _SPLIT[1]
     grams = np.array([scene.day(mjd).direction.T @ scene.day(mjd).direction for mjd in DAYS])
@@ -188,7 +188,7 @@ def eta(scene: Scene) -> float:
         field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
         gram = _grams_with(grams[days % len(grams)], field, count, random)
         mean = filled_running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
-        found.append(fit_eta(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0])
+        found.append(fit_remanence_factor(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0])
     return float(np.mean(found)) / 1e3
 
 
@@ -204,7 +204,7 @@ def _grams_with(own: Floats, field: Floats, count: float, random: np.random.Gene
     return out
 
 
-def half_passed(scene: Scene) -> float:
+def half_passed(scene: SimulatedDays) -> float:
     """Return the period that the distribution of the residual passes by half, from tones with noise, s."""
     day = scene.cached(fast_day, DAYS[0])
     field, passed = 40_000.0 * day.direction, []
@@ -216,7 +216,7 @@ def half_passed(scene: Scene) -> float:
     return float(np.interp(0.5, passed, _TONES))
 
 
-def distributed(scene: Scene) -> tuple[float, float]:
+def distributed(scene: SimulatedDays) -> tuple[float, float]:
     """Return the rms of what is distributed of slow residual and noise, and of what is left, nT."""
     day = scene.cached(fast_day, DAYS[0])
     residual = _disturbed(day, np.zeros_like(day.direction), np.random.default_rng(16))
@@ -224,7 +224,7 @@ def distributed(scene: Scene) -> tuple[float, float]:
     return found.rms, found.rms_remaining
 
 
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
 
 FIGURES = (
     recovered(

@@ -15,12 +15,12 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import (
     NormalEquations,
-    Reference,
+    ParameterPrior,
     block_equations,
     concat_equations,
     fit_block,
     nine_columns,
-    table_jumps,
+    table_boundary_steps,
     trend_jumps,
 )
 from inflight.mission_fit import (
@@ -34,7 +34,7 @@ from inflight.mission_fit import (
     make_trend,
 )
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import RECOVERED, Figure
+from inflight.scorecard.figure import RECOVERED, PublishedFigure
 from inflight.scorecard.scalar_calibration import (
     ANGLES,
     OFFSETS,
@@ -43,7 +43,7 @@ from inflight.scorecard.scalar_calibration import (
     SCALE_ORIGIN,
     champ_parameters,
 )
-from inflight.scorecard.scene import DAYS, Scene
+from inflight.scorecard.scene import DAYS, SimulatedDays
 from inflight.time import SECOND, from_mjd2000
 
 #: Times each injection is repeated, and noise of a sample every 30 s, nT.
@@ -64,7 +64,7 @@ _COIL, _QUADRATIC, _LAG, _REFERENCE = (29.6, 30.37, 30.46), 4e-8, 100.0, 10.0
 _COIL_SCATTER = (0.081, 0.59, 0.024, 0.45)
 
 
-def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEquations:
+def day_equations(scene: SimulatedDays, mjd: float, number: int, seed: int) -> NormalEquations:
     """Return the normal equations of a day with CHAMP's parameters of then, in the field of one of DAYS."""
     day = scene.day(DAYS[number % len(DAYS)])
     truth = champ_parameters(mjd)
@@ -74,18 +74,18 @@ def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEqu
     reading = np.linalg.solve(matrix, day.field.T).T + truth[6:]
     noise = np.random.default_rng([seed, number]).normal(0.0, NOISE, day.strength.size)
     good = np.ones(day.strength.size, dtype=bool)
-    reference = Reference(champ_parameters(1500.0), _PRIOR)
+    reference = ParameterPrior(champ_parameters(1500.0), _PRIOR)
     fit = fit_block(reading, np.zeros((1, 3)), day.strength + noise, good, reference, sub_blocks=24)
     start, end = (int(edge) for edge in from_mjd2000(np.array([mjd - 0.5, mjd + 0.5])))
     attributes = {"comparison": "main", "model": "m", "filter": "raw"}
     return NormalEquations.from_fit(fit, reference, (start, end), attributes)
 
 
-def _mission(scene: Scene, seed: int) -> NormalEquations:
+def _mission(scene: SimulatedDays, seed: int) -> NormalEquations:
     return concat_equations([day_equations(scene, mjd, number, seed) for number, mjd in enumerate(_MISSION)])
 
 
-def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
+def _trend(scene: SimulatedDays, seed: int, origin: float, search: bool) -> TrendFit:
     """Fit the logarithm to the summed equations of a mission's days, angles and offsets constant."""
     equations = scene.cached(_mission, seed)
     t0 = int(from_mjd2000(np.array([origin]))[0])
@@ -94,7 +94,7 @@ def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
     return (fit_origin if search else fit_trends)(equations, trends, _PRIOR)
 
 
-def law(scene: Scene) -> Floats:
+def law(scene: SimulatedDays) -> Floats:
     """Return the mean over seeds of la, lb of x, y, z in turn, then angles and offsets."""
     fits = [scene.cached(_trend, seed, float(SCALE_ORIGIN), False) for seed in range(SEEDS)]
     return np.asarray(np.mean([fit.value for fit in fits], axis=0))
@@ -105,17 +105,17 @@ def ageing_between_middles(boundary: int) -> float:
     return continuous_parameters.ageing(boundary - 7.5)
 
 
-def _of_law(scene: Scene, part: slice) -> tuple[float, ...]:
+def _of_law(scene: SimulatedDays, part: slice) -> tuple[float, ...]:
     return tuple(scene.cached(law)[part])
 
 
-def origin_of_law(scene: Scene) -> float:
+def origin_of_law(scene: SimulatedDays) -> float:
     """Return the mean over seeds of the fitted origin, MJD; NaN where one was not determined."""
     found = [_trend(scene, seed, _WRONG_ORIGIN, True).origin for seed in range(SEEDS)]
     return float(np.mean([one.mjd if one and one.determined else np.nan for one in found]))
 
 
-def jump_of_intervals(scene: Scene, boundary: int) -> float:
+def jump_of_intervals(scene: SimulatedDays, boundary: int) -> float:
     """Return the mean step of |B| between two calibrations of 15 days, mean over seeds, nT."""
     steps = []
     edges = from_mjd2000(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
@@ -130,18 +130,18 @@ def jump_of_intervals(scene: Scene, boundary: int) -> float:
             },
             coords={"parameter": both.columns},
         )
-        steps.append(float(table_jumps(table).mean[0]))
+        steps.append(float(table_boundary_steps(table).mean[0]))
     return float(np.mean(steps))
 
 
-def jump_of_law(scene: Scene) -> tuple[float, ...]:
+def jump_of_law(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the rms step of |B| of the continuous parameters at the boundaries, nT."""
     fit = scene.cached(_trend, 0, float(SCALE_ORIGIN), False)
     found = trend_jumps(lambda times: fit.at(times)[0], from_mjd2000(np.array(_BOUNDARIES, dtype=np.float64)))
     return tuple(found.rms)
 
 
-def regression(scene: Scene) -> tuple[float, float]:
+def regression(scene: SimulatedDays) -> tuple[float, float]:
     """Return the mean over seeds of factor and noise^2 of eq. 3.6 from days with known offsets."""
     found = []
     for seed in range(SEEDS):
@@ -161,7 +161,7 @@ def regression(scene: Scene) -> tuple[float, float]:
     return float(factor), float(noise)
 
 
-def time_shift(scene: Scene) -> float:
+def time_shift(scene: SimulatedDays) -> float:
     """Return the mean over days and seeds of a shift of the scalar stamps fitted beside the nine, s."""
     found = []
     for seed in range(SEEDS):
@@ -174,7 +174,7 @@ def time_shift(scene: Scene) -> float:
     return float(np.mean(found))
 
 
-def _coil(scene: Scene, seed: int) -> Floats:
+def _coil(scene: SimulatedDays, seed: int) -> Floats:
     """Return linear coefficients and lag of a coil's temperature put into parts of the scene's days."""
     blocks = []
     for mjd in DAYS:
@@ -196,7 +196,7 @@ def _coil(scene: Scene, seed: int) -> Floats:
     return np.append(1e6 * fit.linear, fit.lag[0])
 
 
-def coil(scene: Scene) -> tuple[float, ...]:
+def coil(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the mean over seeds of the linear coefficients x, y, z (ppm/K) and the lag (s)."""
     return tuple(np.mean([_coil(scene, seed) for seed in range(SEEDS)], axis=0))
 
@@ -204,7 +204,7 @@ def coil(scene: Scene) -> tuple[float, ...]:
 SECTION = continuous_parameters.SECTION
 _SOURCE = "Yin 2010, section 3.3"
 
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
 
 FIGURES = (
     recovered(

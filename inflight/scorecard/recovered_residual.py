@@ -10,10 +10,10 @@ from functools import partial
 import numpy as np
 
 from inflight.mission_fit import WEEKDAYS, day_statistics, find_clock_faults, find_week_pattern, fit_slope
-from inflight.scorecard.figure import RECOVERED, Figure
+from inflight.scorecard.figure import RECOVERED, PublishedFigure
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION
-from inflight.scorecard.scene import DAYS, Scene
+from inflight.scorecard.scene import DAYS, SimulatedDays
 
 #: Drift of the z offset, nT/d; a day's scatter and a wave of 260.5 d beside it, nT (chosen).
 _DRIFT, _SCATTER, _WAVE = -0.00024, 0.2, 0.15
@@ -27,7 +27,7 @@ _SIDE = 300
 WEDNESDAY = WEEKDAYS.index("Wednesday")
 
 
-def drift(scene: Scene) -> float:
+def drift(scene: SimulatedDays) -> float:
     """Return the mean over seeds of a drift put into daily offsets, nT/d."""
     days = np.arange(204.5, 3204.5)
     found = []
@@ -38,7 +38,7 @@ def drift(scene: Scene) -> float:
     return float(np.mean(found))
 
 
-def weekday_of_resets(scene: Scene) -> tuple[float, ...]:
+def weekday_of_resets(scene: SimulatedDays) -> tuple[float, ...]:
     """Return MJD mod 7 of the day on which an offset is found to step, least and largest over seeds.
 
     The offset steps on Wednesdays by as much, rms, as single days scatter. NaN where no day stands out.
@@ -54,7 +54,7 @@ def weekday_of_resets(scene: Scene) -> tuple[float, ...]:
     return float(np.min(found)), float(np.max(found))
 
 
-def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
+def fault_of_clock(scene: SimulatedDays) -> tuple[float, float, float]:
     """Return first and last day and size of the only fault found; mean over seeds, NaN where more are."""
     days, found = np.arange(2700.5, 3400.5), []
     for seed in range(SEEDS):
@@ -67,7 +67,7 @@ def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
     return float(first), float(last), float(size)
 
 
-def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
+def slopes_by_day_and_night(scene: SimulatedDays) -> tuple[float, float]:
     """Return the slopes of dB on Bz/F by day and by night of a field that was put in, nT."""
     sums = np.zeros((2, 2))
     for seed in range(SEEDS):
@@ -86,7 +86,7 @@ def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
     return float(sums[0, 0] / sums[0, 1]), float(sums[1, 0] / sums[1, 1])
 
 
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
 
 FIGURES = (
     recovered(

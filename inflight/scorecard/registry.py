@@ -21,8 +21,8 @@ from inflight.scorecard import (
     spin_tones,
     zero_levels,
 )
-from inflight.scorecard.figure import Figure, Report
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.figure import PublishedFigure, ScorecardResult
+from inflight.scorecard.scene import SimulatedDays
 
 #: Sections and what they are about, in order.
 SECTIONS = {
@@ -48,14 +48,14 @@ _MODULES = (
 )
 
 
-def figures() -> tuple[Figure, ...]:
+def figures() -> tuple[PublishedFigure, ...]:
     """Return every figure, section by section."""
     order = list(SECTIONS)
     every = [figure for module in _MODULES for figure in module.FIGURES]
     return tuple(sorted(every, key=lambda figure: order.index(figure.section)))
 
 
-def select_figures(only: Sequence[str] = (), section: str | None = None) -> tuple[Figure, ...]:
+def select_figures(only: Sequence[str] = (), section: str | None = None) -> tuple[PublishedFigure, ...]:
     """Return some figures.
 
     Parameters
@@ -82,11 +82,11 @@ def select_figures(only: Sequence[str] = (), section: str | None = None) -> tupl
     return tuple(figure for figure in found if not only or any(_selects(one, figure) for one in only))
 
 
-def _selects(wanted: str, figure: Figure) -> bool:
+def _selects(wanted: str, figure: PublishedFigure) -> bool:
     return figure.id == wanted or figure.id.startswith(f"{wanted}.")
 
 
-def run_scorecard(only: Sequence[str] = (), section: str | None = None) -> list[Report]:
+def run_scorecard(only: Sequence[str] = (), section: str | None = None) -> list[ScorecardResult]:
     """Work out figures, now: what several need is made once.
 
     Parameters
@@ -94,5 +94,5 @@ def run_scorecard(only: Sequence[str] = (), section: str | None = None) -> list[
     only, section
         As `selected` takes them.
     """
-    scene = Scene()
+    scene = SimulatedDays()
     return [figure.report(scene) for figure in select_figures(only, section)]

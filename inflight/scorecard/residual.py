@@ -8,8 +8,8 @@ import numpy as np
 
 from inflight.calibration import concat_equations
 from inflight.mission_fit import SWITCHED, CrossTalkTable, IgnoredCause, correlation, cross_talk, orbit_period
-from inflight.scorecard.figure import Figure, Within
-from inflight.scorecard.scene import DAYS, MJD_ZERO, NOON, Scene
+from inflight.scorecard.figure import PublishedFigure, ToleranceInterval
+from inflight.scorecard.scene import DAYS, MJD_ZERO, NOON, SimulatedDays
 
 SECTION = "residual"
 XZ = "misalignment[xz]"
@@ -29,34 +29,34 @@ _ARCSEC = 180.0 * 3600.0 / np.pi
 _RESETS = (2517, 3168)
 
 
-def ignored_causes(scene: Scene, *days: int) -> CrossTalkTable:
+def ignored_causes(scene: SimulatedDays, *days: int) -> CrossTalkTable:
     """Return what each cause does when it is ignored, the days being one calibration."""
     return cross_talk(concat_equations([scene.equations(mjd) for mjd in days]), _CAUSES)
 
 
-def _mission(scene: Scene) -> CrossTalkTable:
+def _mission(scene: SimulatedDays) -> CrossTalkTable:
     return scene.cached(ignored_causes, *DAYS)
 
 
-def _rms(scene: Scene, cause: str) -> tuple[float, float]:
+def _rms(scene: SimulatedDays, cause: str) -> tuple[float, float]:
     """Rms residual of a cause and what of it is left, nT."""
     found = _mission(scene)
     row = [one.name for one in found.ignored].index(cause)
     return float(found.before[row]), float(found.after[row])
 
 
-def lag_correlation(scene: Scene) -> float:
+def lag_correlation(scene: SimulatedDays) -> float:
     """Return the correlation of Bx Bz with dF/dt, mean of days."""
     days = [scene.day(mjd) for mjd in DAYS]
     return float(np.mean([correlation(day.field[:, 0] * day.field[:, 2], day.rate) for day in days]))
 
 
-def lag_rate(scene: Scene) -> float:
+def lag_rate(scene: SimulatedDays) -> float:
     """Return dk3/dt_s beside all nine parameters, 1/s: an angle falls where its cosine grows."""
     return -_mission(scene).of("lag", XZ) / _ARCSEC / LAG
 
 
-def lag_shift_of_dipole(scene: Scene) -> float:
+def lag_shift_of_dipole(scene: SimulatedDays) -> float:
     """Return the shift of a_xz by the lag over the poles of a dipole, arcsec.
 
     On the argument of latitude, sine s and cosine c, Bx = B c, Bz = 2 B s, F = B sqrt(1 + 3 s^2): dF/dt is
@@ -66,20 +66,20 @@ def lag_shift_of_dipole(scene: Scene) -> float:
     return float(-1.5 * motion * LAG * _ARCSEC)
 
 
-def common_scale(scene: Scene) -> float:
+def common_scale(scene: SimulatedDays) -> float:
     """Return by how much all scale factors grow alike for the bias: least squares of it on F, ppm."""
     strength = np.concatenate([scene.day(mjd).strength for mjd in DAYS])
     return float(BIAS * strength.sum() / (strength @ strength) * 1e6)
 
 
-def weekdays_of_resets(scene: Scene) -> tuple[float, ...]:
+def weekdays_of_resets(scene: SimulatedDays) -> tuple[float, ...]:
     """Return MJD mod 7 of the named days, as far as the calendar makes them Wednesdays."""
     wednesday = [(MJD_ZERO + mjd).item().isoweekday() == 3 for mjd in _RESETS]
     return tuple(float(mjd % 7) if is_one else np.nan for mjd, is_one in zip(_RESETS, wednesday, strict=True))
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 FIGURES = (
     derived(
@@ -88,7 +88,7 @@ FIGURES = (
         unit="1",
         source="Yin 2010, section 4.2.2",
         published=0.8868,
-        tolerance=Within(0.87, 0.91),
+        tolerance=ToleranceInterval(0.87, 0.91),
         why="Geometry of the main field along a polar orbit; days scatter by 0.005.",
         obtain=lag_correlation,
     ),

@@ -13,13 +13,13 @@ from inflight.calibration import (
     fit_difference,
     fit_squares,
     grams,
-    kernel_parameters,
     kernel_scale,
+    matrix_parameters,
     to_sensor_angles,
 )
-from inflight.model import Dependence
-from inflight.scorecard.figure import Figure, Within
-from inflight.scorecard.scene import MJD_ZERO, Scene
+from inflight.model import TimeDependence
+from inflight.scorecard.figure import PublishedFigure, ToleranceInterval
+from inflight.scorecard.scene import MJD_ZERO, SimulatedDays
 from inflight.time import DAY, day_bounds
 
 SECTION = "scalar-calibration"
@@ -41,7 +41,7 @@ def scale_factors(mjd: float) -> Floats:
     """Return CHAMP's continuous scale factors at a day number of the thesis; (3,)."""
     origin = day_bounds(MJD_ZERO + SCALE_ORIGIN)[0]
     now = origin + round((mjd - SCALE_ORIGIN) * DAY)
-    one, log = Dependence("log", t0=origin).basis(now)
+    one, log = TimeDependence("log", t0=origin).basis(now)
     return np.asarray(SCALE_CONSTANT * one + SCALE_LOG * log)
 
 
@@ -55,7 +55,7 @@ def _k_of(value: Floats) -> Floats:
     return np.array([[value[0], c[0], c[1]], [0.0, value[1], c[2]], [0.0, 0.0, value[2]]])
 
 
-def _passes(scene: Scene, fit: Callable[..., Floats], passes: int) -> tuple[float, float]:
+def _passes(scene: SimulatedDays, fit: Callable[..., Floats], passes: int) -> tuple[float, float]:
     """Return the largest residual, nT, and error of a scale factor, ppm, after passes from raw readings."""
     day, truth = scene.day(LATE), champ_parameters(LATE)
     reading = np.linalg.solve(_k_of(truth), day.field.T).T + truth[6:]
@@ -64,11 +64,11 @@ def _passes(scene: Scene, fit: Callable[..., Floats], passes: int) -> tuple[floa
     return float(np.abs(residual).max()), float(np.abs(found - truth)[:3].max() * 1e6)
 
 
-def _worst_residual(scene: Scene, fit: Callable[..., Floats], passes: int) -> float:
+def _worst_residual(scene: SimulatedDays, fit: Callable[..., Floats], passes: int) -> float:
     return scene.cached(_passes, fit, passes)[0]
 
 
-def distance_of_forms(scene: Scene) -> tuple[float, float]:
+def distance_of_forms(scene: SimulatedDays) -> tuple[float, float]:
     """Return the largest distance of the two iterated linear forms from exact least squares: ppm, nT."""
     day, truth = scene.day(LATE), champ_parameters(LATE)
     reading = np.linalg.solve(_k_of(truth), day.field.T).T + truth[6:]
@@ -85,7 +85,7 @@ def _least_squares(reading: Floats, scalar: Floats, start: Floats) -> Floats:
     still = np.zeros((1, 3))
     for _ in range(_TURNS):
         gram, _, _ = grams(
-            kernel_parameters(value),
+            matrix_parameters(value),
             np.ascontiguousarray(reading),
             still,
             np.ascontiguousarray(scalar),
@@ -97,13 +97,13 @@ def _least_squares(reading: Floats, scalar: Floats, start: Floats) -> Floats:
     return value
 
 
-def between_axes(scene: Scene) -> tuple[float, ...]:
+def between_axes(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the angles between the axes that belong to the printed misalignment angles, deg."""
     return tuple(to_sensor_angles(scale_factors(LATE), ANGLES).between_axes)
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 FIGURES = (
     derived(
@@ -138,7 +138,7 @@ FIGURES = (
         unit="nT",
         source="theory of eq. 2.7 on the IGRF, day 3000; the thesis prints none",
         published=1e-4,
-        tolerance=Within(0.0, 1e-4),
+        tolerance=ToleranceInterval(0.0, 1e-4),
         why="Repeated on its own result the form loses nothing.",
         obtain=partial(_worst_residual, fit=fit_difference, passes=2),
         printed=False,
@@ -160,7 +160,7 @@ FIGURES = (
         unit="nT",
         source="theory of section 2.2 on the IGRF, day 3000; the thesis prints none",
         published=1e-4,
-        tolerance=Within(0.0, 1e-4),
+        tolerance=ToleranceInterval(0.0, 1e-4),
         why="One turn of Q is enough, and Q is right as printed.",
         obtain=partial(_worst_residual, fit=fit_squares, passes=2),
         printed=False,

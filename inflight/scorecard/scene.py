@@ -73,7 +73,7 @@ class OrbitDay:
         return float(self.sunlit[: round(orbits * orbit)].mean())
 
 
-class Scene:
+class SimulatedDays:
     """Simulated days that the figures of one run share, and a cache of what is costly."""
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ class Scene:
         return self.cached(_equations, mjd)
 
 
-def _orbit_day(scene: Scene, mjd: int) -> OrbitDay:
+def _orbit_day(scene: SimulatedDays, mjd: int) -> OrbitDay:
     parameters = Parameters(attitude_rms=(0.0, 0.0, 0.0))
     day = MJD_ZERO + mjd
     start, end = day_bounds(day)
@@ -117,7 +117,7 @@ def _orbit_day(scene: Scene, mjd: int) -> OrbitDay:
     )
 
 
-def _equations(scene: Scene, mjd: int) -> NormalEquations:
+def _equations(scene: SimulatedDays, mjd: int) -> NormalEquations:
     """Normal equations of a day; their residual is 0, cross-talk needs none."""
     day = scene.day(mjd)
     columns = nine_columns(day.field) | {"time_shift": day.rate, "bias": np.ones_like(day.strength)}

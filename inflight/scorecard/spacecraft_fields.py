@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from inflight.dipole import dipole_split
-from inflight.scorecard.figure import Figure
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.figure import PublishedFigure
+from inflight.scorecard.scene import SimulatedDays
 
 SECTION = "spacecraft-fields"
 #: Sensors on the boom, m from the assumed dipole (Yin 2010, section 3.4.1).
@@ -33,23 +33,23 @@ _EQUATOR, _J2, _GM, _SUN = 6378.137, 1.08263e-3, 398600.4418, 0.98564736
 _LOCAL_TIMES = ((2852, 10.0 + 54.0 / 60.0), (2979, 23.0 + 10.0 / 60.0))
 
 
-def split_of_boom(scene: Scene) -> tuple[float, ...]:
+def split_of_boom(scene: SimulatedDays) -> tuple[float, ...]:
     """Return what both sensors see of a difference of 1 between them: a dipole on the boom axis."""
     return dipole_split((1.0, 1.0, 1.0), VECTOR, SCALAR).factor
 
 
-def remanent_ratios(scene: Scene) -> tuple[float, float]:
+def remanent_ratios(scene: SimulatedDays) -> tuple[float, float]:
     """Return g on y and z: the remanent moment's field over that of the torquers, equal moments."""
     y, z = -_ETA / _TORQUER
     return float(y), float(z)
 
 
-def remanent_distance(scene: Scene) -> float:
+def remanent_distance(scene: SimulatedDays) -> float:
     """Return how many times farther than the coils the remanent moment lies, from g = k^-3."""
     return float(np.mean(remanent_ratios(scene)) ** (-1.0 / 3.0))
 
 
-def local_time_cycle(scene: Scene) -> float:
+def local_time_cycle(scene: SimulatedDays) -> float:
     """Return the days in which the local time of a circular orbit turns by 24 h, at the mean altitude.
 
     The Earth's oblateness turns the node by ``-1.5 n J2 (R/r)^2 cos i``, the Sun moves on.
@@ -60,14 +60,14 @@ def local_time_cycle(scene: Scene) -> float:
     return float(360.0 / abs(node - _SUN))
 
 
-def cycle_of_two_days(scene: Scene) -> float:
+def cycle_of_two_days(scene: SimulatedDays) -> float:
     """Return the same from the local times that are printed for two days."""
     (early, first), (late, second) = _LOCAL_TIMES
     return (late - early) * 24.0 / ((first - second) % 24.0)
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 FIGURES = (
     derived(

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.scorecard.figure import RECOVERED, Figure, Within
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
+from inflight.scorecard.scene import SimulatedDays
 from inflight.spin import SensorAngles, azimuth_between, calibrate_farrell, fit_spins, respin
 from inflight.time import SECOND
 
@@ -45,18 +45,18 @@ def _left(restored: Floats) -> Floats:
     return np.asarray(np.abs(restored - _turned()[1]).max(axis=0)[:2])
 
 
-def left_by_inverse(scene: Scene) -> float:
+def left_by_inverse(scene: SimulatedDays) -> float:
     """Return what the exact inverse leaves, nT."""
     return float(_left(_sensors().remove(_sensors().disturb(_turned()[1]))).max())
 
 
-def left_by_steps(scene: Scene) -> float:
+def left_by_steps(scene: SimulatedDays) -> float:
     """Return what first-order steps with the right signs leave, nT."""
     readings = _sensors().disturb(_turned()[1])
     return float(_left(_sensors().remove_first_order(readings, azimuth=True)).max())
 
 
-def left_as_printed(scene: Scene) -> tuple[float, ...]:
+def left_as_printed(scene: SimulatedDays) -> tuple[float, ...]:
     """Return what first-order steps with the signs of (13) and (32) leave in sensors 1 and 2, nT."""
     sensors = _sensors()
     restored = sensors.remove_first_order(sensors.disturb(_turned()[1]))
@@ -65,7 +65,7 @@ def left_as_printed(scene: Scene) -> tuple[float, ...]:
     return tuple(_left(restored))
 
 
-def signs_of_azimuths(scene: Scene) -> tuple[float, ...]:
+def signs_of_azimuths(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the signs of dph2 Bsp cos wt in reading 2, of dph B2 and dph B1 to be added to 1 and 2."""
     small = 1e-6
     turned = SensorAngles(azimuth=np.array([small, small]))
@@ -81,7 +81,7 @@ def signs_of_azimuths(scene: Scene) -> tuple[float, ...]:
     return tuple(float(np.round(one, 3)) for one in (second, *added))
 
 
-def signs_of_phases(scene: Scene) -> tuple[float, ...]:
+def signs_of_phases(scene: SimulatedDays) -> tuple[float, ...]:
     """Return (24) and (31) as printed over the differences of azimuth that there are."""
     sensors = replace(_sensors(), azimuth=np.array([0.02, -0.03]))
     phase, field = _turned()
@@ -98,7 +98,7 @@ def _wrapped(angle: Floats) -> Floats:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def angles_of_fits(scene: Scene) -> tuple[float, ...]:
+def angles_of_fits(scene: SimulatedDays) -> tuple[float, ...]:
     """Return elevations, tilt and difference of azimuths from spin fits to a field that steps, rad."""
     rng = np.random.default_rng(1)
     phase = _phase()
@@ -110,8 +110,8 @@ def angles_of_fits(scene: Scene) -> tuple[float, ...]:
 
 
 _SOURCE = "Farrell et al. 1995"
-derived = partial(Figure, section=SECTION, basis="derived")
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
 
 FIGURES = (
     derived(
@@ -154,7 +154,7 @@ FIGURES = (
         unit="nT",
         source=f"{_SOURCE}, eqs. 26 to 33 with their signs corrected",
         published=1.7,
-        tolerance=Within(0.1, 1.7),
+        tolerance=ToleranceInterval(0.1, 1.7),
         why="Second-order terms are left: half the angle squared times the field, up to 1.7 nT at a degree.",
         obtain=left_by_steps,
         printed=False,
@@ -165,7 +165,7 @@ FIGURES = (
         unit="nT",
         source=f"{_SOURCE}, eqs. 13 and 32",
         published=(83.0, 116.0),
-        tolerance=Within(83.0, 116.0),
+        tolerance=ToleranceInterval(83.0, 116.0),
         why="A wrong sign doubles the error instead of removing it: 2 dph Bsp.",
         obtain=left_as_printed,
         printed=False,

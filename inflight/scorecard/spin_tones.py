@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.scorecard.figure import RECOVERED, Figure, Within
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
+from inflight.scorecard.scene import SimulatedDays
 from inflight.spin import (
     SPIN_RELATED,
     CalibrationParameters,
@@ -133,7 +133,7 @@ def _put_in() -> CalibrationParameters:
     return CalibrationParameters().changed(dict(zip(SPIN_RELATED, THEMIS_C, strict=True)))
 
 
-def estimates_of(scene: Scene, region: str) -> tuple[SpinEstimates, Floats]:
+def estimates_of(scene: SimulatedDays, region: str) -> tuple[SpinEstimates, Floats]:
     """Return the estimates of a region's sub-intervals and their distances (sub,), Earth radii."""
     found = piece(region, 1)
     readings = _put_in().disturb(found.field)
@@ -143,7 +143,7 @@ def estimates_of(scene: Scene, region: str) -> tuple[SpinEstimates, Floats]:
     return estimate_pairs(tones, _HELD), found.distance[middle]
 
 
-def best_uncertainty(scene: Scene, region: str, *names: str) -> tuple[float, ...]:
+def best_uncertainty(scene: SimulatedDays, region: str, *names: str) -> tuple[float, ...]:
     """Return the tenth best uncertainty of parameters in a region; at perigee near it."""
     estimates, distance = scene.cached(estimates_of, region)
     use = estimates.usable & (~(distance > _NEAR))
@@ -151,14 +151,14 @@ def best_uncertainty(scene: Scene, region: str, *names: str) -> tuple[float, ...
     return tuple(np.quantile(estimates.uncertainty[use][:, columns], _BEST, axis=0))
 
 
-def below(scene: Scene, limit: float, name: str, *regions: str) -> float:
+def below(scene: SimulatedDays, limit: float, name: str, *regions: str) -> float:
     """Return the part of estimates of regions whose uncertainty is below a limit."""
     column = SPIN_RELATED.index(name)
     each = [scene.cached(estimates_of, region)[0].uncertainty[:, column] for region in regions]
     return float(np.mean(np.concatenate(each) < limit))
 
 
-def themis_c(scene: Scene) -> tuple[float, ...]:
+def themis_c(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the eight parameters from wind and perigee together, the paper's values put in."""
     wind, near = piece("wind", 2), piece("perigee", 2)
     turns = np.ceil((wind.phase[-1] - near.phase[0]) / (2.0 * np.pi))
@@ -175,7 +175,7 @@ def _steady(hours: float) -> tuple[Floats, Floats]:
     return seconds, 2.0 * np.pi * seconds / SPIN
 
 
-def over_white_noise(scene: Scene) -> float:
+def over_white_noise(scene: SimulatedDays) -> float:
     """Return the published uncertainty over the scatter in white noise: gain ratio, azimuth, spin axis."""
     seconds, phase = _steady(_LONG)
     across, _, along = _STEADY
@@ -189,7 +189,7 @@ def over_white_noise(scene: Scene) -> float:
     return float(np.mean(size / estimates.value[:, columns].std(axis=0)))
 
 
-def offset_and_elevation(scene: Scene) -> float:
+def offset_and_elevation(scene: SimulatedDays) -> float:
     """Return the correlation of the errors of offset and elevation from an axial field of 500 to 1500 nT."""
     seconds, phase = _steady(HOURS)
     axial = _AXIAL + _RANGE * (2.0 * seconds / seconds[-1] - 1.0)
@@ -201,28 +201,30 @@ def offset_and_elevation(scene: Scene) -> float:
     return found.correlation("offset[1]", "elevation[1]")
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
-needs_data = partial(Figure, section=SECTION, basis="needs_mission_data")
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+needs_data = partial(PublishedFigure, section=SECTION, basis="needs_mission_data")
 
 _SOURCE = "Plaschke et al. 2019"
 _SHOWN = "Fluctuations of the size the paper's regions have were put in: this shows the estimator at work."
 
 
-def _order(name: str, what: str, unit: str, where: str, limit: float, region: str, *names: str) -> Figure:
+def _order(
+    name: str, what: str, unit: str, where: str, limit: float, region: str, *names: str
+) -> PublishedFigure:
     return recovered(
         id=f"themis-c.{name}",
         what=what,
         unit=unit,
         source=f"{_SOURCE}, {where}",
         published=limit,
-        tolerance=Within(0.0, limit),
+        tolerance=ToleranceInterval(0.0, limit),
         obtain=lambda scene: best_uncertainty(scene, region, *names),
         why=_SHOWN,
     )
 
 
-def _none(name: str, what: str, where: str, limit: float, parameter: str, *regions: str) -> Figure:
+def _none(name: str, what: str, where: str, limit: float, parameter: str, *regions: str) -> PublishedFigure:
     return recovered(
         id=f"themis-c.{name}",
         what=what,

@@ -68,7 +68,7 @@ class StudySettings:
     windows: int = 4000
 
 
-STUDY = StudySettings()
+STUDY_SETTINGS = StudySettings()
 
 
 @dataclass(frozen=True)
@@ -151,9 +151,9 @@ class OffsetSets:
 
     def _sufficient(self) -> Bools:
         used = self.determined
-        if used.sum() < STUDY.fewest:
+        if used.sum() < STUDY_SETTINGS.fewest:
             raise CalibrationError(
-                f"{int(used.sum())} of {used.size} sets tell an offset, {STUDY.fewest} needed",
+                f"{int(used.sum())} of {used.size} sets tell an offset, {STUDY_SETTINGS.fewest} needed",
                 remedy="take a longer span, or larger sets",
             )
         return used
@@ -214,11 +214,11 @@ def correlation_sets(
         No whole set.
     """
     cadence = float(np.median(np.diff(tt2000))) / SECOND
-    parts = max(size // STUDY.parts, 16)
-    intervals = Intervals.of(tt2000, averages, parts * cadence, good, fewest=STUDY.parts // 2)
-    number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // STUDY.parts
+    parts = max(size // STUDY_SETTINGS.parts, 16)
+    intervals = Intervals.of(tt2000, averages, parts * cadence, good, fewest=STUDY_SETTINGS.parts // 2)
+    number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // STUDY_SETTINGS.parts
     rows = [np.flatnonzero(number == one) for one in np.unique(number)]
-    rows = [row for row in rows if row.size >= STUDY.parts // 2]
+    rows = [row for row in rows if row.size >= STUDY_SETTINGS.parts // 2]
     search = OffsetSearch(free, bound=bound)
     found = np.array([zero_of_minimum_correlation(intervals.select(row), search) for row in rows]).reshape(
         -1, 2, 3
@@ -280,7 +280,7 @@ def scatter_with_hours(
     CalibrationError
         No length determined an offset in half of its draws.
     """
-    block = (intervals.start - intervals.start[0]) // round(STUDY.block_s * 1e9)
+    block = (intervals.start - intervals.start[0]) // round(STUDY_SETTINGS.block_s * 1e9)
     kind = np.ones(len(intervals), dtype=bool) if used is None else used
     members = [np.flatnonzero((block == one) & kind) for one in np.unique(block)]
     rows, name = [], ""
@@ -352,7 +352,7 @@ class AveragingRule:
     @property
     def kept(self) -> bool:
         """Whether no more than `StudySettings.tolerance` stays."""
-        return self.remaining <= STUDY.tolerance
+        return self.remaining <= STUDY_SETTINGS.tolerance
 
     def summary(self) -> str:
         """Return what stays and why, in words."""
@@ -417,7 +417,7 @@ def largest_leak(
     turning : tuple of float
         c1, c2, nT.
     """
-    time = sampling * np.arange(round(STUDY.windows * averaging / sampling))
+    time = sampling * np.arange(round(STUDY_SETTINGS.windows * averaging / sampling))
     window = np.floor(time / averaging + 1e-9).astype(np.int64)
     phase = 2.0 * np.pi * np.fmod(time, spin_period) / spin_period
     field = (turning[0] + 1j * turning[1]) * np.exp(1j * phase)

@@ -6,10 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from inflight.scorecard.figure import RECOVERED, Figure, Within
-from inflight.scorecard.scene import Scene
+from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
+from inflight.scorecard.scene import SimulatedDays
 from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
-from inflight.simulate.spinning import CRAFT, solar_wind
+from inflight.simulate.spinning import SPACECRAFT_PRESETS, solar_wind
 from inflight.time import DAY, SECOND
 from inflight.zero_level import (
     Intervals,
@@ -41,7 +41,7 @@ def leaks(averaging: float, turning: tuple[float, float]) -> tuple[float, ...]:
     return tuple(largest_leak(spin, one, averaging, turning) for spin in SPINS for one in SAMPLING)
 
 
-def off_in_mean(scene: Scene, averaging: float) -> float:
+def off_in_mean(scene: SimulatedDays, averaging: float) -> float:
     """Return the largest mean error of the fixed part, nT: a spin of 1 s, averages of samples every 1.5 s."""
     found = []
     for seed in range(_SEEDS):
@@ -59,12 +59,12 @@ def off_in_mean(scene: Scene, averaging: float) -> float:
     return float(np.abs(np.mean(found, axis=0)).max())
 
 
-def set_errors(scene: Scene) -> tuple[float, ...]:
+def set_errors(scene: SimulatedDays) -> tuple[float, ...]:
     """Return the errors of the mean of all sets, nT."""
     return tuple(one / np.sqrt(_SETS) for one in _SCATTER)
 
 
-def set_span(scene: Scene) -> float:
+def set_span(scene: SimulatedDays) -> float:
     """Return the length of all sets, days."""
     return float(_SETS * SET * _AVERAGE * SECOND / DAY)
 
@@ -74,7 +74,7 @@ def flipped(along_z: tuple[float, float], along_x: tuple[float, float]) -> tuple
     return tuple(separate_flipped(along_z, along_x, np.eye(4)).value)
 
 
-def law_of_covariance(scene: Scene) -> float:
+def law_of_covariance(scene: SimulatedDays) -> float:
     """Return V(c) over ``c sin(theta) (<dB^2>/B^2 - <dtheta^2>)`` at a small c."""
     generator = np.random.default_rng(11)
     mean, step = np.radians(60.0), 0.1
@@ -87,12 +87,12 @@ def law_of_covariance(scene: Scene) -> float:
     return float((there - here) / (step * np.sin(mean) * part))
 
 
-def scatter_in_wind(scene: Scene, hours: float) -> float:
+def scatter_in_wind(scene: SimulatedDays, hours: float) -> float:
     """Return the rms error of offsets put into simulated wind, nT."""
     errors = []
     for seed in range(_WINDS):
         seconds = np.arange(0.0, hours * 3600.0, _CADENCE)
-        field = solar_wind(seconds, seed, 0, CRAFT["themis"])
+        field = solar_wind(seconds, seed, 0, SPACECRAFT_PRESETS["themis"])
         sign = 1.0 - 2.0 * (seed % 2)
         stamps = (seconds * SECOND).astype(np.int64)
         found = davis_smith(Intervals.of(stamps, field + sign * np.array(_OFFSET), _LENGTH))
@@ -100,15 +100,15 @@ def scatter_in_wind(scene: Scene, hours: float) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-derived = partial(Figure, section=SECTION, basis="derived")
-recovered = partial(Figure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
+derived = partial(PublishedFigure, section=SECTION, basis="derived")
+recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
 
 _REPORT = "Hedgecock, test on IMP-8 and Helios"
 
 
 def _table(
     name: str, what: str, averaging: float, turning: tuple[float, float], printed: tuple[float, ...], why: str
-) -> Figure:
+) -> PublishedFigure:
     return derived(
         id=f"spin-averages.{name}",
         what=f"largest part left by averages of {averaging:g} s, {what}",
@@ -134,7 +134,7 @@ FIGURES = (
         unit="nT",
         source=f"{_REPORT}: what its table 2, which is lost, must have shown",
         published=0.1,
-        tolerance=Within(0.0, 0.1),
+        tolerance=ToleranceInterval(0.0, 0.1),
         obtain=lambda scene: off_in_mean(scene, 6.0),
         printed=False,
         why="Six seconds are whole spins and whole samples.",
@@ -145,7 +145,7 @@ FIGURES = (
         unit="nT",
         source=f"{_REPORT}: what its table 2, which is lost, must have shown",
         published=0.5,
-        tolerance=Within(0.2, 0.65),
+        tolerance=ToleranceInterval(0.2, 0.65),
         obtain=lambda scene: off_in_mean(scene, 5.0),
         printed=False,
         why="Five whole spins, but 3.33 samples of 1.5 s: a third of the turning part stays.",
@@ -209,7 +209,7 @@ FIGURES = (
             unit="nT",
             source="Plaschke 2019, Geosci. Instrum. Method. Data Syst. 8, 285",
             published=limit,
-            tolerance=Within(0.0, limit),
+            tolerance=ToleranceInterval(0.0, limit),
             obtain=partial(scatter_in_wind, hours=hours),
             why="The wind is simulated and Alfvenic throughout: real wind of all kinds is less kind.",
         )

@@ -28,7 +28,7 @@ from inflight.effects import coupling, gains_of, package_to_spin, sensor_axes
 from inflight.errors import CalibrationError
 
 #: The twelve parameters in the order of tables.
-NAMES = (
+PARAMETER_NAMES = (
     "gain_ratio",
     "spin_plane_gain",
     "axial_gain",
@@ -56,8 +56,11 @@ SPIN_RELATED = (
 )
 
 #: Units of the parameters by name.
-UNITS: Mapping[str, str] = MappingProxyType(
-    {name: "nT" if name.startswith("offset") else "1" if "gain" in name else "rad" for name in NAMES}
+PARAMETER_UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        name: "nT" if name.startswith("offset") else "1" if "gain" in name else "rad"
+        for name in PARAMETER_NAMES
+    }
 )
 
 
@@ -96,9 +99,10 @@ class CalibrationParameters:
     def from_values(cls, values: npt.ArrayLike) -> CalibrationParameters:
         """Return parameters from twelve numbers in the order of `NAMES`."""
         one = [float(value) for value in np.asarray(values, dtype=np.float64)]
-        if len(one) != len(NAMES):
+        if len(one) != len(PARAMETER_NAMES):
             raise CalibrationError(
-                f"{len(one)} values found, {len(NAMES)} needed", remedy=f"give them in the order {NAMES}"
+                f"{len(one)} values found, {len(PARAMETER_NAMES)} needed",
+                remedy=f"give them in the order {PARAMETER_NAMES}",
             )
         elevation, axis, offset = (one[3], one[4]), (one[6], one[7]), (one[9], one[10], one[11])
         return cls(one[0], one[1], one[2], elevation, one[5], axis, one[8], offset)
@@ -121,16 +125,18 @@ class CalibrationParameters:
 
     def spin_related(self) -> Floats:
         """Return the eight numbers in the order of `SPIN_RELATED`; shape (8,)."""
-        return self.values()[[NAMES.index(name) for name in SPIN_RELATED]]
+        return self.values()[[PARAMETER_NAMES.index(name) for name in SPIN_RELATED]]
 
     def changed(self, new: Mapping[str, float]) -> CalibrationParameters:
         """Return the same parameters but for those named."""
-        unknown = sorted(set(new) - set(NAMES))
+        unknown = sorted(set(new) - set(PARAMETER_NAMES))
         if unknown:
-            raise CalibrationError(f"no parameter is called {unknown}", remedy=f"take one of {NAMES}")
+            raise CalibrationError(
+                f"no parameter is called {unknown}", remedy=f"take one of {PARAMETER_NAMES}"
+            )
         values = self.values()
         for name, value in new.items():
-            values[NAMES.index(name)] = value
+            values[PARAMETER_NAMES.index(name)] = value
         return CalibrationParameters.from_values(values)
 
     def factors(self) -> tuple[Floats, Floats, Floats, Floats]:

@@ -37,7 +37,7 @@ from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, long_run_covariance, sigma_of_mean
 from inflight.model import Model, ModelEffect, rows_of
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin.equation import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED, CalibrationParameters
 from inflight.spin.intervals import BlockLayout, Bools
 from inflight.spin.kernels import SERIES
 from inflight.spin.tones import SpinTones, initial_tones, updated_tones
@@ -136,10 +136,10 @@ def spin_equations(tones: SpinTones) -> SpinEquations:
     parameters, matrix = tones.parameters, tones.parameters.matrix()
     for row, name in enumerate(SPIN_RELATED):
         if name.startswith("offset"):
-            column = matrix[:, NAMES.index(name) - NAMES.index("offset[1]")]
+            column = matrix[:, PARAMETER_NAMES.index(name) - PARAMETER_NAMES.index("offset[1]")]
             plane[row, [place["u"], place["v"]]] = -column[:2]
             continue
-        value = parameters.values()[NAMES.index(name)]
+        value = parameters.values()[PARAMETER_NAMES.index(name)]
         up, down = (parameters.changed({name: value + way * _STEP}).matrix() for way in (1.0, -1.0))
         turn = (up - down) / (2.0 * _STEP) @ np.linalg.inv(matrix)
         axial[row, :3] = turn[2]
@@ -224,7 +224,7 @@ Statistic = Literal["mean", "median"]
 #: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
 #: 2019, section 7), offsets unknown against any field the sensor is flown for.
 UNCALIBRATED_SIGMA: Mapping[str, float] = {
-    name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
+    name: 1e-3 if "gain" in name else 100.0 if PARAMETER_UNITS[name] == "nT" else np.deg2rad(1.0)
     for name in SPIN_RELATED
 }
 
@@ -249,7 +249,7 @@ class SelectionSettings:
     settled: float = 0.1
 
 
-SELECTION = SelectionSettings()
+SELECTION_SETTINGS = SelectionSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +296,7 @@ class Selection:
 
 
 def choose_estimates(
-    uncertainty: Floats, accuracy: float | None = None, fewest: int = SELECTION.fewest
+    uncertainty: Floats, accuracy: float | None = None, fewest: int = SELECTION_SETTINGS.fewest
 ) -> tuple[Bools, str]:
     """Choose the estimates to average.
 
@@ -373,7 +373,7 @@ def calibrate_by_selection(
     held, scatter, parameters = known.copy(), known.copy(), present
     tones = initial_tones(readings, phase, stamps, layout, present)
     settled, passes = False, 0
-    while not settled and passes < SELECTION.passes:
+    while not settled and passes < SELECTION_SETTINGS.passes:
         if passes:
             tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
@@ -382,7 +382,7 @@ def calibrate_by_selection(
         found.run()
         parameters, held, scatter = found.parameters(), found.held, found.scatter
         moved = parameters.spin_related() - tones.parameters.spin_related()
-        settled = bool(np.all(np.abs(moved) <= SELECTION.settled * found.sigma))
+        settled = bool(np.all(np.abs(moved) <= SELECTION_SETTINGS.settled * found.sigma))
     return Selection(
         value=found.mean,
         sigma=found.sigma,
@@ -434,7 +434,7 @@ class _PairwiseAverages:
 
     def run(self) -> None:
         """Average pair after pair until no pair moves another."""
-        for _ in range(SELECTION.rounds):
+        for _ in range(SELECTION_SETTINGS.rounds):
             before = self.value.copy()
             for names in PAIRS.values():
                 for at in [SPIN_RELATED.index(name) for name in names]:
@@ -501,7 +501,7 @@ class JointSettings:
     singular: float = 1e-12
 
 
-JOINT = JointSettings()
+JOINT_SETTINGS = JointSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -576,14 +576,14 @@ def estimate_jointly(
     given = np.array([(present_sigma or {}).get(name, np.inf) for name in SPIN_RELATED], dtype=np.float64)
     prior = _Prior(present.spin_related(), 1.0 / given**2)
     parameters, settled, passes = tones.parameters, False, 0
-    while not settled and passes < JOINT.passes:
+    while not settled and passes < JOINT_SETTINGS.passes:
         if passes:
             tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
         fit = _fit_tones(spin_equations(tones), tones, prior)
         new = tones.parameters.spin_related() + fit.change
         parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
-        settled = bool(np.all(np.abs(fit.change) <= JOINT.settled * fit.sigma))
+        settled = bool(np.all(np.abs(fit.change) <= JOINT_SETTINGS.settled * fit.sigma))
     return JointEstimate(
         value=new,
         sigma=fit.sigma,
@@ -630,11 +630,11 @@ def _fit_tones(equations: SpinEquations, tones: SpinTones, prior: _Prior) -> _Fi
     shift = information * (prior.value - tones.parameters.spin_related()) * unit
     robust_weight = np.ones((len(target), target.shape[1] // _PAIR))
     change = np.zeros(unit.size)
-    for _ in range(JOINT.rounds):
+    for _ in range(JOINT_SETTINGS.rounds):
         weight = np.repeat(robust_weight, _PAIR, axis=1)
         normal = _crossed(design, design * weight[..., None]) + np.diag(information)
         eigenvalue, vectors = np.linalg.eigh(normal)
-        kept = eigenvalue > JOINT.singular * max(float(eigenvalue.max()), 1e-300)
+        kept = eigenvalue > JOINT_SETTINGS.singular * max(float(eigenvalue.max()), 1e-300)
         inverse = (vectors[:, kept] / eigenvalue[kept]) @ vectors[:, kept].T
         # Parameters that lie wholly in the directions kept.
         determined = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
@@ -731,7 +731,7 @@ class FoldedFitSettings:
     settled: float = 0.05
 
 
-FOLDED_FIT = FoldedFitSettings()
+FOLDED_FIT_SETTINGS = FoldedFitSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -796,7 +796,7 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     model : Model
         With a spinning sensor; its values are the start, its sigmas the prior.
     samples : sequence of Dataset
-        Folded: see `inflight.samples.spin_folding.fold`.
+        Folded: see `inflight.samples.spin_folding.fold_spins`.
 
     Raises
     ------
@@ -814,7 +814,7 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     sigma = np.where(np.isfinite(stated), stated, [kinds[name].sigma for name, _ in names])
     steps = np.array([kinds[name].step for name, _ in names])
     value, weight, before = start.copy(), None, np.nan
-    for _ in range(FOLDED_FIT.rounds):
+    for _ in range(FOLDED_FIT_SETTINGS.rounds):
         now = with_constant_values(model, entry, names, value)
         residual, base, interval = _rows(now, samples)
         if weight is None:
@@ -832,7 +832,7 @@ def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
         weight = base * _interval_weights(residual, base, interval)
         change, covariance = _solve_robustly(columns, residual, weight, interval, (start - value), sigma)
         value = value + change
-        if np.all(np.abs(change) <= FOLDED_FIT.settled * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(change) <= FOLDED_FIT_SETTINGS.settled * np.sqrt(np.diag(covariance))):
             break
     fitted = with_constant_values(model, entry, names, value)
     residual, base, _ = _rows(fitted, samples)

@@ -39,8 +39,8 @@ from scipy.ndimage import median_filter
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.lsq import (
+    BIWEIGHT_RMS_FACTOR,
     MAD_TO_SIGMA,
-    WEIGHTED_RMS,
     biweight,
     biweight_slope,
     long_run_covariance,
@@ -94,7 +94,7 @@ class FarrellSettings:
     seen: float = 3.0
 
 
-FARRELL = FarrellSettings()
+FARRELL_SETTINGS = FarrellSettings()
 
 #: Parameters of a `FarrellFit` in order, and their units.
 NAMES = ("elevation_1", "elevation_2", "tilt_x", "tilt_y", "azimuth_2 - azimuth_1", "gain_ratio")
@@ -148,7 +148,7 @@ class SensorAngles:
             When the three directions lie in a plane.
         """
         matrix = self.matrix()
-        if abs(float(np.linalg.det(matrix))) < FARRELL.least_determinant:
+        if abs(float(np.linalg.det(matrix))) < FARRELL_SETTINGS.least_determinant:
             raise CalibrationError(
                 f"the three sensors' directions are nearly in one plane: {matrix.round(3).tolist()}",
                 remedy="see the angles and their sigmas before they are used",
@@ -253,18 +253,19 @@ def fit_line(
     CalibrationError
         Too few fits, or an x that hardly changes.
     """
-    if x.size < FARRELL.fewest:
+    if x.size < FARRELL_SETTINGS.fewest:
         raise CalibrationError(
-            f"{x.size} whole spin fits found, at least {FARRELL.fewest} needed", remedy="take a longer span"
+            f"{x.size} whole spin fits found, at least {FARRELL_SETTINGS.fewest} needed",
+            remedy="take a longer span",
         )
     z, v = np.asarray(x, dtype=np.complex128), np.asarray(y, dtype=np.complex128)
     weight, kept, slope_weight = np.ones(x.size), 1.0, np.ones(x.size)
-    for turn in range(FARRELL.rounds):
+    for turn in range(FARRELL_SETTINGS.rounds):
         across, along = _centred(v, weight, group), _centred(z, weight, group)
         square = float(np.sum(weight * np.abs(along) ** 2))
         error = kept * float(np.sum(weight * noise))
         cross = complex(np.sum(weight * np.conj(along) * across))
-        if not square > 0 or error > FARRELL.most_noise * square:
+        if not square > 0 or error > FARRELL_SETTINGS.most_noise * square:
             total = max(float(weight.sum()), 1e-300)
             raise CalibrationError(
                 f"what the line is fitted along changes by {np.sqrt(square / total):.3g} nT rms over {x.size}"
@@ -273,12 +274,12 @@ def fit_line(
             )
         slope = cross / (square - error)
         residual = across - slope * along
-        if turn < FARRELL.rounds - 1:
+        if turn < FARRELL_SETTINGS.rounds - 1:
             weight, slope_weight = _robust_weights(residual, real=np.isrealobj(x))
             # Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
             total = float(np.sum(weight * np.abs(residual) ** 2))
             part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
-            kept = 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
+            kept = 1.0 - min(part, 1.0) * (1.0 - BIWEIGHT_RMS_FACTOR**2)
     # Weights follow the residuals: the slope answers by more than with fixed weights.
     response = float(np.sum(slope_weight * np.abs(along) ** 2)) / square
     scores = weight * (np.conj(along) * residual + slope * kept * noise) / (square - error) / response
@@ -314,7 +315,7 @@ def _robust_weights(residual: Complexes, *, real: bool) -> tuple[Floats, Floats]
     """
     step = np.abs(np.diff(residual, prepend=residual[:1] + residual[0] - residual[1]))
     scatter = MAD_TO_SIGMA / np.sqrt(2.0) * _median_around(step)
-    scatter = np.maximum(scatter, np.percentile(scatter, FARRELL.quiet_percent))
+    scatter = np.maximum(scatter, np.percentile(scatter, FARRELL_SETTINGS.quiet_percent))
     size = np.abs(residual)
     usual = np.maximum(MAD_TO_SIGMA * _median_around(size), scatter)
     known = usual > 0
@@ -330,7 +331,9 @@ def _robust_weights(residual: Complexes, *, real: bool) -> tuple[Floats, Floats]
 
 
 def _median_around(values: Floats) -> Floats:
-    return np.asarray(median_filter(values, min(FARRELL.around, 2 * (values.size // 2) - 1), mode="nearest"))
+    return np.asarray(
+        median_filter(values, min(FARRELL_SETTINGS.around, 2 * (values.size // 2) - 1), mode="nearest")
+    )
 
 
 def instrument_noise(fits: SpinFits) -> Floats:
@@ -348,8 +351,8 @@ def instrument_noise(fits: SpinFits) -> Floats:
         own = rms[known[:, k], k]
         if own.size:
             usual = float(np.median(freedom[known[:, k], k]))
-            level = np.sqrt(stats.chi2.ppf(FARRELL.quiet_percent / 100.0, usual) / usual)
-            out[k] = float(np.percentile(own, FARRELL.quiet_percent)) / level
+            level = np.sqrt(stats.chi2.ppf(FARRELL_SETTINGS.quiet_percent / 100.0, usual) / usual)
+            out[k] = float(np.percentile(own, FARRELL_SETTINGS.quiet_percent)) / level
     return out
 
 
@@ -392,7 +395,7 @@ class Points:
             nT per unit of the fits.
         spins : int
         """
-        together = max(1, min(spins // fits.spins, len(fits) // (2 * FARRELL.fewest)))
+        together = max(1, min(spins // fits.spins, len(fits) // (2 * FARRELL_SETTINGS.fewest)))
         block = fits.turn // (together * fits.spins)
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         count = np.diff(np.append(first, len(fits)))
@@ -415,7 +418,7 @@ class Points:
 
 def noise_uncertainty(fits: SpinFits) -> Floats:
     """Return the relative standard deviation of the squares of `instrument_noise`; (component,)."""
-    part = FARRELL.quiet_percent / 100.0
+    part = FARRELL_SETTINGS.quiet_percent / 100.0
     out = np.zeros(fits.value.shape[1])
     for k in range(out.size):
         freedom = (fits.count[:, k] - fits.value.shape[-1])[fits.determined[:, k]]
@@ -597,7 +600,7 @@ def _errors_of_means(line: Line, group: Int64, windows: int) -> Floats:
     whole = sigma_of_mean(parts) * np.sqrt(parts.size)
     return np.array(
         [
-            sigma_of_mean(parts[a:b]) if b - a >= FARRELL.own_scatter else whole / np.sqrt(b - a)
+            sigma_of_mean(parts[a:b]) if b - a >= FARRELL_SETTINGS.own_scatter else whole / np.sqrt(b - a)
             for a, b in pairwise(edges)
         ]
     )
@@ -654,7 +657,7 @@ class FarrellFit:
         size, along = self._polar()
         across = np.array([-along[1], along[0]])
         sigma = float(np.sqrt(across @ self.covariance[2:4, 2:4] @ across))
-        if size < FARRELL.seen * sigma:
+        if size < FARRELL_SETTINGS.seen * sigma:
             return float("nan"), float("nan")
         azimuth = float(np.arctan2(self.value[3], self.value[2])) + self.azimuth_1[0]
         return (azimuth + np.pi) % (2 * np.pi) - np.pi, float(np.hypot(sigma / size, self.azimuth_1[1]))
@@ -682,7 +685,7 @@ def calibrate_farrell(
     fits: SpinFits,
     *,
     sensitivity: Floats | None = None,
-    spins: int = FARRELL.spins,
+    spins: int = FARRELL_SETTINGS.spins,
     window: float | None = None,
     azimuth_1: tuple[float, float] = (0.0, 0.0),
     spin_axis_zero: tuple[float, float] | None = None,
@@ -715,9 +718,9 @@ def calibrate_farrell(
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
     # While the field jumps, neither its mean nor its tone is one of the spin's.
     whole = fits.select(np.asarray(fits.determined.all(axis=1) & ~fits.changing.any(axis=1)))
-    if len(whole) < FARRELL.fewest:
+    if len(whole) < FARRELL_SETTINGS.fewest:
         raise CalibrationError(
-            f"{len(whole)} of {len(fits)} spin fits are whole, at least {FARRELL.fewest} needed",
+            f"{len(whole)} of {len(fits)} spin fits are whole, at least {FARRELL_SETTINGS.fewest} needed",
             remedy="take a longer span, or see why the phase or the readings are missing",
         )
     unit = np.ones(3) if sensitivity is None else np.asarray(sensitivity, dtype=np.float64)
@@ -854,9 +857,9 @@ def measure_boom_bending(
     _, a, b = np.intersect1d(outer.turn, inner.turn, return_indices=True)
     good = outer.determined[a, 0] & inner.determined[b, 0]
     a, b = a[good], b[good]
-    if a.size < FARRELL.fewest:
+    if a.size < FARRELL_SETTINGS.fewest:
         raise CalibrationError(
-            f"{a.size} spins have fits of both magnetometers, at least {FARRELL.fewest} needed",
+            f"{a.size} spins have fits of both magnetometers, at least {FARRELL_SETTINGS.fewest} needed",
             remedy="take a longer span, or see whether both were fitted against one phase",
         )
     noise = noise_variance(inner)[b, 0, 1:3].sum(axis=-1)
@@ -867,9 +870,10 @@ def measure_boom_bending(
     edges = np.concatenate([[0], np.flatnonzero(np.diff(step)) + 1, [a.size]])
     value, sigma = np.empty((2, edges.size - 1))
     for place, (low, high) in enumerate(pairwise(edges)):
-        if high - low < FARRELL.fewest:
+        if high - low < FARRELL_SETTINGS.fewest:
             raise CalibrationError(
-                f"a window has {high - low} spins with both magnetometers, at least {FARRELL.fewest} needed",
+                f"a window has {high - low} spins with both magnetometers, "
+                f"at least {FARRELL_SETTINGS.fewest} needed",
                 remedy="take longer windows",
             )
         total = product[low:high].mean()

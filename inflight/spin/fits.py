@@ -20,7 +20,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq import WEIGHTED_RMS
+from inflight.lsq import BIWEIGHT_RMS_FACTOR
 from inflight.spin.kernels import fill_sine_cosine, fit_plain, fit_weighted
 from inflight.time import Int64, utc_text
 
@@ -57,7 +57,7 @@ class SpinFitSettings:
     quartile: float = 25.0
 
 
-SPIN_FITS = SpinFitSettings()
+SPIN_FIT_SETTINGS = SpinFitSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +260,9 @@ class _Sums:
 def _refit_outliers(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) -> None:
     """Fit those again that hold an outlying reading, with weights; in place."""
     scale = _scale_around(sums.variance, sums.count - sums.value.shape[-1])
-    outlying = (sums.largest > SPIN_FITS.outlier * scale) & (sums.spread >= SPIN_FITS.least_spread)
+    outlying = (sums.largest > SPIN_FIT_SETTINGS.outlier * scale) & (
+        sums.spread >= SPIN_FIT_SETTINGS.least_spread
+    )
     places = np.argwhere(outlying)
     if not places.size:
         return
@@ -269,18 +271,20 @@ def _refit_outliers(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: 
     size = now.shape[1]
     spread, total, kept, out = found.T
     f, k = places.T
-    taken = (spread >= SPIN_FITS.least_spread) & (out <= SPIN_FITS.most_out * sums.count[f, k])
+    taken = (spread >= SPIN_FIT_SETTINGS.least_spread) & (
+        out <= SPIN_FIT_SETTINGS.most_out * sums.count[f, k]
+    )
     taken &= kept > size + 1.0
     sums.changing[f[~taken], k[~taken]] = True
     f, k = f[taken], k[taken]
     sums.value[f, k], sums.inverse[f, k], sums.spread[f, k] = now[taken], inverse[taken], spread[taken]
     sums.outliers[f, k] = out[taken].astype(np.int64)
-    sums.variance[f, k] = total[taken] / (kept[taken] - size) / WEIGHTED_RMS**2
+    sums.variance[f, k] = total[taken] / (kept[taken] - size) / BIWEIGHT_RMS_FACTOR**2
 
 
 def _scale_around(variance: Floats, freedom: Int64) -> Floats:
     """Return the usual residual around each fit, from the quieter fits of its group; (fit, component)."""
-    around = SPIN_FITS.around
+    around = SPIN_FIT_SETTINGS.around
     known = (freedom > 0) & np.isfinite(variance)
     rms = np.sqrt(np.where(known, variance, 0.0))
     out = np.empty_like(rms)
@@ -290,19 +294,21 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
             out[:, k] = np.inf
             continue
         usual = float(np.median(freedom[own, k]))
-        level = np.sqrt(stats.chi2.ppf(SPIN_FITS.quartile / 100.0, usual) / usual)
+        level = np.sqrt(stats.chi2.ppf(SPIN_FIT_SETTINGS.quartile / 100.0, usual) / usual)
         # Fits that are not known take their neighbours'; nobody uses them.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
         groups = max(filled.size // around, 1)
-        low = [np.percentile(filled[: groups * around].reshape(groups, -1), SPIN_FITS.quartile, axis=1)]
+        low = [
+            np.percentile(filled[: groups * around].reshape(groups, -1), SPIN_FIT_SETTINGS.quartile, axis=1)
+        ]
         if filled.size > groups * around:
-            low.append(np.percentile(filled[-around:], [SPIN_FITS.quartile]))
+            low.append(np.percentile(filled[-around:], [SPIN_FIT_SETTINGS.quartile]))
         out[:, k] = np.repeat(np.concatenate(low), around)[: filled.size] / level
     return out
 
 
 def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:
-    known = (sums.spread >= SPIN_FITS.least_spread) & (sums.count > sums.value.shape[-1])
+    known = (sums.spread >= SPIN_FIT_SETTINGS.least_spread) & (sums.count > sums.value.shape[-1])
     if not known.any():
         raise CalibrationError(
             f"none of {known.shape[0]} spins from {utc_text(int(stamps[0]))} has readings spread over"

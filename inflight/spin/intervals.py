@@ -42,7 +42,7 @@ class BlockSettings:
     fewest_spins: int = 10
 
 
-BLOCKS = BlockSettings()
+BLOCK_SETTINGS = BlockSettings()
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,10 @@ class SubIntervals:
                 remedy="take 0, 0.5, 2/3 or 0.75 and a number of spins that divides",
             )
         nearest = min(self.neighbours) * self.spins / round(blocks)
-        if self.spins // round(blocks) < BLOCKS.fewest_spins or nearest < 1.0:
+        if self.spins // round(blocks) < BLOCK_SETTINGS.fewest_spins or nearest < 1.0:
             raise CalibrationError(
                 f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns away: "
-                f"at least {BLOCKS.fewest_spins} spins and 1 turn needed",
+                f"at least {BLOCK_SETTINGS.fewest_spins} spins and 1 turn needed",
                 remedy="take longer sub-intervals, less overlap or neighbours further away",
             )
 
@@ -216,7 +216,7 @@ def _edges(phase: Floats, settings: SubIntervals) -> Floats:
     known = phase[np.isfinite(phase)]
     turns = float(known.max() - known.min()) if known.size else 0.0
     # The last spin may lack its last sample.
-    blocks = int((turns + BLOCKS.widest_step) // settings.turn)
+    blocks = int((turns + BLOCK_SETTINGS.widest_step) // settings.turn)
     if blocks < settings.blocks:
         raise TooLittleError(
             f"{turns / (2.0 * np.pi):.1f} spins of known phase found, {settings.spins} needed",
@@ -236,7 +236,7 @@ def _jumps(phase: Floats, stamps: Int64) -> Int64:
     part = slice(None, None, max(1, turned.size // 20_000))
     rate = float(np.median(turned[part] / passed[part]))
     # Over a gap the rate itself is not known well enough; a gap is judged by how much it leaves unfilled.
-    jumped = (np.abs(turned - rate * passed) > BLOCKS.jump) & (passed * rate < 2.0 * np.pi)
+    jumped = (np.abs(turned - rate * passed) > BLOCK_SETTINGS.jump) & (passed * rate < 2.0 * np.pi)
     return np.asarray(at[1:][jumped], dtype=np.int64)
 
 

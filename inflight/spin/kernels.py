@@ -21,7 +21,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.lsq import BIWEIGHT_WIDTH
-from inflight.spin.intervals import BLOCKS, Bools
+from inflight.spin.intervals import BLOCK_SETTINGS, Bools
 from inflight.time import Int64
 
 #: 2 pi in parts: whole turns times the first are exact, and the last is what the double nearest to it lacks.
@@ -77,7 +77,7 @@ _COLUMNS = _FIELD_AT + len(SERIES)
 _FEW = LINES + TONES + 2
 
 #: Compiled loops know numbers, not records.
-_WIDEST_STEP = BLOCKS.widest_step
+_WIDEST_STEP = BLOCK_SETTINGS.widest_step
 
 _compiled_fast = numba.njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}

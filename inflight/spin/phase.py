@@ -67,7 +67,7 @@ class ThinningSettings:
     percentile: int = 75
 
 
-THINNING = ThinningSettings()
+THINNING_SETTINGS = ThinningSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ class MarkSettings:
     count_sigmas: float = 3.0
 
 
-MARKS = MarkSettings()
+MARK_SETTINGS = MarkSettings()
 
 
 def is_finely_sampled(apart: Floats, turns: Floats, advance: Floats) -> bool:
@@ -121,8 +121,8 @@ def is_finely_sampled(apart: Floats, turns: Floats, advance: Floats) -> bool:
         Parts of a turn in [0, 1); pulses, all of them 0, are never fine.
     """
     usual = float(np.median(apart))
-    moved = abs(float(np.median(advance))) * float(np.percentile(apart, THINNING.percentile)) / usual
-    return bool(np.any(turns > 0)) and moved < THINNING.fine
+    moved = abs(float(np.median(advance))) * float(np.percentile(apart, THINNING_SETTINGS.percentile)) / usual
+    return bool(np.any(turns > 0)) and moved < THINNING_SETTINGS.fine
 
 
 def period_of_fine_angle(seconds: Floats, turns: Floats, nominal: float) -> float | None:
@@ -153,7 +153,7 @@ def period_of_fine_angle(seconds: Floats, turns: Floats, nominal: float) -> floa
         ahead, part = seconds[lag:] - seconds[:-lag], turns[lag:] - turns[:-lag]
         moved = float(np.median(np.rint(ahead * rate - part) + part))
         rate = moved / float(np.median(ahead))
-        if abs(moved) >= THINNING.apart or 2 * lag >= seconds.size:
+        if abs(moved) >= THINNING_SETTINGS.apart or 2 * lag >= seconds.size:
             return 1.0 / rate if rate else float("inf")
         lag *= 2
 
@@ -175,15 +175,17 @@ def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[
         return np.ones(seconds.size, dtype=bool)
     ahead = seconds / period
     step = np.diff(ahead)
-    usual = percentile_filter(step, THINNING.percentile, THINNING.around, mode="nearest")
+    usual = percentile_filter(step, THINNING_SETTINGS.percentile, THINNING_SETTINGS.around, mode="nearest")
     usual = np.concatenate([usual[:1], usual])
-    fine = usual < THINNING.fine
+    fine = usual < THINNING_SETTINGS.fine
     fine[0] = False
     if not fine.any():
         return np.ones(seconds.size, dtype=bool)
     place = np.arange(seconds.size)
     # The reading nearest to a third of a turn on, or the next that is none of many.
-    following = np.searchsorted(ahead, ahead + THINNING.apart - 0.5 * np.minimum(usual, THINNING.fine))
+    following = np.searchsorted(
+        ahead, ahead + THINNING_SETTINGS.apart - 0.5 * np.minimum(usual, THINNING_SETTINGS.fine)
+    )
     alone = np.append(np.flatnonzero(~fine), seconds.size)
     following = np.minimum(following, alone[np.searchsorted(alone, place, side="right")]).tolist()
     kept = np.zeros(seconds.size, dtype=bool)
@@ -191,7 +193,7 @@ def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[
     while at < seconds.size:
         kept[at] = True
         at = following[at]
-    first = np.concatenate([[True], step > THINNING.stretch_gap])
+    first = np.concatenate([[True], step > THINNING_SETTINGS.stretch_gap])
     last_kept, moved_to = np.maximum.accumulate(np.where(kept, place, -1)), -1
     for end in np.flatnonzero(np.append(first[1:], True) & ~kept):
         before = max(int(last_kept[end]), moved_to)
@@ -292,9 +294,13 @@ def find_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
     if nominal is not None and nominal > 0:
         advance = np.rint(apart / nominal - part) + part
         residual = apart / nominal - advance
-        near = (advance > 0.25) & (np.abs(residual) < MARKS.near)
-        single = np.mean((advance < 1.5) & (np.abs(residual) < MARKS.near))
-        if near.any() and np.median(np.abs(residual)) < MARKS.near and (angle or single > MARKS.single):
+        near = (advance > 0.25) & (np.abs(residual) < MARK_SETTINGS.near)
+        single = np.mean((advance < 1.5) & (np.abs(residual) < MARK_SETTINGS.near))
+        if (
+            near.any()
+            and np.median(np.abs(residual)) < MARK_SETTINGS.near
+            and (angle or single > MARK_SETTINGS.single)
+        ):
             return float(np.median(apart[near] / advance[near]))
     if not angle:
         return float(np.median(apart))
@@ -316,14 +322,14 @@ def are_consistent(seconds: Floats, turns: Floats, period: float) -> npt.NDArray
     rate = _local_rate(seconds, turns, period)
     tolerance = _tolerance(_scatter(seconds, turns, rate))
     agreeing, compared = np.zeros((2, seconds.size)), np.zeros((2, seconds.size))
-    for lag in range(1, min(MARKS.lags, seconds.size - 1) + 1):
+    for lag in range(1, min(MARK_SETTINGS.lags, seconds.size - 1) + 1):
         ahead = (seconds[lag:] - seconds[:-lag]) * 0.5 * (rate[lag:] + rate[:-lag])
         residual = ahead - (turns[lag:] - turns[:-lag])
         near = np.abs(residual - np.rint(residual)) < tolerance
         for side, part in enumerate((slice(lag, None), slice(None, -lag))):
             agreeing[side, part] += near
             compared[side, part] += 1
-    return np.asarray(np.any((agreeing >= MARKS.agreement * compared) & (compared > 0), axis=0))
+    return np.asarray(np.any((agreeing >= MARK_SETTINGS.agreement * compared) & (compared > 0), axis=0))
 
 
 def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
@@ -343,21 +349,25 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     seconds = (times - times[0]) / SECOND
     rate = _local_rate(seconds, turns, period)
     # The rate before and after each interval is from medians that do not reach over it.
-    reach, place = MARKS.around // 2, np.arange(rate.size - 1)
+    reach, place = MARK_SETTINGS.around // 2, np.arange(rate.size - 1)
     before = rate[np.maximum(place - reach, 0)]
     after = rate[np.minimum(place + 1 + reach, rate.size - 1)]
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.asarray(np.rint(0.5 * (before + after) * apart - part) + part)
-    repeated = np.concatenate([[False], advance < MARKS.near])
+    repeated = np.concatenate([[False], advance < MARK_SETTINGS.near])
     if repeated.any():
         rest = count_turns(times[~repeated], turns[~repeated], period)
         return replace(rest, repeated=rest.repeated + int(repeated.sum()))
     sigma = _scatter(seconds, turns, rate)
-    rate_error = np.hypot(0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / MARKS.around))
+    rate_error = np.hypot(
+        0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / MARK_SETTINGS.around)
+    )
     predicted_sigma = rate_error * apart
     residual = 0.5 * (before + after) * apart - advance
-    uncountable = MARKS.count_sigmas * predicted_sigma > 0.5
-    jumped = ~uncountable & (np.abs(residual) > _tolerance(sigma) + MARKS.count_sigmas * predicted_sigma)
+    uncountable = MARK_SETTINGS.count_sigmas * predicted_sigma > 0.5
+    jumped = ~uncountable & (
+        np.abs(residual) > _tolerance(sigma) + MARK_SETTINGS.count_sigmas * predicted_sigma
+    )
     turn = turns[0] + np.concatenate([[0.0], np.cumsum(advance)])
     ends = np.stack([np.append(before, after[-1]), np.append(before[0], after)])
     none = np.zeros(turn.size, dtype=bool)
@@ -393,7 +403,7 @@ def correct_jumps(marks: Marks) -> Marks:
         jumped = marks.jumped[inside]
         off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.residual[inside], 0.0))])
         error = np.hypot.reduce(np.where(jumped, marks.predicted_sigma[inside], 0.0))
-        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + MARKS.count_sigmas * error
+        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + MARK_SETTINGS.count_sigmas * error
         away = np.abs(off - np.rint(off)) > near
         if away.size and away[-1]:
             ambiguous[first:last] = True
@@ -412,11 +422,17 @@ def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.rint(apart / period - part) + part
     usual = max(float(np.median(advance)), 1.0)
-    near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < MARKS.coarsest)
+    near = (
+        (advance > 0.25)
+        & (advance < 3.0 * usual)
+        & (np.abs(apart / period - advance) < MARK_SETTINGS.coarsest)
+    )
     if not near.any() or is_finely_sampled(apart, turns, advance):
         return np.full(seconds.size, 1.0 / period)
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
-    rates = median_filter(advance[near] / apart[near], min(MARKS.around, int(near.sum())), mode="nearest")
+    rates = median_filter(
+        advance[near] / apart[near], min(MARK_SETTINGS.around, int(near.sum())), mode="nearest"
+    )
     return np.asarray(np.interp(seconds, middle, rates))
 
 
@@ -424,13 +440,15 @@ def _scatter(seconds: Floats, turns: Floats, rate: Floats) -> float:
     """Return the scatter of a mark, turns, from the intervals between neighbours."""
     residual = np.diff(seconds) * 0.5 * (rate[1:] + rate[:-1]) - np.diff(turns)
     residual -= np.rint(residual)
-    close = np.abs(residual) < MARKS.coarsest
-    return robust_sigma(residual[close]) / np.sqrt(2.0) if close.any() else MARKS.coarsest
+    close = np.abs(residual) < MARK_SETTINGS.coarsest
+    return robust_sigma(residual[close]) / np.sqrt(2.0) if close.any() else MARK_SETTINGS.coarsest
 
 
 def _tolerance(sigma: float) -> float:
     """Return by how much of a turn marks of a scatter may be off whole turns from each other."""
-    return float(np.clip(STEP_SIGNIFICANCE * np.sqrt(2.0) * sigma, MARKS.finest, MARKS.coarsest))
+    return float(
+        np.clip(STEP_SIGNIFICANCE * np.sqrt(2.0) * sigma, MARK_SETTINGS.finest, MARK_SETTINGS.coarsest)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -468,7 +486,7 @@ class PeriodSettings:
     limit: float = 6.0
 
 
-PERIOD_CHECK = PeriodSettings()
+PERIOD_SETTINGS = PeriodSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -537,16 +555,16 @@ def check_period(
         raise SamplesError(f"a field of shape {field.shape} found", remedy="give (time, 2 or 3)")
     kept = np.isfinite(field[:, :2]).all(axis=1)
     kept &= True if good is None else good
-    if np.count_nonzero(kept) < PERIOD_CHECK.readings:
+    if np.count_nonzero(kept) < PERIOD_SETTINGS.readings:
         raise CalibrationError(
-            f"{np.count_nonzero(kept)} readings found, at least {PERIOD_CHECK.readings} needed",
+            f"{np.count_nonzero(kept)} readings found, at least {PERIOD_SETTINGS.readings} needed",
             remedy="take a longer span",
         )
     seconds = (stamps[kept] - stamps[kept][0]) / SECOND
     plane = field[kept, 0] + 1j * field[kept, 1]
     plane = plane - np.median(plane.real) - 1j * np.median(plane.imag)
     size = np.abs(plane)
-    most = PERIOD_CHECK.limit * MAD_TO_SIGMA * float(np.median(size))
+    most = PERIOD_SETTINGS.limit * MAD_TO_SIGMA * float(np.median(size))
     plane = np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
     cadence = float(np.median(np.diff(seconds)))
     used = float("nan")
@@ -559,7 +577,7 @@ def check_period(
         return PeriodCheck(period=nan, sigma=nan, used=used, tone=nan, agrees=True, aliased=True)
     rate, sigma, tone = _refined_frequency(seconds, plane, _top_frequency(seconds, plane, cadence))
     period, error = 1.0 / rate, sigma / rate**2
-    agrees = bool(np.isnan(used) or abs(used - period) <= PERIOD_CHECK.contradiction * error)
+    agrees = bool(np.isnan(used) or abs(used - period) <= PERIOD_SETTINGS.contradiction * error)
     return PeriodCheck(period=period, sigma=error, used=used, tone=tone, agrees=agrees, aliased=False)
 
 
@@ -567,7 +585,7 @@ def _top_frequency(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: 
     """Return the frequency of the highest tone of negative frequency, Hz, on a grid four times as fine."""
     place = np.rint(seconds / cadence).astype(np.int64)
     span = int(place[-1]) + 1
-    if place.size < (1.0 - PERIOD_CHECK.empty) * span:
+    if place.size < (1.0 - PERIOD_SETTINGS.empty) * span:
         raise CalibrationError(
             f"{100 * (1 - place.size / span):.0f} % of the record is gaps", remedy="take a span with fewer"
         )
@@ -579,7 +597,7 @@ def _top_frequency(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: 
     falling = power[: size // 2 : -1]
     least = max(2 * size // span, 1)
     best = least + int(np.argmax(falling[least:]))
-    if falling[best] < PERIOD_CHECK.tone_power * float(np.median(power)):
+    if falling[best] < PERIOD_SETTINGS.tone_power * float(np.median(power)):
         raise CalibrationError(
             "no tone stands out of the spin-plane field",
             remedy="see whether the field spins, which axis is the spin axis, and the sense of the spin",
@@ -591,12 +609,12 @@ def _refined_frequency(
     seconds: Floats, plane: npt.NDArray[np.complex128], rate: float
 ) -> tuple[float, float, float]:
     """Return frequency and its sigma, Hz, and amplitude, from the phases of stretches of the record."""
-    length = max(seconds[-1] / PERIOD_CHECK.stretches, PERIOD_CHECK.shortest / rate)
+    length = max(seconds[-1] / PERIOD_SETTINGS.stretches, PERIOD_SETTINGS.shortest / rate)
     number = int(seconds[-1] // length)
-    if number < PERIOD_CHECK.fewest:
+    if number < PERIOD_SETTINGS.fewest:
         raise CalibrationError(
             f"{seconds[-1] * rate:.1f} turns found,"
-            f" at least {PERIOD_CHECK.fewest * PERIOD_CHECK.shortest:.0f} needed",
+            f" at least {PERIOD_SETTINGS.fewest * PERIOD_SETTINGS.shortest:.0f} needed",
             remedy="take a longer span",
         )
     stretch = np.minimum((seconds / length).astype(np.int64), number - 1)
@@ -645,7 +663,7 @@ class PhaseSettings:
     cubic_error: float = 0.15
 
 
-PHASE = PhaseSettings()
+PHASE_SETTINGS = PhaseSettings()
 
 #: What becomes of samples where the phase jumps, and where marks are missing.
 _CORRECTED_JUMP = (
@@ -725,7 +743,7 @@ def phase_from_pulses(
     *,
     nominal_period: float | None = None,
     mark_phase: float = 0.0,
-    max_sigma: float = PHASE.max_sigma,
+    max_sigma: float = PHASE_SETTINGS.max_sigma,
 ) -> SpinPhase:
     """Return the spin phase from the times of Sun pulses.
 
@@ -765,7 +783,7 @@ def phase_from_angle(
     *,
     nominal_period: float,
     sense: int = 1,
-    max_sigma: float = PHASE.max_sigma,
+    max_sigma: float = PHASE_SETTINGS.max_sigma,
 ) -> SpinPhase:
     """Return the spin phase from a delivered angle, read fast or slowly, wrapped or not.
 
@@ -879,13 +897,13 @@ def _mark_faults(marks: Marks, covered: Floats, nominal: float | None, kind: str
     """Return what is wrong with the marks around the samples; `covered` is of `_turns_between`."""
     faults = []
     usual = float(np.median(marks.period))
-    if nominal is not None and abs(usual / nominal - 1.0) > PHASE.nominal:
+    if nominal is not None and abs(usual / nominal - 1.0) > PHASE_SETTINGS.nominal:
         found = f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen"
         faults.append(PhaseFault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
     missing = int(np.minimum(marks.missing_turns, np.floor(np.maximum(covered, 0.0))).sum())
     if kind == "Sun pulse" and missing:
         faults.append(PhaseFault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
-    lost = np.flatnonzero(marks.uncountable & (covered > 2.0 * PHASE.carried))
+    lost = np.flatnonzero(marks.uncountable & (covered > 2.0 * PHASE_SETTINGS.carried))
     if lost.size:
         longest = float((np.diff(marks.time)[lost] / SECOND).max())
         found = f"{lost.size} gap(s) too long to count turns, the longest {longest:.0f} s"
@@ -934,7 +952,7 @@ def _at_samples(
     after = marks.rate[at + 1] * apart[at] - advance[bridged]
     inside = share[bridged]
     phase[bridged] += inside * (1.0 - inside) * ((1.0 - inside) * before - inside * after)
-    sigma[bridged] = np.hypot(sigma[bridged], PHASE.cubic_error * marks.predicted_sigma[at])
+    sigma[bridged] = np.hypot(sigma[bridged], PHASE_SETTINGS.cubic_error * marks.predicted_sigma[at])
     flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
     # In a gap whose turns cannot be counted the phase is extrapolated as before the first and after the last.
     outside = (share < 0) | (share > 1) | (marks.uncountable[place] & (share > 0) & (share < 1))
@@ -949,7 +967,7 @@ def _at_samples(
     sigma[marks.shifted[place]] = np.hypot(
         sigma[marks.shifted[place]], np.hypot.reduce(marks.predicted_sigma[marks.jumped])
     )
-    bad = jump | (outside & (np.abs(since) > PHASE.carried)) | (TURN * sigma > max_sigma)
+    bad = jump | (outside & (np.abs(since) > PHASE_SETTINGS.carried)) | (TURN * sigma > max_sigma)
     flag[bad] &= ~np.uint32(Flag.PHASE_BRIDGED)
     flag[bad] |= np.uint32(Flag.NO_PHASE)
     beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))

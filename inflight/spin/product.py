@@ -17,13 +17,13 @@ from inflight.arrays import Floats
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
-from inflight.spin.equation import NAMES, CalibrationParameters
+from inflight.spin.equation import PARAMETER_NAMES, CalibrationParameters
 from inflight.spin.fits import despin
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 #: Step of the derivative of the field by each of the twelve: gains, angles in rad, offsets in nT.
-_STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in NAMES}
+_STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in PARAMETER_NAMES}
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def field_uncertainty(readings: Floats, parameters: CalibrationParameters, covar
     rows = []
     for name, step in _STEPS.items():
         up, down = (
-            parameters.changed({name: float(parameters.values()[NAMES.index(name)] + sign * step)})
+            parameters.changed({name: float(parameters.values()[PARAMETER_NAMES.index(name)] + sign * step)})
             for sign in (1.0, -1.0)
         )
         matrix = (up.matrix() - down.matrix()) / (2.0 * step)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.lsq import jackknife
 from inflight.residual import (
-    DEPENDENCES,
+    DEPENDENCE_SETTINGS,
     BinnedFit,
     bin_count,
     bin_edges,
@@ -156,7 +156,7 @@ class ToneDependence:
     @property
     def clear(self) -> npt.NDArray[np.bool_]:
         """Tones that stand out by five sigma; (8,)."""
-        return np.asarray(self.amplitude > DEPENDENCES.clear * self.sigma_amplitude)
+        return np.asarray(self.amplitude > DEPENDENCE_SETTINGS.clear * self.sigma_amplitude)
 
     @property
     def strongest(self) -> int:
@@ -186,7 +186,7 @@ def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDepen
         used &= np.isfinite(one.channel_tone)
     blocks, which = np.unique(block[used], return_inverse=True)
     index = _bins(one, used, block)
-    if index is None or blocks.size < DEPENDENCES.min_blocks:
+    if index is None or blocks.size < DEPENDENCE_SETTINGS.min_blocks:
         return None
     weight, value, bins = tones.weight[used], tones.value[used], int(index.max()) + 1
     if bins > 1:
@@ -352,7 +352,7 @@ def meaning(one: ToneCoordinate, row: int, harmonic: int) -> str:
     return f"{of}, {_OF_KIND.get(one.kind, 'or a stray field, that goes with it')}"
 
 
-def find_tone_failures(
+def rank_tone_dependences(
     tones: Tones, coordinates: Mapping[str, ToneCoordinate], block: Ints
 ) -> tuple[list[ToneFailure], list[ToneDependence]]:
     """Return the strongest structures one after the other, and how the whole tones depend on everything.

@@ -23,7 +23,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, TooLittleError
 from inflight.spin.equation import CalibrationParameters
-from inflight.spin.intervals import BLOCKS, BlockLayout, Bools
+from inflight.spin.intervals import BLOCK_SETTINGS, BlockLayout, Bools
 from inflight.spin.kernels import LINES, NEIGHBOURS, SERIES, TONES, M, U, V, Z, sum_blocks, sum_tones
 from inflight.time import Int64
 
@@ -344,7 +344,7 @@ def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
     turned = np.diff(angle)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
     step = np.diff(phase[good])
-    use = (step > 0.0) & (step < BLOCKS.widest_step)
+    use = (step > 0.0) & (step < BLOCK_SETTINGS.widest_step)
     return float(np.median(turned[use] / step[use])) if use.any() else float("nan")
 
 

@@ -2,7 +2,7 @@
 
 Takes: every interval's estimate of the eight spin-related parameters with its covariance, the values in use,
 and values from elsewhere (the offset along the spin axis, the ground). Makes: `Decision` on each parameter,
-the next `ValuesInUse`, and `ParameterTable` with where each of the twelve came from.
+the next `SpinParametersInUse`, and `ParameterTable` with where each of the twelve came from.
 
 An update that is no better known than what it replaces, or that changes it by less than its own error, only
 adds jitter (Plaschke et al. 2019, sections 6 and 8). Offset and elevation of a sensor share one tone (eq. 21)
@@ -25,10 +25,10 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.spin.equation import NAMES, SPIN_RELATED, CalibrationParameters
+from inflight.spin.equation import PARAMETER_NAMES, SPIN_RELATED, CalibrationParameters
 from inflight.spin.intervals import Bools
 
-Verdict = Literal["update", "confirm", "keep"]
+UpdateAction = Literal["update", "confirm", "keep"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class UpdateSettings:
     well_better: float = 0.5
 
 
-UPDATES = UpdateSettings()
+UPDATE_SETTINGS = UpdateSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +70,15 @@ class Decision:
     present_sigma: float
     new: float
     sigma: float
-    verdict: Verdict
+    verdict: UpdateAction
     reason: str
 
 
 def decide_update(
-    name: str, old: tuple[float, float], new: tuple[float, float], significance: float = UPDATES.significance
+    name: str,
+    old: tuple[float, float],
+    new: tuple[float, float],
+    significance: float = UPDATE_SETTINGS.significance,
 ) -> Decision:
     """Return the decision on one parameter.
 
@@ -92,7 +95,7 @@ def decide_update(
     """
     sigma = new[1]
 
-    def decision(verdict: Verdict, reason: str) -> Decision:
+    def decision(verdict: UpdateAction, reason: str) -> Decision:
         return Decision(
             name=name,
             present=old[0],
@@ -107,7 +110,7 @@ def decide_update(
         return decision("keep", "the record does not tell it")
     change = abs(new[0] - old[0])
     difference = f"differs by {change / sigma:.1f} sigma" if sigma > 0.0 else f"differs by {change:.3g}"
-    if change > significance * sigma and sigma < UPDATES.well_better * old[1]:
+    if change > significance * sigma and sigma < UPDATE_SETTINGS.well_better * old[1]:
         return decision("update", f"{difference}, and is known well better than the value in use")
     if change > significance * float(np.hypot(sigma, old[1])):
         return decision("update", f"{difference}, more than both uncertainties allow")
@@ -122,11 +125,11 @@ def decide_update(
 _TOGETHER = (("offset[1]", "elevation[1]"), ("offset[2]", "elevation[2]"))
 
 #: As rare by chance, of two numbers, as `UpdateSettings.significance` sigma of one.
-_RARE_CHI2 = float(stats.chi2.isf(2.0 * stats.norm.sf(UPDATES.significance), 2))
+_RARE_CHI2 = float(stats.chi2.isf(2.0 * stats.norm.sf(UPDATE_SETTINGS.significance), 2))
 
 
 @dataclass(frozen=True)
-class ValuesInUse:
+class SpinParametersInUse:
     """Values in use of the eight, in the order of `SPIN_RELATED`, before an interval.
 
     Attributes
@@ -198,7 +201,7 @@ class ValuesInUse:
             day - self.since,
             determined & self.from_flight,
         )
-        used = ValuesInUse(
+        used = SpinParametersInUse(
             np.where(put_in, new, self.value),
             spread,
             self.from_flight | put_in,
@@ -307,7 +310,7 @@ class UpdateStep:
     """
 
     decisions: tuple[Decision, ...]
-    used: ValuesInUse
+    used: SpinParametersInUse
     covariance: Floats
     estimate: Floats
     sigma: Floats
@@ -384,7 +387,7 @@ class ParameterTable:
 
     def sigmas(self) -> dict[str, float]:
         """Return the uncertainties by name."""
-        return dict(zip(NAMES, self.sigma.tolist(), strict=True))
+        return dict(zip(PARAMETER_NAMES, self.sigma.tolist(), strict=True))
 
 
 def join_parameters(
@@ -417,26 +420,26 @@ def join_parameters(
         A name that is no parameter, or one that the spin determines.
     """
     others = others or {}
-    wrong = sorted(name for name in others if name not in NAMES or name in SPIN_RELATED)
+    wrong = sorted(name for name in others if name not in PARAMETER_NAMES or name in SPIN_RELATED)
     if wrong:
         raise CalibrationError(
-            f"{wrong} cannot be joined", remedy=f"take of {sorted(set(NAMES) - set(SPIN_RELATED))}"
+            f"{wrong} cannot be joined", remedy=f"take of {sorted(set(PARAMETER_NAMES) - set(SPIN_RELATED))}"
         )
-    value, sigma = ground.values(), np.array([ground_sigma.get(name, np.inf) for name in NAMES])
-    source = [GROUND] * len(NAMES)
+    value, sigma = ground.values(), np.array([ground_sigma.get(name, np.inf) for name in PARAMETER_NAMES])
+    source = [GROUND] * len(PARAMETER_NAMES)
     for name, known in others.items():
-        at = NAMES.index(name)
+        at = PARAMETER_NAMES.index(name)
         value[at], sigma[at], source[at] = known.value, known.sigma, known.source
     found, errors, parameters = spin
     for order, name in enumerate(SPIN_RELATED):
-        at = NAMES.index(name)
+        at = PARAMETER_NAMES.index(name)
         if np.isfinite(errors[order]):
             value[at], sigma[at], source[at] = found[order], errors[order], SPIN
-    third = NAMES.index("offset[3]")
+    third = PARAMETER_NAMES.index("offset[3]")
     slope = axial_offset_slope(parameters)
     error = sigma[third] if np.isfinite(sigma[third]) else 0.0
     for at in range(2):
-        row = NAMES.index(f"offset[{at + 1}]")
+        row = PARAMETER_NAMES.index(f"offset[{at + 1}]")
         if source[row] == SPIN:
             value[row] += slope[at] * (value[third] - parameters.offset[2])
             sigma[row] = float(np.hypot(sigma[row], slope[at] * error))

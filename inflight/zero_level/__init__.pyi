@@ -1,10 +1,10 @@
 from .combination import CombinedEstimate, combine_methods
 from .estimate import Estimate, OffsetSearch
-from .flipper import PARTS, Flipped, separate_flipped
+from .flipper import PARTS, FlipperSolution, separate_flipped
 from .intervals import AXES, Bools, Intervals
 from .methods import (
     COMBINED_METHODS,
-    KINDS,
+    KIND_SETTINGS,
     METHODS,
     MINIMUM_CORRELATION,
     Estimator,
@@ -19,7 +19,7 @@ from .methods import (
 __all__ = [
     "AXES",
     "COMBINED_METHODS",
-    "KINDS",
+    "KIND_SETTINGS",
     "METHODS",
     "MINIMUM_CORRELATION",
     "PARTS",
@@ -27,7 +27,7 @@ __all__ = [
     "CombinedEstimate",
     "Estimate",
     "Estimator",
-    "Flipped",
+    "FlipperSolution",
     "IntervalKinds",
     "Intervals",
     "OffsetSearch",

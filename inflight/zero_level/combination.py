@@ -33,7 +33,7 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
-from inflight.zero_level.estimate import SOLVER, Estimate, OffsetSearch, covariance_of, freedom_of
+from inflight.zero_level.estimate import SOLVER_SETTINGS, Estimate, OffsetSearch, covariance_of, freedom_of
 from inflight.zero_level.intervals import AXES, Intervals
 from inflight.zero_level.methods import (
     METHODS,
@@ -67,7 +67,7 @@ class LikelihoodSettings:
     least_variance: float = 1e-6
 
 
-LIKELIHOOD = LikelihoodSettings()
+LIKELIHOOD_SETTINGS = LikelihoodSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class CombinationSettings:
     rounds: int = 8
 
 
-COMBINATION = CombinationSettings()
+COMBINATION_SETTINGS = CombinationSettings()
 
 
 def log_likelihood(intervals: Intervals, offset: Floats) -> Floats:
@@ -114,7 +114,7 @@ def log_likelihood(intervals: Intervals, offset: Floats) -> Floats:
     middle = np.einsum("ks,ks->k", part, size)
     squeezed = np.einsum("ks,ks->k", part, (size - middle[:, None]) ** 2)
     whole = squeezed + middle**2 * np.trace(turning, axis1=1, axis2=2)
-    least = LIKELIHOOD.least_variance * np.maximum(whole, 1e-300)
+    least = LIKELIHOOD_SETTINGS.least_variance * np.maximum(whole, 1e-300)
     plane = np.maximum(np.linalg.eigvalsh(turning)[:, 1:], (least / middle**2)[:, None])
     volume = 2.0 * np.einsum("ks,ks->k", part, np.log(size))
     return np.asarray(-0.5 * (np.log(np.maximum(squeezed, least)) + np.log(plane).sum(axis=1)) - volume)
@@ -137,7 +137,7 @@ def likelihood_ratio(better: Floats, other: Floats) -> float:
         return 0.0
     about = apart - apart.sum() / whole * np.abs(apart)
     scatter = float(long_run_covariance(about[:, None])[0, 0])
-    chance = max(LIKELIHOOD.least_chance * float(np.sum(apart**2)), scatter)
+    chance = max(LIKELIHOOD_SETTINGS.least_chance * float(np.sum(apart**2)), scatter)
     return float(apart.sum() / np.sqrt(chance))
 
 
@@ -158,8 +158,8 @@ def most_likely_offset(intervals: Intervals, through: Floats, search: OffsetSear
 
 def offsets_along(through: Floats, axis: int, search: OffsetSearch) -> Floats:
     """Return offsets on a line along an axis, from one end of the bound to the other; (point, 3), nT."""
-    line = np.tile(np.asarray(through, dtype=np.float64), (LIKELIHOOD.steps, 1))
-    line[:, axis] = search.start[axis] + np.linspace(-search.bound, search.bound, LIKELIHOOD.steps)
+    line = np.tile(np.asarray(through, dtype=np.float64), (LIKELIHOOD_SETTINGS.steps, 1))
+    line[:, axis] = search.start[axis] + np.linspace(-search.bound, search.bound, LIKELIHOOD_SETTINGS.steps)
     return line
 
 
@@ -188,9 +188,9 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: Offset
 
 def _rivals(ratio: Floats, place: Floats, solution: float) -> str:
     """Return which other offsets of a line are not rejected; empty when all are."""
-    if ratio.min() < -LIKELIHOOD.rejected:
+    if ratio.min() < -LIKELIHOOD_SETTINGS.rejected:
         return f"the readings refuse it for {place[int(ratio.argmin())]:.1f} nT"
-    possible = ratio < LIKELIHOOD.rejected
+    possible = ratio < LIKELIHOOD_SETTINGS.rejected
     at = int(np.argmin(np.abs(place - solution)))
     possible[at] = True
     stretch = np.cumsum(np.diff(possible, prepend=False))
@@ -227,7 +227,7 @@ class Agreement:
     @property
     def agrees(self) -> bool:
         """Whether chance may be all."""
-        return self.chance >= COMBINATION.disagree
+        return self.chance >= COMBINATION_SETTINGS.disagree
 
     def summary(self) -> str:
         """Return one sentence."""
@@ -307,7 +307,7 @@ def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) ->
     possible = [
         one
         for one, likelihood in zip(found, likelihoods, strict=True)
-        if likelihood_ratio(most, likelihood) < LIKELIHOOD.rejected
+        if likelihood_ratio(most, likelihood) < LIKELIHOOD_SETTINGS.rejected
     ]
     best = min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
     rivals = [
@@ -324,7 +324,7 @@ def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) ->
 def _combine_from(intervals: Intervals, search: OffsetSearch, near: Floats) -> CombinedEstimate:
     """Return the result from one offset to begin with."""
     offset, seen = near, set[tuple[bytes, bytes]]()
-    for _ in range(COMBINATION.rounds):
+    for _ in range(COMBINATION_SETTINGS.rounds):
         found = classify_intervals(intervals, offset)
         methods, unusable = _estimate_by_each(intervals, found, replace(search, near=tuple(offset)))
         if not methods:
@@ -432,7 +432,7 @@ def compare_estimates(one: Estimate, other: Estimate) -> Agreement | None:
     shared = covariance_of((one.influence - other.influence)[part])[np.ix_(both, both)]
     covariance = shared + (one.systematic + other.systematic)[np.ix_(both, both)]
     # Two ways to one zero differ by what each was settled to, and by no scatter at all.
-    covariance += SOLVER.settled**2 * np.eye(len(apart))
+    covariance += SOLVER_SETTINGS.settled**2 * np.eye(len(apart))
     chi2 = float(apart @ np.linalg.solve(covariance, apart))
     axes = int(both.sum())
     return Agreement(one.method, other.method, chi2, axes, float(stats.chi2.sf(chi2, axes)))
@@ -449,7 +449,7 @@ def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
         systematic=factor * estimate.systematic,
     )  # fmt: skip
     sentences = tuple(pair.summary() for pair in apart)
-    if min(pair.chance for pair in apart) < COMBINATION.apart:
+    if min(pair.chance for pair in apart) < COMBINATION_SETTINGS.apart:
         undetermined = replace(wider, determined=np.zeros(3, dtype=bool))
         return undetermined.with_reasons(*sentences, "one of these is wrong: no mean is told")
     return wider.with_reasons(*sentences)

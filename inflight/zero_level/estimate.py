@@ -17,7 +17,7 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
 from inflight.time import Int64
-from inflight.zero_level.intervals import AXES, INTERVALS, Bools, Intervals
+from inflight.zero_level.intervals import AXES, INTERVAL_SETTINGS, Bools, Intervals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class SolverSettings:
     least_freedom: float = 3.0
 
 
-SOLVER = SolverSettings()
+SOLVER_SETTINGS = SolverSettings()
 
 #: Every axis.
 ALL = (True, True, True)
@@ -127,7 +127,9 @@ class Estimate:
 
     def with_axes(self, determined: Bools, search: OffsetSearch) -> Estimate:
         """Return the same with only some axes (3,) determined: the others at the search's start."""
-        lost = np.where(self.determined & ~determined, (SOLVER.undetermined * search.bound) ** 2, 0.0)
+        lost = np.where(
+            self.determined & ~determined, (SOLVER_SETTINGS.undetermined * search.bound) ** 2, 0.0
+        )
         return replace(
             self, determined=determined, solution=np.where(determined, self.solution, search.start),
             covariance=self.covariance + np.diag(lost), systematic=self.systematic + np.diag(lost),
@@ -164,7 +166,7 @@ class OffsetSearch:
 
     free: tuple[bool, bool, bool] = ALL
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bound: float = SOLVER.bound
+    bound: float = SOLVER_SETTINGS.bound
     near: tuple[float, float, float] | None = None
 
     def starts(self, other: Floats) -> list[Floats]:
@@ -200,10 +202,10 @@ class OffsetSearch:
         mask = (intervals.above_noise if above_noise else np.full(len(intervals), True)) & (
             True if used is None else np.asarray(used, dtype=bool)
         )
-        if mask.sum() < INTERVALS.fewest_intervals:
+        if mask.sum() < INTERVAL_SETTINGS.fewest_intervals:
             raise CalibrationError(
                 f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and above noise, "
-                f"{INTERVALS.fewest_intervals} needed",
+                f"{INTERVAL_SETTINGS.fewest_intervals} needed",
                 remedy="take a longer span, or another method",
             )
         return mask
@@ -277,16 +279,16 @@ def solve(
     within = (start - search.bound, start + search.bound)
     begin = start if first is None else first
     offset, settled = np.clip(np.where(free, begin, start), *within), False
-    for _ in range(SOLVER.rounds):
+    for _ in range(SOLVER_SETTINGS.rounds):
         scores, slopes = equations(offset)
         step = invert_slopes(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
-        settled = bool(np.abs(step).max() < SOLVER.settled)
+        settled = bool(np.abs(step).max() < SOLVER_SETTINGS.settled)
         # Far from the zero the slopes are those of another field: no step leaves their reach.
-        step = step * min(1.0, SOLVER.stride * search.bound / max(float(np.abs(step).max()), 1e-300))
+        step = step * min(1.0, SOLVER_SETTINGS.stride * search.bound / max(float(np.abs(step).max()), 1e-300))
         offset = np.clip(offset + step, *within)
         if settled:
             break
-    inverse, known = invert_slopes(slopes[used], free, SOLVER.determined if signed else 0.0)
+    inverse, known = invert_slopes(slopes[used], free, SOLVER_SETTINGS.determined if signed else 0.0)
     if true_slopes is not None:
         slopes = true_slopes(offset)
         inverse = inverse_of_true_slopes(inverse, slopes[used].sum(axis=0))
@@ -326,7 +328,7 @@ def inverse_of_true_slopes(inverse: Floats, true_slopes: Floats) -> Floats:
     root = vector[:, known] * np.sqrt(size[known])
     ratio, basis = np.linalg.eigh(root.T @ (0.5 * (true_slopes + true_slopes.T)) @ root)
     spread = root @ basis
-    return np.asarray((spread / np.maximum(ratio, SOLVER.least_response)) @ spread.T)
+    return np.asarray((spread / np.maximum(ratio, SOLVER_SETTINGS.least_response)) @ spread.T)
 
 
 def estimate_from_scores(
@@ -356,11 +358,11 @@ def estimate_from_scores(
     # how much the solution moves when the interval is left out.
     share = slopes @ inverse
     own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
-    share = share * np.minimum(1.0, SOLVER.most_share / np.maximum(own, 1e-300))
+    share = share * np.minimum(1.0, SOLVER_SETTINGS.most_share / np.maximum(own, 1e-300))
     alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
     influence = np.where(used[:, None], alone @ inverse.T, 0.0)
     covariance = covariance_of(influence[used])
-    unknown = (np.eye(3) - known) * (SOLVER.undetermined * search.bound) ** 2
+    unknown = (np.eye(3) - known) * (SOLVER_SETTINGS.undetermined * search.bound) ** 2
     determined = search.determined(covariance + unknown)
     lost = [
         axis for axis, found, free in zip(AXES, determined, search.free, strict=True) if free and not found
@@ -409,7 +411,7 @@ def freedom_of(influence: Floats) -> float:
     size, vector = np.linalg.eigh(influence.T @ influence)
     seen = size > 1e-12 * max(float(size.max()), 1e-300)
     if not seen.any():
-        return SOLVER.least_freedom
+        return SOLVER_SETTINGS.least_freedom
     parts = influence @ (vector[:, seen] / np.sqrt(size[seen]))
     kurtosis = len(influence) * float(np.mean(np.sum(parts**4, axis=0)))
-    return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), SOLVER.least_freedom)
+    return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), SOLVER_SETTINGS.least_freedom)

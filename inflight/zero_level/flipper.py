@@ -1,8 +1,8 @@
 """Offsets of sensors and fields of the spacecraft, separated by a flipper (Helios).
 
-Takes: the corrections found before and after a flip. Makes (`separate_flipped`): `Flipped`, the offsets of
-two sensors and the spacecraft's field along two axes, with their covariance. A flipper turns two sensors into
-each other's place.
+Takes: the corrections found before and after a flip. Makes (`separate_flipped`): `FlipperSolution`, the
+offsets of two sensors and the spacecraft's field along two axes, with their covariance. A flipper turns two
+sensors into each other's place.
 
 Before the flip sensor 1 lies along x and sensor 3 along z, after it 3 along x and 1 against z. With offsets
 C1, C3 of the sensors' package and fields S_x, S_z of the spacecraft the corrections found are
@@ -30,7 +30,7 @@ _SEEN = np.array([[0, 1, 0, 1], [-1, 0, 0, 1], [1, 0, 1, 0], [0, 1, 1, 0]], dtyp
 
 
 @dataclass(frozen=True)
-class Flipped:
+class FlipperSolution:
     """Offsets of the sensors and fields of the spacecraft, nT, in the order of `PARTS`.
 
     Attributes
@@ -62,7 +62,7 @@ class Flipped:
 
 def separate_flipped(
     along_z: tuple[float, float], along_x: tuple[float, float], covariance: Floats
-) -> Flipped:
+) -> FlipperSolution:
     """Separate sensors and spacecraft.
 
     Parameters
@@ -86,4 +86,4 @@ def separate_flipped(
             remedy="take corrections from before and after a flip, with pre-flight values in the spin plane",
         )
     inverse = np.linalg.inv(_SEEN)
-    return Flipped(inverse @ seen, inverse @ np.asarray(covariance, dtype=np.float64) @ inverse.T)
+    return FlipperSolution(inverse @ seen, inverse @ np.asarray(covariance, dtype=np.float64) @ inverse.T)

@@ -53,7 +53,7 @@ class IntervalSettings:
     returns: float = 0.5
 
 
-INTERVALS = IntervalSettings()
+INTERVAL_SETTINGS = IntervalSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class Intervals:
         good: Bools | None = None,
         *,
         white: float = 0.0,
-        fewest: int = INTERVALS.fewest_intervals,
+        fewest: int = INTERVAL_SETTINGS.fewest_intervals,
     ) -> Intervals:
         """Cut a record into intervals.
 
@@ -136,9 +136,9 @@ class Intervals:
         allowed = np.ones(len(values), dtype=bool) if good is None else np.asarray(good, dtype=bool)
         use, notes = _clean(values, np.asarray(finite & allowed))
         times, values = times[use], values[use]
-        if times.size < INTERVALS.fewest_samples:
+        if times.size < INTERVAL_SETTINGS.fewest_samples:
             raise CalibrationError(
-                f"{times.size} usable readings found, at least {INTERVALS.fewest_samples} needed",
+                f"{times.size} usable readings found, at least {INTERVAL_SETTINGS.fewest_samples} needed",
                 remedy="see the record's gaps and flags, or take a longer span",
             )
         cadence = float(np.median(np.diff(times))) / SECOND
@@ -195,7 +195,7 @@ class Intervals:
         """Whether more than noise fluctuates; (interval,)."""
         total = np.trace(self.covariance, axis1=1, axis2=2)
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
-        return np.asarray(total > INTERVALS.above_noise * noise)
+        return np.asarray(total > INTERVAL_SETTINGS.above_noise * noise)
 
     def encloses(self, offset: Floats) -> bool:
         """Whether an offset lies within the readings themselves: there a direction has no meaning.
@@ -228,14 +228,14 @@ def _clean(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
 
 def _saturated(values: Floats) -> Bools:
     """Return readings that stand still at an end of their range, in any component."""
-    if len(values) < INTERVALS.stuck:
+    if len(values) < INTERVAL_SETTINGS.stuck:
         return np.zeros(len(values), dtype=bool)
     out = np.zeros(len(values), dtype=bool)
     for column in values.T:
         at_end = (column == column.max()) | (column == column.min())
-        runs = np.convolve(at_end, np.ones(INTERVALS.stuck), mode="valid") == INTERVALS.stuck
+        runs = np.convolve(at_end, np.ones(INTERVAL_SETTINGS.stuck), mode="valid") == INTERVAL_SETTINGS.stuck
         if column.max() > column.min():
-            out |= np.convolve(runs, np.ones(INTERVALS.stuck)) > 0
+            out |= np.convolve(runs, np.ones(INTERVAL_SETTINGS.stuck)) > 0
     return out
 
 
@@ -246,7 +246,7 @@ def _spikes(values: Floats) -> Bools:
     times the usual change between neighbours where that is larger: a turbulent field moves on its own.
     """
     out = np.zeros(len(values), dtype=bool)
-    if len(values) < INTERVALS.fewest_samples:
+    if len(values) < INTERVAL_SETTINGS.fewest_samples:
         return out
     for column in values.T:
         change = np.diff(column)
@@ -254,7 +254,7 @@ def _spikes(values: Floats) -> Bools:
         ahead, behind = change[:-1], change[1:]
         least = np.minimum(np.abs(ahead), np.abs(behind))
         out[1:-1] |= (least > STEP_SIGNIFICANCE * usual) & (
-            np.abs(ahead + behind) < INTERVALS.returns * least
+            np.abs(ahead + behind) < INTERVAL_SETTINGS.returns * least
         )
     return out
 
@@ -264,7 +264,7 @@ def _fill(times: Int64, values: Floats, length_s: float, cadence: float) -> tupl
     length = round(length_s * SECOND)
     number = (times - times[0]) // length
     which, first, count = np.unique(number, return_index=True, return_counts=True)
-    needed = max(INTERVALS.fewest_samples, INTERVALS.coverage * length_s / cadence)
+    needed = max(INTERVAL_SETTINGS.fewest_samples, INTERVAL_SETTINGS.coverage * length_s / cadence)
     row = np.repeat(np.arange(which.size), count)
     place = np.arange(times.size) - np.repeat(first, count)
     field = np.full((which.size, int(count.max()), 3), np.nan)

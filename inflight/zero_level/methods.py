@@ -65,7 +65,7 @@ from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, robust_sigma
 from inflight.time import Int64
 from inflight.zero_level.estimate import (
-    SOLVER,
+    SOLVER_SETTINGS,
     Estimate,
     OffsetSearch,
     best_estimate,
@@ -74,7 +74,7 @@ from inflight.zero_level.estimate import (
     invert_slopes,
     solve,
 )
-from inflight.zero_level.intervals import INTERVALS, Bools, Intervals
+from inflight.zero_level.intervals import INTERVAL_SETTINGS, Bools, Intervals
 
 DAVIS_SMITH, WANG_PAN, MIRROR_MODE = "davis-smith", "wang-pan", "mirror mode"
 
@@ -101,7 +101,7 @@ class KindSettings:
     elongated: float = 2.0
 
 
-KINDS = KindSettings()
+KIND_SETTINGS = KindSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,12 +154,12 @@ def classify_intervals(intervals: Intervals, offset: Floats) -> IntervalKinds:
     part = np.minimum(squeezed / total, 1.0)
     rotation = np.sqrt(np.maximum(total - squeezed, 0.0) / (mean**2 + total))
     above_noise = intervals.above_noise
-    elongated = own[:, 2] > KINDS.elongated * own[:, 1]
+    elongated = own[:, 2] > KIND_SETTINGS.elongated * own[:, 1]
     return IntervalKinds(
         compression=part,
         rotation=rotation,
-        alfvenic=above_noise & (part < KINDS.alfvenic),
-        compressional=above_noise & elongated & (part > KINDS.compressional),
+        alfvenic=above_noise & (part < KIND_SETTINGS.alfvenic),
+        compressional=above_noise & elongated & (part > KIND_SETTINGS.compressional),
         start=intervals.start,
         end=intervals.end,
     )
@@ -483,7 +483,7 @@ class HedgecockSettings:
     step: float = 1e-3
 
 
-AXIS_IN_TURN = HedgecockSettings()
+HEDGECOCK_SETTINGS = HedgecockSettings()
 
 
 @dataclass(frozen=True)
@@ -520,7 +520,7 @@ def angles_from(field: Floats, axis: int) -> Floats:
 def pairs_within(field: Floats, axis: int, joined: Bools) -> Bools:
     """Return pairs (time - 1,) whose both directions are 30 to 150 degrees from an axis."""
     angle = np.degrees(angles_from(field, axis))
-    inside = (angle > AXIS_IN_TURN.nearest) & (angle < AXIS_IN_TURN.farthest)
+    inside = (angle > HEDGECOCK_SETTINGS.nearest) & (angle < HEDGECOCK_SETTINGS.farthest)
     return np.asarray(inside[1:] & inside[:-1] & joined)
 
 
@@ -547,7 +547,7 @@ def axis_in_turn(
     joined: Bools | None = None,
     *,
     bound: float = 3.0,
-    rounds: int = AXIS_IN_TURN.rounds,
+    rounds: int = HEDGECOCK_SETTINGS.rounds,
     axes: tuple[int, ...] = (0, 1, 2),
 ) -> AxisInTurn:
     """Find the corrections axis by axis.
@@ -580,10 +580,10 @@ def axis_in_turn(
         for axis in axes:
             pairs = pairs_within(field - offset, axis, joined)
             used[axis] = pairs.sum()
-            if pairs.sum() < INTERVALS.fewest_samples:
+            if pairs.sum() < INTERVAL_SETTINGS.fewest_samples:
                 raise CalibrationError(
                     f"{int(pairs.sum())} pairs 30 to 150 degrees from axis {axis}, "
-                    f"{INTERVALS.fewest_samples} needed",
+                    f"{INTERVAL_SETTINGS.fewest_samples} needed",
                     remedy="take a longer span, or another axis",
                 )
             step, crossings[axis] = _nearest_zero(field - offset, axis, pairs, bound)
@@ -591,7 +591,7 @@ def axis_in_turn(
             lacking[axis] = not np.isfinite(step)
             offset[axis] += 0.0 if lacking[axis] else step
         history.append(np.where(lacking, np.nan, offset))
-        if np.abs(offset - before).max() < AXIS_IN_TURN.settled:
+        if np.abs(offset - before).max() < HEDGECOCK_SETTINGS.settled:
             settled = not lacking.any()
             break
     return AxisInTurn(history[-1], np.array(history), settled, crossings, used)
@@ -599,14 +599,14 @@ def axis_in_turn(
 
 def _nearest_zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple[float, int]:
     """Return the zero of V nearest to 0 and how many there are within the bound."""
-    grid = np.linspace(-bound, bound, AXIS_IN_TURN.points)
+    grid = np.linspace(-bound, bound, HEDGECOCK_SETTINGS.points)
     v = size_angle_covariance(field, axis, grid, pairs)
     where = np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)
     if not where.size:
         return float("nan"), 0
     place = where[np.argmin(np.abs(grid[where]))]
     low, high = grid[place], grid[place + 1]
-    fine = np.linspace(low, high, AXIS_IN_TURN.points)
+    fine = np.linspace(low, high, HEDGECOCK_SETTINGS.points)
     v = size_angle_covariance(field, axis, fine, pairs)
     at = int(np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)[0])
     share = v[at] / (v[at] - v[at + 1]) if v[at] != v[at + 1] else 0.0
@@ -657,14 +657,14 @@ def hedgecock(
             out[:, axis] = np.append(own, 0.0).reshape(len(part), -1).sum(axis=1)
         return out
 
-    step = AXIS_IN_TURN.step
+    step = HEDGECOCK_SETTINGS.step
     slopes = np.stack(
         [(scores(offset - step * axis) - scores(offset + step * axis)) / (2.0 * step) for axis in np.eye(3)],
         axis=2,
     )
     whole, slope = np.zeros((len(intervals), 3)), np.zeros((len(intervals), 3, 3))
     whole[mask], slope[mask] = scores(offset), slopes
-    inverse, known = invert_slopes(slopes, free, SOLVER.determined)
+    inverse, known = invert_slopes(slopes, free, SOLVER_SETTINGS.determined)
     reasons = []
     if not found.settled or np.any(np.abs(offset - np.asarray(search.start)) >= search.bound):
         reasons.append(
@@ -687,14 +687,16 @@ def zero_of_minimum_correlation(intervals: Intervals, search: OffsetSearch) -> F
     free, found = np.asarray(search.free), list[Floats]()
     for first in search.starts(least_variance_offset(intervals, search)):
         offset, settled = first, False
-        for _ in range(SOLVER.rounds):
+        for _ in range(SOLVER_SETTINGS.rounds):
             scores, slopes = joint_equations(intervals, offset)
             # A set of little information has a large error, and shows in the scatter of the sets.
             inverse, _ = invert_slopes(slopes, free, 0.0)
             step = inverse @ scores.sum(axis=0)
-            step = step * min(1.0, SOLVER.stride * search.bound / max(float(np.abs(step).max()), 1e-300))
+            step = step * min(
+                1.0, SOLVER_SETTINGS.stride * search.bound / max(float(np.abs(step).max()), 1e-300)
+            )
             offset = offset + step
-            settled = bool(np.abs(step).max() < SOLVER.settled)
+            settled = bool(np.abs(step).max() < SOLVER_SETTINGS.settled)
             if settled or np.abs(offset).max() >= search.bound:
                 break
         if settled and np.abs(offset).max() < search.bound and not intervals.encloses(offset):

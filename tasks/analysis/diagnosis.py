@@ -3,7 +3,7 @@
 Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`), or with it everything its page shows
 (`examine`, the one set-up of both). The steps are `plan_pass` (survey the span, linearise the model, decide
 what is tried), `make_pass` (make or find the Gram blocks), `begin_search` and `diagnosis_data` (what
-`inflight.diagnosis.conclude` takes).
+`inflight.diagnosis.run_search` takes).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.design import BURSTS
+from inflight.design import BURST_SETTINGS
 from inflight.diagnosis import (
     Diagnosis,
     DiagnosisData,
     Rules,
     Search,
-    conclude,
     make_library,
+    run_search,
     time_variable_columns,
 )
 from inflight.dual import JumpAttribution
@@ -32,7 +32,7 @@ from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
-    PASS,
+    PASS_SETTINGS,
     DiagnoseSettings,
     Loaded,
     PassPlan,
@@ -57,7 +57,7 @@ from inflight.tasks.archive import (
     resolves_spin,
 )
 from inflight.tasks.models import VersionedModel, current_model
-from inflight.tasks.pipelines import learns_states, units_of
+from inflight.tasks.pipelines import learns_states, spacecraft_units_of
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
@@ -135,9 +135,9 @@ def examine(
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    found, search = conclude(search, data)
+    found, search = run_search(search, data)
     report_progress("search", 1, 1)
-    units = units_of(cat, mission, settings.comparison, start, end)
+    units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
     return Examined(search, data, found, settings, facts)
 
@@ -183,7 +183,7 @@ def make_pass(
         return run, blocks, load_grams(cat, plan, blocks)
 
     run, blocks, loaded = make()
-    if loaded.outliers.share > BURSTS.largest_share:
+    if loaded.outliers.share > BURST_SETTINGS.largest_share:
         # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
         plan, dataset = replace(plan, keep_bursts=True), f"{dataset}-bursts"
         run, blocks, loaded = make()
@@ -249,7 +249,7 @@ def plan_pass(
     assert last is not None
     # A short record ends with its samples, a longer one with its days.
     span = first.first_tt2000, last.last_tt2000 + base.cadence_ns
-    if len(days) > PASS.short_days or folding is not None:
+    if len(days) > PASS_SETTINGS.short_days or folding is not None:
         span = day_bounds(days[0])[0], day_bounds(days[-1])[1]
     # Bands and turns are lost on a coarser cadence.
     platform = folding is not None or mission.comparisons[settings.comparison].kind == "platform"
@@ -302,7 +302,7 @@ def _plan(
             {"name": name, "family": "unknown", "reason": "the channel does not change"}
         )
     blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
-    correlation_s = min(PASS.correlation_time_s, length / SECOND / PASS.correlation_spans)
+    correlation_s = min(PASS_SETTINGS.correlation_time_s, length / SECOND / PASS_SETTINGS.correlation_spans)
     return PassPlan(
         model=found.model,
         library=library,

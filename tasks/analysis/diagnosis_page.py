@@ -25,17 +25,17 @@ from inflight.diagnosis import (
     Signature,
     along_field,
     before_after,
+    calibration_biases,
     cross_talk,
-    epoch,
+    error_waterfall,
     heat_maps,
     lag_profile,
     periods_of,
     residual_lines,
     responses,
-    shifts_of,
     sizes_of,
+    superposed_epoch,
     trials,
-    waterfall,
 )
 from inflight.figures import (
     Section,
@@ -47,7 +47,7 @@ from inflight.figures import (
     epoch_figure,
     facts_list,
     fold_figure,
-    found_effects,
+    found_effects_html,
     gain_change_figure,
     heat_map_figures,
     histogram_figure,
@@ -59,7 +59,7 @@ from inflight.figures import (
     paragraph,
     response_figures,
     response_legend,
-    separating_blocks,
+    separating_blocks_html,
     shift_table,
     short_name,
     strongest_pairs,
@@ -68,7 +68,7 @@ from inflight.figures import (
     waterfall_figure,
 )
 from inflight.mission import Mission
-from inflight.residual import drawn_periods, fold, format_period
+from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import examine
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.report import Progress, write_page
@@ -170,7 +170,7 @@ def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: D
     """Return the held-out error step by step, daily sizes and distributions."""
     sizes_nt = found.residual
     floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
-    steps = waterfall(search, data)
+    steps = error_waterfall(search, data)
     start, end = float(sizes_nt["held_out_before_nT"]), float(sizes_nt["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
@@ -198,13 +198,16 @@ def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
         if profile is not None:
             plots.append(lag_figure(option.name, profile, rows))
         if option.change is not None:
-            plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
+            plots += [
+                epoch_figure(short_name(option.name), superposed_epoch(seen, when))
+                for when in option.change.at
+            ]
     signature: Signature | None = found.remaining.get("signature")
     if signature is not None and signature.period_s:
         good, series = seen.good, seen.series
         seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, seen.after.shape[1])
         y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-        curve = fold(seconds, y, u, signature.period_s)
+        curve = fold_by_period(seconds, y, u, signature.period_s)
         plots.append(fold_figure(format_period(signature.period_s), *curve))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [paragraph(note, kind="quiet")] if plots else [], plots
@@ -223,7 +226,7 @@ def imitations(search: Search, found: Diagnosis) -> Section:
         for option, one, fields in zip(
             search.accepted, found.effects, found.as_json()["effects"], strict=True
         )
-        for shift in shifts_of(search, option, one.coefficients)
+        for shift in calibration_biases(search, option, one.coefficients)
         if shift.coefficient in {value["name"] for value in most_significant(fields["coefficients"])}
     ]
     text: list[str] = [
@@ -330,7 +333,7 @@ def diagnosis_sections(
     Parameters
     ----------
     search : Search
-        As `conclude` left it.
+        As `run_search` left it.
     facts : mapping, optional
         More lines of the ledger.
     """
@@ -338,7 +341,7 @@ def diagnosis_sections(
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *found_effects(fields), *separating_blocks(fields)], []),
+        ("Verdict", [strip, *found_effects_html(fields), *separating_blocks_html(fields)], []),
         where_it_fails(seen),
         what_it_follows(seen, found),
         spectrum(seen, data),

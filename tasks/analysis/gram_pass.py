@@ -25,7 +25,13 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.arrays import Floats
-from inflight.calibration import PARAMETER_GROUPS, Reference, fit_block, remove_other_effects, usable_samples
+from inflight.calibration import (
+    PARAMETER_GROUPS,
+    ParameterPrior,
+    fit_block,
+    remove_other_effects,
+    usable_samples,
+)
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.design import (
     ChannelSummary,
@@ -59,8 +65,15 @@ from inflight.tasks.archive import (
     replacement_value,
 )
 from inflight.tasks.batches import iter_results
-from inflight.tasks.pipelines import Job, Outcome, adopt_days, learns_states, make_days, register_outcome
-from inflight.tasks.pipelines.states import housekeeping_channels
+from inflight.tasks.pipelines import (
+    Job,
+    Outcome,
+    learns_states,
+    make_days,
+    register_outcome,
+    reuse_interrupted_days,
+)
+from inflight.tasks.pipelines.two_sensor import housekeeping_channels
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
 
@@ -167,7 +180,7 @@ class PassSettings:
     longest_stretch_s: int = 3 * 3600
 
 
-PASS = PassSettings()
+PASS_SETTINGS = PassSettings()
 
 #: Sums over the native samples that the reports of blocks hold.
 SUMS = (
@@ -236,7 +249,7 @@ class PassPlan:
         """Bins that become one row of the series."""
         if self.folding is not None:
             return 1
-        spacing_s = PASS.series_s if len(self.days) > PASS.long_days else 0.0
+        spacing_s = PASS_SETTINGS.series_s if len(self.days) > PASS_SETTINGS.long_days else 0.0
         return max(1, round(spacing_s * SECOND / self.cadence_ns))
 
     @property
@@ -441,7 +454,7 @@ def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.nd
     out = np.zeros(used.size, dtype=bool)
     for values in geometry.values():
         missing = ~np.isfinite(values.reshape(used.size, -1)).all(axis=1)
-        if (missing & used).sum() <= PASS.geometry_gaps * max(used.sum(), 1):
+        if (missing & used).sum() <= PASS_SETTINGS.geometry_gaps * max(used.sum(), 1):
             out |= missing
     return out
 
@@ -534,7 +547,7 @@ def make_blocks(
     if not todo:
         return "", [kept[day] for day in sorted(kept)]
     with cat.run("diagnose", settings.model_dump(), context=context) as run:
-        kept |= adopt_days(run, dataset, keys, todo)
+        kept |= reuse_interrupted_days(run, dataset, keys, todo)
         todo = [day for day in todo if day not in kept]
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
@@ -611,7 +624,7 @@ def survey(
     CalibrationError
         When no day has enough usable samples.
     """
-    places = np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int)
+    places = np.linspace(0, len(days) - 1, min(PASS_SETTINGS.surveyed_days, len(days))).round().astype(int)
     some = [days[place] for place in np.unique(places)]
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
     changing, still, kinds = {}, [], channels_of(mission)
@@ -624,7 +637,7 @@ def survey(
             continue
         low, high = np.quantile(finite, [0.05, 0.95])
         spread = float(high - low) or float(np.ptp(finite))
-        if spread <= PASS.steady * max(float(np.abs(finite).max()), 1e-300):
+        if spread <= PASS_SETTINGS.steady * max(float(np.abs(finite).max()), 1e-300):
             still.append(name)
             continue
         changing[name] = ChannelSummary(
@@ -722,7 +735,7 @@ def _linearised_spin(
     return model, tuple(base), tuple(fixed)
 
 
-def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
+def prior_of(entry: ModelEffect, tt2000: int) -> ParameterPrior:
     """Return values and prior sigmas of the nine parameters; 0 for those the model holds fixed."""
     timed = [entry.parameters[part] for part in PARAMETER_GROUPS]
     kinds = VectorSensor.parameters()
@@ -732,7 +745,9 @@ def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
         else np.zeros(3)
         for part, one in zip(PARAMETER_GROUPS, timed, strict=True)
     ]
-    return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
+    return ParameterPrior(
+        np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name
+    )
 
 
 def _calibration_term(
@@ -757,15 +772,15 @@ def _thinned_samples(
     samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
     reading, additive, scalar = remove_other_effects(model, samples)
     good = usable_samples(samples, reading, additive, scalar)
-    step = max(1, len(reading) // PASS.surveyed_samples)
+    step = max(1, len(reading) // PASS_SETTINGS.surveyed_samples)
     additive = np.broadcast_to(additive, reading.shape)
     return reading[::step], additive[::step], scalar[::step], good[::step]
 
 
 def cadence_for(span_ns: int, native_ns: int) -> int:
     """Return the library's cadence for a span: native when it is slow or the record short, nanoseconds."""
-    usual = next(seconds for days, seconds in PASS.cadences if span_ns <= days * DAY) * SECOND
-    return native_ns * max(1, int(min(usual, span_ns / PASS.rows) // native_ns))
+    usual = next(seconds for days, seconds in PASS_SETTINGS.cadences if span_ns <= days * DAY) * SECOND
+    return native_ns * max(1, int(min(usual, span_ns / PASS_SETTINGS.rows) // native_ns))
 
 
 def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int]:
@@ -774,11 +789,11 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
     A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
     some days.
     """
-    if days > PASS.most_blocks:
-        return 1, -(-days // PASS.most_blocks)
+    if days > PASS_SETTINGS.most_blocks:
+        return 1, -(-days // PASS_SETTINGS.most_blocks)
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
-    return int(np.clip(-(-PASS.target_blocks // days), 1, most)), 1
+    return int(np.clip(-(-PASS_SETTINGS.target_blocks // days), 1, most)), 1
 
 
 def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
@@ -788,7 +803,7 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
     chosen = (
         [
             names[place]
-            for place in np.unique(np.linspace(0, len(names) - 1, PASS.placebos).round().astype(int))
+            for place in np.unique(np.linspace(0, len(names) - 1, PASS_SETTINGS.placebos).round().astype(int))
         ]
         if names
         else []
@@ -845,7 +860,7 @@ def stretches_between(found: JumpAttribution, plan: PassPlan) -> Stretches:
     """
     half = plan.cadence_ns * plan.series_step // 2
     lost = tuple(zip((found.last + half).tolist(), (found.first - half).tolist(), strict=True))
-    step = PASS.longest_stretch_s * SECOND
+    step = PASS_SETTINGS.longest_stretch_s * SECOND
     regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
     middle = found.last + (found.first - found.last) // 2
     return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)

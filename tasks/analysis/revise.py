@@ -33,10 +33,10 @@ from inflight.diagnosis import (
     addition_of,
     addition_of_entry,
     best_lag,
-    conclude,
     find_request,
     neutral_changes,
     row_variance,
+    run_search,
     time_variable_columns,
     values_of,
 )
@@ -59,7 +59,7 @@ from inflight.tasks.models import (
     version_before_change,
     version_with_gram_blocks,
 )
-from inflight.tasks.pipelines import units_of
+from inflight.tasks.pipelines import spacecraft_units_of
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
 
@@ -484,7 +484,7 @@ class Workbench:
         self._restore()
         context = diagnosis_data(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
-        return conclude(begin_search(self.made, self.settings), replace(context, model=model))
+        return run_search(begin_search(self.made, self.settings), replace(context, model=model))
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""
@@ -560,7 +560,7 @@ def diagnose_span(
         fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
     else:
         fields = bench.diagnose().as_json()
-    units = units_of(bench.cat, mission, settings.comparison, start, end)
+    units = spacecraft_units_of(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
     save_diagnosis(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})

@@ -4,7 +4,7 @@
 simulated mission. `needs_of` lists the series that a model's samples are made from, `ArchiveIndex` the
 archived days that hold them, and `load_samples` reads and aligns a day. Open `inputs.py` first, then
 `samples.py`; `channels.py` gives every channel of a mission at the cadence of the search, `ingestion.py` and
-`deliveries.py` handle files.
+`simulated_deliveries.py` handle files.
 """
 
 import lazy_loader

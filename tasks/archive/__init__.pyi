@@ -7,11 +7,10 @@ from .channels import (
     replacement_value,
     resolves_spin,
 )
-from .deliveries import SECOND_FLUXGATE, simulate
 from .ingestion import ingest
 from .inputs import (
     AMBIENT,
-    INPUTS,
+    INPUT_SETTINGS,
     SPIN_AXIS,
     ArchiveIndex,
     Need,
@@ -40,10 +39,11 @@ from .samples import (
     substitution_problems,
     substitution_report,
 )
+from .simulated_deliveries import SECOND_FLUXGATE, simulate
 
 __all__ = [
     "AMBIENT",
-    "INPUTS",
+    "INPUT_SETTINGS",
     "SECOND_FLUXGATE",
     "SPIN_AXIS",
     "SPIN_FAULTS",

@@ -21,7 +21,7 @@ from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.residual import piecewise_mean
 from inflight.samples import ChannelFactor, Folding, channel_product, fold_series, parse_channel
-from inflight.tasks.archive.inputs import INPUTS, ArchiveIndex, Need, channels_by_name, clock_of
+from inflight.tasks.archive.inputs import INPUT_SETTINGS, ArchiveIndex, Need, channels_by_name, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
 from inflight.time import SECOND, Int64, day_bounds
 
@@ -30,7 +30,7 @@ def resolves_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
     """Return True when a channel of a cadence shows what goes with a spin comparison's spin."""
     if folding_of(mission, comparison) is None:
         return False
-    return INPUTS.readings_per_turn * cadence_ns <= mission.periods["spin"]
+    return INPUT_SETTINGS.readings_per_turn * cadence_ns <= mission.periods["spin"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ class ChannelReader:
     def day(self, day: np.datetime64) -> dict[str, Floats]:
         """Return every channel of a day on its bins; NaN where there is nothing."""
         if day not in self._read:
-            while len(self._read) >= INPUTS.cached_days:
+            while len(self._read) >= INPUT_SETTINGS.cached_days:
                 self._read.pop(next(iter(self._read)))
             self._read[day] = self._load(day)
         return self._read[day]
@@ -250,7 +250,7 @@ class DerivedChannels:
     def _from_orbit(self, day: np.datetime64, name: str) -> Floats:
         """Return what geometry makes of the orbit of a day."""
         if day not in self._by_orbit:
-            while len(self._by_orbit) >= INPUTS.cached_days:
+            while len(self._by_orbit) >= INPUT_SETTINGS.cached_days:
                 self._by_orbit.pop(next(iter(self._by_orbit)))
             self._by_orbit[day] = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
         return np.asarray(self._by_orbit[day][name].values, dtype=np.float64)

@@ -64,7 +64,7 @@ class IngestSettings:
     longest_name_span: int = 366
 
 
-INGEST = IngestSettings()
+INGEST_SETTINGS = IngestSettings()
 
 Problem = dict[str, str]
 
@@ -233,7 +233,7 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
     if first is None:
         return ()
     last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
-    return tuple(str(day) for day in day_range(first, last + 1)[: INGEST.longest_name_span])
+    return tuple(str(day) for day in day_range(first, last + 1)[: INGEST_SETTINGS.longest_name_span])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,7 +276,7 @@ def days_of_batch(instrument: Instrument) -> int:
     """Return how many days of an instrument fit `INGEST.batch_bytes`, at least 1."""
     numbers = sum(max(1, len(channel.axis_names)) for channel in instrument.channels.values())
     per_day = 86_400_000_000_000 / instrument.cadence * (12 + 8 * numbers)
-    return int(np.clip(INGEST.batch_bytes // per_day, 1, INGEST.most_days))
+    return int(np.clip(INGEST_SETTINGS.batch_bytes // per_day, 1, INGEST_SETTINGS.most_days))
 
 
 def make_batch(job: BatchJob) -> BatchResult:

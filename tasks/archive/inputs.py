@@ -62,7 +62,7 @@ class InputSettings:
     cached_days: int = 12
 
 
-INPUTS = InputSettings()
+INPUT_SETTINGS = InputSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ class Need:
     @property
     def margin_ns(self) -> int:
         """How much of the neighbouring days a day is made with."""
-        return INPUTS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
+        return INPUT_SETTINGS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
 def channels_by_name(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -399,8 +399,8 @@ class ArchiveIndex:
             channels = source.report.get("channels", {})
             return float(channels.get(need.channel, {}).get("coverage", 1.0))
 
-        far = INPUTS.typical_value_days + 1
-        for least in (INPUTS.least_coverage, np.finfo(float).tiny):
+        far = INPUT_SETTINGS.typical_value_days + 1
+        for least in (INPUT_SETTINGS.least_coverage, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
                 found = []
                 for side in sides:

@@ -32,15 +32,15 @@ from inflight.model import (
     EffectSubstitution,
     Model,
     SubstitutedSamples,
-    Typical,
+    TypicalValue,
     folding_of,
     missing_rows,
     substitute,
 )
-from inflight.samples import FIELD_ROLES, ChannelFactor, align, channel_product, fold, parse_channel
+from inflight.samples import FIELD_ROLES, ChannelFactor, align, channel_product, fold_spins, parse_channel
 from inflight.spin import PhaseFault, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
-    INPUTS,
+    INPUT_SETTINGS,
     SPIN_AXIS,
     SPIN_PHASE,
     ArchiveIndex,
@@ -177,7 +177,7 @@ def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
         found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
     if cache is not None:
         cache[key] = found
-        if len(cache) > INPUTS.cached_channels:
+        if len(cache) > INPUT_SETTINGS.cached_channels:
             cache.popitem(last=False)
     return found
 
@@ -261,7 +261,7 @@ def substitute_missing(
     return substitute(model, samples, typical, ranges, missing)
 
 
-def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetime64) -> Typical | None:
+def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetime64) -> TypicalValue | None:
     """Return what a channel usually reads, from days of the archive; None when they have too few values."""
     if not days:
         return None
@@ -269,7 +269,7 @@ def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetim
     values = np.concatenate([np.asarray(data[need.channel].values, dtype=np.float64) for data in read])
     stamps = np.concatenate([data["tt2000"].values for data in read])
     origin = [source.day for source in days]
-    return Typical.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
+    return TypicalValue.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
 
 
 def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: float) -> dict[str, Any]:
@@ -484,7 +484,7 @@ def load_samples(
     xarray.Dataset
         Samples of `inflight.align`, cut to the UTC day; attitude and position under these names,
         derived channels under theirs, and what `inflight.frames.add_geometry` makes of them. Those of
-        a spin comparison have `spin_phase`, and are folded (`inflight.samples.spin_folding.fold`).
+        a spin comparison have `spin_phase`, and are folded (`inflight.samples.spin_folding.fold_spins`).
 
     Raises
     ------
@@ -522,7 +522,7 @@ def load_samples(
         samples = add_geometry(samples, geometry_names)
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
-    return samples if folding is None else fold(samples, folding, (start, end))
+    return samples if folding is None else fold_spins(samples, folding, (start, end))
 
 
 def _present(

@@ -9,10 +9,9 @@ from .base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     TextLine,
     Versions,
-    adopt_days,
     blocks_of,
     make_days,
     newest_table,
@@ -20,18 +19,19 @@ from .base import (
     published_products,
     register_outcome,
     residual_of_days,
+    reuse_interrupted_days,
     window_edges,
 )
-from .check import check_pipeline
+from .conformance import check_pipeline
 from .registry import (
     PIPELINES,
     find_pipeline,
     learns_states,
     pipeline_of,
     reprocess,
+    spacecraft_units_of,
     table_sections,
     tables_report,
-    units_of,
 )
 from .scalar import load_equations
 
@@ -47,10 +47,9 @@ __all__ = [
     "Report",
     "ReprocessSettings",
     "Reprocessing",
-    "Solved",
+    "TablesToPublish",
     "TextLine",
     "Versions",
-    "adopt_days",
     "blocks_of",
     "check_pipeline",
     "find_pipeline",
@@ -64,8 +63,9 @@ __all__ = [
     "register_outcome",
     "reprocess",
     "residual_of_days",
+    "reuse_interrupted_days",
+    "spacecraft_units_of",
     "table_sections",
     "tables_report",
-    "units_of",
     "window_edges",
 ]

@@ -10,12 +10,12 @@ from inflight.errors import MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
-from inflight.tasks.pipelines.base import Pipeline, Report, ReprocessSettings, carry_out
-from inflight.tasks.pipelines.mission import MissionPipeline
-from inflight.tasks.pipelines.relation import RelationPipeline
+from inflight.tasks.pipelines.base import Pipeline, Report, ReprocessSettings, run_plan
+from inflight.tasks.pipelines.intercalibration import RelationPipeline
+from inflight.tasks.pipelines.mission_fit import MissionPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.pipelines.spin import SpinPipeline
-from inflight.tasks.pipelines.states import StatesPipeline
+from inflight.tasks.pipelines.two_sensor import StatesPipeline
 from inflight.tasks.report import Progress, RunReport
 from inflight.time import DayLike
 
@@ -112,7 +112,7 @@ def reprocess(
     settings = settings or ReprocessSettings()
     pipeline = pipeline_of(mission, settings.comparison, settings)
     planned = pipeline.make_plan(cat, mission, settings, (start, end))
-    return carry_out(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
+    return run_plan(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
 
 
 def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
@@ -154,7 +154,7 @@ def learns_states(mission: Mission, comparison: str) -> bool:
     return found is not None and found.learns_states
 
 
-def units_of(
+def spacecraft_units_of(
     cat: Catalog,
     mission: Mission,
     comparison: str,

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.calibration import BlockFit, Reference, fit_block
+from inflight.calibration import BlockFit, ParameterPrior, fit_block
 
 #: Parameters of a sensor that errs by as much as CHAMP's did (Yin 2010, section 3.2), of either sign.
 TRUTH = np.array([1.00132, 0.99885, 1.00207, 90.026, 89.941, 90.038, 26.97, -19.84, 21.63])
 IDEAL = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 3)
 PRIOR_SIGMA = np.array([0.005] * 3 + [0.5] * 3 + [100.0] * 3)
-PRIOR = Reference(IDEAL, PRIOR_SIGMA)
+PRIOR = ParameterPrior(IDEAL, PRIOR_SIGMA)
 
 
 def polar_orbit(count: int = 4320, cadence_s: float = 20.0, day: int = 0) -> np.ndarray:
@@ -62,7 +62,7 @@ class Measured:
     reading: np.ndarray
     scalar: np.ndarray
 
-    def fit(self, prior: Reference = PRIOR, good: np.ndarray | None = None, **options: int) -> BlockFit:
+    def fit(self, prior: ParameterPrior = PRIOR, good: np.ndarray | None = None, **options: int) -> BlockFit:
         use = np.ones(self.scalar.size, dtype=bool) if good is None else good
         return fit_block(self.reading, np.zeros((1, 3)), self.scalar, use, prior, **options)
 

@@ -8,12 +8,12 @@ from calibration_cases import IDEAL, PRIOR_SIGMA, TRUTH, Measured, ar1, measure,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.calibration import NormalEquations, Reference, fit_block
+from inflight.calibration import NormalEquations, ParameterPrior, fit_block
 from inflight.errors import CalibrationError
 from inflight.time import DAY
 
-NEAR = Reference(TRUTH + np.array([1e-5] * 3 + [1e-3] * 3 + [0.3] * 3), PRIOR_SIGMA)
-PRIOR = Reference(IDEAL, PRIOR_SIGMA)
+NEAR = ParameterPrior(TRUTH + np.array([1e-5] * 3 + [1e-3] * 3 + [0.3] * 3), PRIOR_SIGMA)
+PRIOR = ParameterPrior(IDEAL, PRIOR_SIGMA)
 FIELDS = [polar_orbit(1440, 60.0, day) for day in range(12)]
 ATTRIBUTES = {"comparison": "main", "model": "m", "filter": "raw", "cadence_ns": 60 * 10**9}
 
@@ -113,7 +113,7 @@ def test_a_residual_at_another_reference_is_the_residual_there():
     there = NEAR.value + np.array([2e-6] * 3 + [2e-4] * 3 + [0.05] * 3)
     good = np.ones(1440, dtype=bool)
     direct = fit_block(
-        measured.reading, np.zeros((1, 3)), measured.scalar, good, Reference(there, PRIOR_SIGMA), PRIOR
+        measured.reading, np.zeros((1, 3)), measured.scalar, good, ParameterPrior(there, PRIOR_SIGMA), PRIOR
     )
     gram, count = equations.at(there).dataset["gram"].values[0], float(equations.dataset["count"][0])
     assert np.sqrt(gram[-1, -1] / count) == pytest.approx(direct.before, rel=1e-3)

@@ -5,7 +5,7 @@ import pytest
 from calibration_cases import IDEAL, PRIOR, PRIOR_SIGMA, TRUTH, ar1, matrix_of, measure, polar_orbit
 from scipy.optimize import least_squares
 
-from inflight.calibration import Reference, sub_block_count
+from inflight.calibration import ParameterPrior, sub_block_count
 from inflight.errors import CalibrationError
 
 ORBIT = polar_orbit()
@@ -91,7 +91,7 @@ def test_few_sub_blocks_make_no_overconfident_sigma(parts):
 
 def test_the_residual_is_told_as_large_as_it_is_however_far_the_prior_is():
     noise = np.random.default_rng(0).normal(0, 0.2, len(ORBIT))
-    near = Reference(TRUTH, PRIOR_SIGMA)
+    near = ParameterPrior(TRUTH, PRIOR_SIGMA)
     m = measure(ORBIT, TRUTH, noise)
     far, close = m.fit(), m.fit(near)
     assert far.after == pytest.approx(close.after, rel=1e-4)
@@ -214,7 +214,7 @@ def test_a_prior_sigma_of_zero_fixes_a_parameter_exactly(fixed):
     free = np.setdiff1d(np.arange(9), fixed)
     start[free] = IDEAL[free]
     noise = np.random.default_rng(2).normal(0, 0.1, len(ORBIT))
-    fit = measure(ORBIT, TRUTH, noise).fit(Reference(start, sigma))
+    fit = measure(ORBIT, TRUTH, noise).fit(ParameterPrior(start, sigma))
     assert np.array_equal(fit.value[fixed], TRUTH[fixed])
     assert np.all(fit.sigma[fixed] == 0.0)
     assert not fit.solution.determined[fixed].any()
@@ -222,7 +222,7 @@ def test_a_prior_sigma_of_zero_fixes_a_parameter_exactly(fixed):
 
 
 def test_all_parameters_fixed_is_no_fit_and_no_error():
-    fit = measure(ORBIT, TRUTH, 0.1).fit(Reference(TRUTH, np.zeros(9)))
+    fit = measure(ORBIT, TRUTH, 0.1).fit(ParameterPrior(TRUTH, np.zeros(9)))
     assert np.array_equal(fit.value, TRUTH)
     assert fit.before == pytest.approx(0.1, rel=1e-6)
 
@@ -233,7 +233,7 @@ def test_a_tight_prior_holds_a_parameter_that_the_data_tell_worse():
     near = TRUTH.copy()
     near[8] += 1e-4
     noise = np.random.default_rng(2).normal(0, 0.2, len(ORBIT))
-    fit = measure(ORBIT, TRUTH, noise).fit(Reference(near, sigma))
+    fit = measure(ORBIT, TRUTH, noise).fit(ParameterPrior(near, sigma))
     assert abs(fit.value[8] - near[8]) < 1e-4
     assert not fit.solution.determined[8]
 

@@ -15,7 +15,7 @@ from inflight.mission_fit import MissionFit, fit_mission, free_terms, switched_c
 from inflight.mission_fit.daily_equations import split_auxiliary
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.model import Model
-from inflight.scorecard import Scene
+from inflight.scorecard import SimulatedDays
 from inflight.time import SECOND
 
 MISSION = Mission.parse((Path(__file__).parents[2] / "missions" / "champ.yaml").read_text(encoding="utf-8"))
@@ -41,7 +41,7 @@ TEMPERATURE = """
     quadratic: {unit: 1/K^2, value: [4.0e-8, 4.0e-8, 4.0e-8], sigma: [1.0e-8, 1.0e-8, 1.0e-8]}
     reference: {unit: degC, value: 10.0, free: false}
 """
-SCENE = Scene()
+SCENE = SimulatedDays()
 KNOWN = 30e-6, 4e-8
 #: What follows the temperature in truth: 1/K and 1/K^2.
 LINEAR, QUADRATIC = np.array([30.2e-6, 29.7e-6, 30.1e-6]), np.array([4.5e-8, 4e-8, 3.5e-8])

@@ -9,9 +9,9 @@ import numpy as np
 from inflight.calibration import NormalEquations, block_equations, concat_equations, nine_columns
 from inflight.mission_fit import switched_columns
 from inflight.mission_fit.day_night import series_columns
-from inflight.scorecard import OrbitDay, Scene
+from inflight.scorecard import OrbitDay, SimulatedDays
 
-SCENE = Scene()
+SCENE = SimulatedDays()
 #: Wide enough to leave the data alone.
 PRIOR_SIGMA = np.array([0.01] * 3 + [1.0] * 3 + [100.0] * 3)
 NOON, MIDNIGHT = 2852, 2979

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import PARAMETER_GROUPS, Reference, fit_block
+from inflight.calibration import PARAMETER_GROUPS, ParameterPrior, fit_block
 from inflight.design import ChannelSummary, DesignRows, Library, Term, coarsen, design_matrix, sensor_matrices
 from inflight.diagnosis import (
     Diagnosis,
@@ -23,10 +23,10 @@ from inflight.diagnosis import (
     Search,
     Series,
     TimeVariableColumns,
-    conclude,
     features_of,
     make_library,
     pack_blocks,
+    run_search,
     thin_rows,
 )
 from inflight.frames import GEOMETRY, add_geometry
@@ -384,7 +384,7 @@ class Case:
 
     def diagnose(self, residual: int = 0, without: Sequence[str] = (), **rules: float) -> Diagnosis:
         """Return the diagnosis of one residual."""
-        return conclude(self.search(residual, without, **rules), self.material(residual))[0]
+        return run_search(self.search(residual, without, **rules), self.material(residual))[0]
 
 
 def alone(evidence: GramArrays, residual: int) -> GramArrays:
@@ -435,7 +435,7 @@ def linearised(model: Model, readings: Readings) -> tuple[Model, tuple[Term, ...
     (entry,) = model.effects
     timed = [entry.parameters[part] for part in PARAMETER_GROUPS]
     sigma = np.concatenate([one.sigma[:, 0] for one in timed])
-    prior = Reference(np.concatenate([one.value[:, 0] for one in timed]), sigma)
+    prior = ParameterPrior(np.concatenate([one.value[:, 0] for one in timed]), sigma)
     good = np.ones(readings.scalar.size, dtype=bool)
     value = fit_block(readings.vector, np.zeros((1, 3)), readings.scalar, good, prior).value
     fixed = {

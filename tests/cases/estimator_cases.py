@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import NormalEquations, Reference, fit_block
+from inflight.calibration import NormalEquations, ParameterPrior, fit_block
 from inflight.time import from_mjd2000
 
 NINE = [f"vector_sensor.scale_factor[{axis}]" for axis in "xyz"]
@@ -73,7 +73,7 @@ def day_equations(mjd, nine, generator, noise=0.1, shift=0.0):
     strength = np.linalg.norm(field, axis=1)
     reading = np.linalg.solve(matrix_of(nine), field.T).T + nine[6:]
     scalar = strength + noise * generator.normal(size=strength.size) + shift * np.gradient(strength, 120.0)
-    reference = Reference(nine_at(1000.0), PRIOR_SIGMA)
+    reference = ParameterPrior(nine_at(1000.0), PRIOR_SIGMA)
     good = np.ones(strength.size, dtype=bool)
     fit = fit_block(reading, np.zeros((1, 3)), scalar, good, reference, sub_blocks=24)
     span = tuple(int(edge) for edge in from_mjd2000(np.array([mjd, mjd + 1.0])))

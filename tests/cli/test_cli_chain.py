@@ -25,11 +25,11 @@ def shared_cluster():
 def finished(shared_cluster, tmp_path_factory) -> Path:
     """A workspace with two calibrated days; tests that change it take a copy."""
     from inflight.catalog import Workspace
-    from inflight.flows import run_plain
+    from inflight.flows import run_without_prefect
 
     root = make_tiny_workspace(tmp_path_factory.mktemp("chain") / "tiny")
     for name in ("ingest", "reprocess"):
-        assert run_plain(name, Workspace.open(root), {}).exit_code == 0
+        assert run_without_prefect(name, Workspace.open(root), {}).exit_code == 0
     return root
 
 

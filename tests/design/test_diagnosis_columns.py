@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
-from inflight.calibration import PARAMETER_SCALE, kernel_parameters, kernel_scale
+from inflight.calibration import PARAMETER_SCALE, kernel_scale, matrix_parameters
 from inflight.calibration.scalar import _fill
 from inflight.design import DesignRows, Term, design_matrix, sensor_matrices, term_of
 from inflight.design.columns import term_columns
@@ -127,7 +127,7 @@ def test_the_nine_columns_are_the_calibrations_own(flown):
     reading = np.asarray(samples["vector"].values, dtype=np.float64)
     scalar = np.asarray(samples["scalar"].values, dtype=np.float64)
     expected = np.empty((len(reading), 10))
-    theta, scale = kernel_parameters(values), kernel_scale(values)
+    theta, scale = matrix_parameters(values), kernel_scale(values)
     _fill(expected, theta, reading, np.zeros((1, 3)), scalar, np.inf, scale, 0)
     np.testing.assert_allclose(term.scale, PARAMETER_SCALE)
     size = np.abs(expected[:, :9]).max(axis=0)

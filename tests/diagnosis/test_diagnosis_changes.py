@@ -120,7 +120,9 @@ def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
 
 def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
     apart = stepped().search(draws=50).table()
-    monkeypatch.setattr("inflight.diagnosis.time_changes.CHANGES", ChangeSettings(batch_columns=10_000))
+    monkeypatch.setattr(
+        "inflight.diagnosis.time_changes.CHANGE_SETTINGS", ChangeSettings(batch_columns=10_000)
+    )
     whole = stepped().search(draws=50).table()
     assert {one.name for one in apart.options} == {one.name for one in whole.options}
     place = {one.name: at for at, one in enumerate(whole.options)}

@@ -5,7 +5,7 @@ import pytest
 from row_cases import DAY_NS
 
 from inflight.diagnosis import ModelColumns, make_folds
-from inflight.diagnosis.candidates import BANK
+from inflight.diagnosis.candidates import BANK_SETTINGS
 from inflight.diagnosis.refine import lag_weights, profile_lag
 from inflight.lsq import GramArrays
 from inflight.samples import slow_response
@@ -36,13 +36,15 @@ def test_neighbours_of_a_bank_of_threefold_steps_respond_as_lags_between_them(la
 @pytest.mark.parametrize("lag", BETWEEN)
 def test_neighbours_of_the_librarys_bank_respond_nearly_as_lags_between_them(lag):
     """Its steps are fourfold: up to 7 % of a column is missed, and a refined lag is off by as much."""
-    assert mixed_up(lag, BANK.lags) < 0.075
+    assert mixed_up(lag, BANK_SETTINGS.lags) < 0.075
 
 
-@pytest.mark.parametrize("lag", BANK.lags)
+@pytest.mark.parametrize("lag", BANK_SETTINGS.lags)
 def test_a_lag_of_the_bank_is_its_own_column(lag):
     np.testing.assert_allclose(
-        lag_weights(lag, BANK.lags) @ np.array([one == lag for one in BANK.lags]), 1.0, atol=0.02
+        lag_weights(lag, BANK_SETTINGS.lags) @ np.array([one == lag for one in BANK_SETTINGS.lags]),
+        1.0,
+        atol=0.02,
     )
 
 
@@ -54,16 +56,17 @@ def lag_case(lag, size, seed, noise=0.09):
     angle = 2 * np.pi * np.arange(count) * STEP_S / 5600.0
     turning = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     bank = {
-        one: (slow_response(channel, STEP_S, one) if one else channel)[:, None] * turning for one in BANK.lags
+        one: (slow_response(channel, STEP_S, one) if one else channel)[:, None] * turning
+        for one in BANK_SETTINGS.lags
     }
     truth = (slow_response(channel, STEP_S, lag) if lag else channel)[:, None] * turning @ size
     y = -truth + g.normal(0, noise, count) + 0.3 * turning[:, 0]
     values = np.column_stack([turning, *bank.values(), y]).reshape(BLOCKS, 1440, -1)
-    names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(BANK.lags))), "residual")
+    names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(BANK_SETTINGS.lags))), "residual")
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
     evidence = GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
-    places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(BANK.lags)}
+    places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(BANK_SETTINGS.lags)}
     return evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), places
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inflight.diagnosis.signature import AXES, SIGNATURES, signature_of
+from inflight.diagnosis.signature import AXES, SIGNATURE_SETTINGS, signature_of
 from inflight.residual import (
-    SPECTRA,
-    fold,
+    SPECTRUM_SETTINGS,
+    classify_waveform,
+    fold_by_period,
     known_periods,
     record_lines,
-    shape_of,
     strongest_new,
     waveform_of,
 )
@@ -40,7 +40,7 @@ def square(seconds, period, duty, phase=0.3):
 def lines_of(tt2000, y, direction, weight, orbit=ORBIT_S):
     """Return the spectrum of a record and the lines in it."""
     record = tt2000 / SECOND, np.where(weight[:, None] > 0, y, np.nan), direction
-    whole = replace(SPECTRA, shortest_s=SIGNATURES.least_samples * STEP_S)
+    whole = replace(SPECTRUM_SETTINGS, shortest_s=SIGNATURE_SETTINGS.least_samples * STEP_S)
     return record_lines(record, STEP_S, known_periods({}, orbit), settings=whole)
 
 
@@ -169,7 +169,7 @@ def test_a_fold_gives_the_field_of_each_phase():
     _, seconds, direction = turning(20)
     u = direction[:, 0]
     field = along("z", square(seconds, SWITCH_S, 0.5, 0.0))
-    curve, sigma = fold(seconds, np.einsum("ta,ta->t", u, field), u, SWITCH_S)
+    curve, sigma = fold_by_period(seconds, np.einsum("ta,ta->t", u, field), u, SWITCH_S)
     assert np.ptp(curve[:, 2]) == pytest.approx(1.0, abs=0.02)
     assert np.ptp(curve[:, 0]) < 0.05
     assert np.isfinite(sigma).all()
@@ -178,8 +178,8 @@ def test_a_fold_gives_the_field_of_each_phase():
 @pytest.mark.parametrize("duty", [0.3, 0.5, 0.7])
 def test_the_shape_of_a_clean_square_wave_is_read_with_its_duty(duty):
     phase = (np.arange(24) + 0.5) / 24
-    shape, read = shape_of(1.0 * (phase < duty), np.full(24, 0.01))
+    shape, read = classify_waveform(1.0 * (phase < duty), np.full(24, 0.01))
     assert shape == "square"
     assert read == pytest.approx(duty, abs=0.03)
-    assert shape_of(np.sin(2 * np.pi * phase), np.full(24, 0.01)) == ("sine", None)
-    assert shape_of(phase, np.full(24, 0.01))[0] == "other"
+    assert classify_waveform(np.sin(2 * np.pi * phase), np.full(24, 0.01)) == ("sine", None)
+    assert classify_waveform(phase, np.full(24, 0.01))[0] == "other"

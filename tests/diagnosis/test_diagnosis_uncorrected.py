@@ -9,7 +9,7 @@ import xarray as xr
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, flight_of, read
 
 from inflight.design import DesignRows
-from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin_rows
+from inflight.diagnosis import Features, Series, features_of, pack_blocks, run_search, thin_rows
 from inflight.diagnosis.residual import (
     correctable_grams,
     held_out_rms,
@@ -61,7 +61,7 @@ def told_of(with_gaps):
     material = case.material()
     if with_gaps:
         material = replace(material, series=replace(material.series, missing={"heater_current": lost}))
-    return conclude(case.search(draws=500), material)[0]
+    return run_search(case.search(draws=500), material)[0]
 
 
 def test_rows_without_the_channel_of_an_effect_count_as_no_error_and_no_structure():

@@ -11,7 +11,7 @@ from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, choose
 from inflight.dual.correction import slow_part
 from inflight.dual.geometry import dipole_matrix, matrices_of_any_boom, matrix_prior
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
-from inflight.dual.held_out import HELD_OUT, SlopeObservation, SlopePrior, best_part
+from inflight.dual.held_out import HELD_OUT_SETTINGS, SlopeObservation, SlopePrior, best_part
 from inflight.dual.mixing import SecondMoments
 from inflight.time import SECOND
 
@@ -194,7 +194,7 @@ def test_slow_scales_that_may_do_harm_are_left_alone():
     ).posterior(SlopeObservation.none())
     assert best_part(posterior, constant_known=False).seconds == 100.0
     whole, quick = (posterior.risk(part) for part in (WHOLE, AppliedPart(1.0, 100.0)))
-    assert quick < HELD_OUT.most_risk < whole
+    assert quick < HELD_OUT_SETTINGS.most_risk < whole
     assert best_part(posterior, constant_known=True) == WHOLE
 
 

@@ -8,7 +8,7 @@ import pytest
 from inflight.dual import Body
 from inflight.dual.geometry import matrices_near_inboard
 from inflight.dual.gradiometer import fit_forms
-from inflight.dual.noise import SLOW_NOISE, draw_slow_noise
+from inflight.dual.noise import SLOW_NOISE_SETTINGS, draw_slow_noise
 from inflight.dual.readings import contrasts, running_sums
 from tests.dual.hard_cases import WORSE, body, case, inside, make, outcome, units
 
@@ -68,7 +68,7 @@ def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom()
 def test_sensors_wander_as_flicker_noise_along_a_line_and_as_a_walk():
     count = 4096
     own = draw_slow_noise(count, 200)
-    assert own.flicker.std() == pytest.approx(SLOW_NOISE.flicker, rel=0.01)
+    assert own.flicker.std() == pytest.approx(SLOW_NOISE_SETTINGS.flicker, rel=0.01)
     octaves = [
         np.mean(contrasts(running_sums(own.flicker), block)[0] ** 2) / block for block in (4, 16, 64, 256)
     ]

@@ -11,11 +11,11 @@ from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
+    CalibrationBias,
     CrossTalk,
+    ErrorContribution,
     HeatMap,
     LagProfile,
-    Shift,
-    Step,
     Trial,
 )
 from inflight.figures import (
@@ -45,7 +45,7 @@ from inflight.figures import (
 from inflight.figures.diagnosis import MEANING, explained
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import bare_parameter
-from inflight.residual import Curve, FieldResponse, Power, find_lines
+from inflight.residual import Curve, FieldResponse, SpectrumSum, find_lines
 from inflight.time import day_bounds
 
 NAN = float("nan")
@@ -238,7 +238,7 @@ def spectrum_with(peak):
     frequency = np.linspace(0, 0.025, 1001)[1:]
     total = np.ones((4, 1000))
     total[3, peak - 1] = 100.0
-    return Power(frequency, 4.0 * total, 4, 4.0 * np.ones(4))
+    return SpectrumSum(frequency, 4.0 * total, 4, 4.0 * np.ones(4))
 
 
 def unexplained_peaks(found, known, axis):
@@ -331,8 +331,8 @@ def test_the_drop_plot_tells_falling_from_rising():
 
 
 STEPS = [
-    Step("day_night", "day_night", 0.2, 0.12, 0.02, 0.01),
-    Step("drift", "ageing", 0.12, 0.1, 0.001, 0.004),
+    ErrorContribution("day_night", "day_night", 0.2, 0.12, 0.02, 0.01),
+    ErrorContribution("drift", "ageing", 0.12, 0.1, 0.001, 0.004),
 ]
 
 
@@ -389,7 +389,7 @@ def test_the_strongest_pairs_are_between_effects_and_signed():
 
 def test_shifts_are_told_in_the_units_of_the_calibration():
     shifts = {"v.scale_factor[x]": 1e-6, "v.misalignment[xy]": 1 / 3600, "v.offset[x]": 0.5}
-    html = whole(shift_table([Shift("day_night", "vector[z]", "nT", 0.6, shifts)]))
+    html = whole(shift_table([CalibrationBias("day_night", "vector[z]", "nT", 0.6, shifts)]))
     for told in ("(ppm)", "(arcsec)", "(nT)", "+1<", "+0.5<", "day_night vector z = 0.6 nT"):
         assert told in html
     assert shift_table([]) == ""

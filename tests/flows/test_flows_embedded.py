@@ -9,7 +9,7 @@ from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import CatalogError, ContentError, SettingsError, StorageError
-from inflight.flows import run_embedded, run_plain, runner
+from inflight.flows import run_with_prefect, run_without_prefect, runner
 from inflight.flows.span import month_span
 
 pytestmark = pytest.mark.usefixtures("shared_cluster")
@@ -18,13 +18,13 @@ pytestmark = pytest.mark.usefixtures("shared_cluster")
 @pytest.fixture(scope="module")
 def by_flow(embedded, shared_cluster, tmp_path_factory) -> Workspace:
     """A workspace taken through the chain by flows; the told progress lies beside it."""
-    return taken_through(tmp_path_factory.mktemp("flow") / "tiny", run_embedded)
+    return taken_through(tmp_path_factory.mktemp("flow") / "tiny", run_with_prefect)
 
 
 @pytest.fixture(scope="module")
 def by_hand(shared_cluster, tmp_path_factory) -> Workspace:
     """The same by the plain functions."""
-    return taken_through(tmp_path_factory.mktemp("hand") / "tiny", run_plain)
+    return taken_through(tmp_path_factory.mktemp("hand") / "tiny", run_without_prefect)
 
 
 def taken_through(root: Path, run) -> Workspace:
@@ -66,21 +66,21 @@ def test_progress_is_told_for_every_stage_to_its_end(by_flow):
 def test_a_second_run_changes_nothing(by_flow):
     before = [day.version for day in Catalog(by_flow.root).days("l2/field")]
     settings = {"settings": {"batch_days": 1}}
-    report = run_embedded("backfill", by_flow, {"start": "2024-03-01", "end": "2024-03-04", **settings})
+    report = run_with_prefect("backfill", by_flow, {"start": "2024-03-01", "end": "2024-03-04", **settings})
     assert report.days["unchanged"] == 3
     assert report.days["done"] == 0
     assert [day.version for day in Catalog(by_flow.root).days("l2/field")] == before
 
 
 def test_a_late_delivery_costs_only_its_own_day(embedded, tmp_path):
-    workspace = taken_through(tmp_path / "late", run_plain)
+    workspace = taken_through(tmp_path / "late", run_without_prefect)
     late = workspace.data / "turning_20240302.csv"
     lines = late.read_text(encoding="utf-8").splitlines()
     late.write_text("\n".join([*lines[:700], *lines[703:]]) + "\n", encoding="utf-8")
     settings = {"settings": {"batch_days": 1, "table": "daily"}}
-    run_plain("reprocess", workspace, settings)
+    run_without_prefect("reprocess", workspace, settings)
     span = {"start": "2024-03-02", "end": "2024-03-03"}
-    report = run_embedded("backfill", workspace, {**span, **settings})
+    report = run_with_prefect("backfill", workspace, {**span, **settings})
     assert report.extra["ingest"]["days"]["done"] == 1
     assert report.days["done"] == 1
 
@@ -88,13 +88,13 @@ def test_a_late_delivery_costs_only_its_own_day(embedded, tmp_path):
 def test_a_month_is_closed_by_its_flow_and_no_other_day_is_touched(embedded, tmp_path):
     workspace = Workspace.open(make_tiny_workspace(tmp_path / "month", days=2))
     settings = {"settings": {"table": "monthly", "batch_days": 1}}
-    report = run_embedded("monthly", workspace, {"month": "2024-03", **settings}, workers=1)
+    report = run_with_prefect("monthly", workspace, {"month": "2024-03", **settings}, workers=1)
     assert report.command == "monthly"
     assert report.days["done"] == 2
     table = Catalog(workspace.root).table("main-monthly", "2024-03-02")
     assert table.sizes["interval"] == 1
     with pytest.raises(CatalogError, match="no day of the span"):
-        run_embedded("monthly", workspace, {"month": "2024-02", **settings}, workers=1)
+        run_with_prefect("monthly", workspace, {"month": "2024-02", **settings}, workers=1)
 
 
 @pytest.mark.parametrize(("month", "expected"), [("2024-02", "2024-02"), (None, "2023-12")])
@@ -112,16 +112,16 @@ def test_a_month_is_the_named_one_or_the_last_that_is_over(month, expected):
 )
 def test_wrong_parameters_are_refused_before_anything_runs(by_flow, parameters):
     with pytest.raises(SettingsError, match="reprocess"):
-        run_embedded("reprocess", by_flow, parameters)
+        run_with_prefect("reprocess", by_flow, parameters)
 
 
 def test_a_release_by_flow_is_copied_out_and_its_version_is_never_used_again(by_flow):
-    report = run_embedded("release", by_flow, {"version": "1.0", "notes": "First."})
+    report = run_with_prefect("release", by_flow, {"version": "1.0", "notes": "First."})
     folder = by_flow.root / report.outputs[0]
     assert (folder / "MANIFEST.sha256").is_file()
     assert "First." in (folder / "RELEASE_NOTES.md").read_text(encoding="utf-8")
     with pytest.raises(CatalogError):
-        run_embedded("release", by_flow, {"version": "1.0"})
+        run_with_prefect("release", by_flow, {"version": "1.0"})
 
 
 def tries_of(monkeypatch, error: Exception, fails: int) -> int:

@@ -22,8 +22,8 @@ from inflight.mission_fit import (
     nine_parameter_cross_talk,
     with_auxiliary_columns,
 )
-from inflight.tasks.pipelines.mission.fit import MissionFitResults
-from inflight.tasks.pipelines.mission.parameter_sections import day_night
+from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
+from inflight.tasks.pipelines.mission_fit.parameter_sections import day_night
 from inflight.time import DAY
 
 XZ = "vector_sensor.misalignment[xz]"

@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 from inflight.figures import html_page
-from inflight.tasks.pipelines.mission.fit import MissionFitResults
-from inflight.tasks.pipelines.mission.parameter_sections import behaviour, clock, temperature
+from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
+from inflight.tasks.pipelines.mission_fit.parameter_sections import behaviour, clock, temperature
 from inflight.time import DAY, day_bounds
 
 DAYS, EVENT = 800, 400

@@ -19,7 +19,7 @@ from inflight.mission_fit.daily_equations import wide_and_auxiliary_equations
 from inflight.model import Model, rows_of
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
-from inflight.tasks.pipelines.mission.day import equations_of_days
+from inflight.tasks.pipelines.mission_fit.day import equations_of_days
 from inflight.time import SECOND, day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"

@@ -16,7 +16,7 @@ from inflight.mission_fit import (
     node_local_time,
     select_panel_model,
 )
-from inflight.mission_fit.epochs import Windows
+from inflight.mission_fit.superposed_epochs import Windows
 from inflight.residual import find_steps
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import coefficients

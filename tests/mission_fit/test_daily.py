@@ -11,7 +11,7 @@ from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
 from inflight.lsq import RESIDUAL
 from inflight.mission_fit import daily_parameters, fit_trends, make_trend
-from inflight.tasks.pipelines.mission.tables import faults_of, faults_table, stated_periods
+from inflight.tasks.pipelines.mission_fit.tables import faults_of, faults_table, stated_periods
 from inflight.time import DAY, day_bounds
 
 NINE = [f"vector_sensor.p[{index}]" for index in range(9)]

@@ -8,7 +8,7 @@ from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.mission_fit import concat_epochs, extract_epochs, fit_step, stack_epochs
-from inflight.mission_fit.epochs import Windows
+from inflight.mission_fit.superposed_epochs import Windows
 from inflight.simulate.dipole import extrapolate_dipole
 
 

@@ -15,7 +15,7 @@ from inflight.mission_fit import (
     parameter_spectrum,
     running_mean,
 )
-from inflight.mission_fit.parameters import holm
+from inflight.mission_fit.parameter_series import holm
 from inflight.simulate import SimulationSettings, effect_names, simulate_day
 
 #: Middles of the days of eight years, and of two.

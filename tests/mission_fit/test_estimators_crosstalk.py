@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.calibration import (
-    NINE,
+    NINE_PARAMETER_NAMES,
     BlockFit,
     NormalEquations,
-    Reference,
+    ParameterPrior,
     block_equations,
     concat_equations,
     fit_block,
@@ -69,7 +69,7 @@ def test_a_day_night_field_turns_angles_at_noon_and_midnight_the_other_way():
 
 def calibrated(reading: np.ndarray, scalar: np.ndarray) -> BlockFit:
     good = np.ones(scalar.size, dtype=bool)
-    return fit_block(reading, np.zeros((1, 3)), scalar, good, Reference(IDEAL_SENSOR, PRIOR_SIGMA))
+    return fit_block(reading, np.zeros((1, 3)), scalar, good, ParameterPrior(IDEAL_SENSOR, PRIOR_SIGMA))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -118,7 +118,7 @@ def test_the_table_has_units_and_the_scatter_of_single_days(all_days):
 
 def test_columns_that_do_not_fit_are_refused(all_days):
     with pytest.raises(CalibrationError, match="fitted and ignored"):
-        cross_talk(all_days, [IgnoredCause(NINE[0])])
+        cross_talk(all_days, [IgnoredCause(NINE_PARAMETER_NAMES[0])])
     with pytest.raises(CalibrationError, match="no columns"):
         cross_talk(all_days, [IgnoredCause("heater")])
 

@@ -7,7 +7,7 @@ from estimator_cases import LA, LB, NINE, PRIOR_SIGMA, SCALES, nine_at, table_of
 from test_estimators_z_offset import days
 
 from docs.figures import distribution
-from inflight.calibration import distribute_residual, table_jumps, trend_jumps
+from inflight.calibration import distribute_residual, table_boundary_steps, trend_jumps
 from inflight.figures import causes as z_offset
 from inflight.figures import parameters as behaviour
 from inflight.figures import parameters as trends
@@ -48,7 +48,7 @@ def trend_figures():
     log = make_trend("log", equations.middle, origin)
     fit = fit_trends(equations, dict.fromkeys(SCALES, log), PRIOR_SIGMA)
     found = compare_trends(equations, SCALES, PRIOR_SIGMA, t0=origin)
-    steps = table_jumps(table)
+    steps = table_boundary_steps(table)
     smooth = trend_jumps(lambda times: fit.at(times)[0], steps.at)
     return [
         trends.comparison_figure(found),

@@ -15,7 +15,7 @@ from estimator_cases import (
     wandering,
 )
 
-from inflight.calibration import table_jumps, trend_jumps
+from inflight.calibration import table_boundary_steps, trend_jumps
 from inflight.effects import VectorSensor
 from inflight.errors import CalibrationError
 from inflight.mission_fit import fit_origin, fit_trends, make_trend
@@ -171,7 +171,7 @@ def test_ageing_alone_makes_the_published_steps_of_fifteen_days_and_a_trend_make
     """0.62 nT at MJD 500 and 0.08 at 3000 in 50 000 nT (Yin 2010, figure 3.4)."""
     edges = np.arange(200.0, 3200.0, 15.0)
     table = table_of(edges, np.array([nine_at(day + 7.5) for day in edges]), 1e-9, NINE, width=15.0)
-    jumps = table_jumps(table)
+    jumps = table_boundary_steps(table)
     at = mjd2000(jumps.at)
     for day, size in ((500.0, 0.62), (3000.0, 0.08)):
         # The step at a boundary is the ageing from the middle of one interval to the next.
@@ -184,7 +184,7 @@ def test_ageing_alone_makes_the_published_steps_of_fifteen_days_and_a_trend_make
 
 def test_an_offset_steps_by_direction_and_not_on_average():
     value = np.array([nine_at(500.0), nine_at(500.0) + np.array([0] * 8 + [0.3])])
-    jumps = table_jumps(table_of(np.array([0.0, 15.0]), value, 1e-9, NINE, width=15.0))
+    jumps = table_boundary_steps(table_of(np.array([0.0, 15.0]), value, 1e-9, NINE, width=15.0))
     assert abs(jumps.mean[0]) < 1e-4
     assert jumps.rms[0] == pytest.approx(0.3 * nine_at(500.0)[2] / np.sqrt(3), rel=5e-4)
 

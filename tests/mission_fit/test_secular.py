@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.mission_fit import MEAN_STATES, filled_running_mean, fit_eta, remanent_field
+from inflight.mission_fit import MEAN_STATES, filled_running_mean, fit_remanence_factor, remanent_field
 from inflight.simulate import Parameters, mean_current, mjd
 from inflight.simulate.stray import remanent_fields
 
@@ -143,7 +143,7 @@ def test_eta_is_recovered_from_the_residual_when_the_fall_off_is_known():
     ratio = float(np.linalg.norm(vector) / np.linalg.norm(scalar))
     mean = filled_running_mean(day, value, count)
     gram, rows = grams_of(day, 7.1 * (ratio - 1.0))
-    found, sigma = fit_eta(day, gram, rows, mean).at_scalar(ratio)
+    found, sigma = fit_remanence_factor(day, gram, rows, mean).at_scalar(ratio)
     assert abs(found - 7.1) < 3 * sigma
     assert sigma < 1.5
 
@@ -152,7 +152,9 @@ def test_eta_s_sigma_covers_two_thirds_though_errors_last_for_weeks():
     found = []
     for seed in range(100):
         day, value, count = daily_means(1300, seed=seed)
-        found.append(fit_eta(day, *grams_of(day, 8.0, seed=seed), filled_running_mean(day, value, count)))
+        found.append(
+            fit_remanence_factor(day, *grams_of(day, 8.0, seed=seed), filled_running_mean(day, value, count))
+        )
     pulls = [(one.difference - 8.0) / one.difference_sigma for one in found]
     assert 0.60 < np.mean(np.abs(pulls) < 1) < 0.76
     assert abs(np.mean(pulls)) < 0.5
@@ -163,9 +165,9 @@ def test_eta_is_refused_where_nothing_tells_it():
     steady = filled_running_mean(day, np.full_like(value, 0.04), count)
     gram, rows = grams_of(day, 8.0)
     with pytest.raises(CalibrationError, match="does not change"):
-        fit_eta(day, gram, rows, steady)
+        fit_remanence_factor(day, gram, rows, steady)
     mean = filled_running_mean(day, value, count)
     with pytest.raises(CalibrationError, match="no day"):
-        fit_eta(day[:50], gram[:50], rows[:50], mean)
+        fit_remanence_factor(day[:50], gram[:50], rows[:50], mean)
     with pytest.raises(SettingsError, match="same field"):
-        fit_eta(day, gram, rows, mean).at_scalar(1.0)
+        fit_remanence_factor(day, gram, rows, mean).at_scalar(1.0)

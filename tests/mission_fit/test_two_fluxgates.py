@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import Reference, fit_block
+from inflight.calibration import ParameterPrior, fit_block
 from inflight.errors import CalibrationError
 from inflight.figures import relation_figure, sensor_variance_figure
-from inflight.mission_fit import corner_moments, corners_of, relation_grams, relation_of
+from inflight.mission_fit import relation_grams, relation_of, three_cornered_hat, three_cornered_hat_sums
 from inflight.mission_fit.two_fluxgates import NAMES, corners, fit_relation
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
@@ -27,7 +27,7 @@ PLAIN += (
     "time_shift",
 )
 #: Nominal values and what is known of them: scale factors, angles (deg), offsets (nT).
-PRIOR = Reference(
+PRIOR = ParameterPrior(
     np.array([1.0025, 1.0025, 1.0025, 90, 90, 90, 0, 0, 0], dtype=float),
     np.array([3e-3] * 3 + [0.2] * 3 + [60.0] * 3),
 )
@@ -181,12 +181,12 @@ def test_statistics_of_days_tell_what_all_samples_do():
     assert parts.rms == pytest.approx(whole.rms, rel=1e-3)
     scalar = g.normal(0, 0.05, len(field))
     main, other = (g.normal(0, size, len(field)) - scalar for size in (0.02, 0.03))
-    moments = np.concatenate([corner_moments(main[one], other[one], stamps[one]) for one in halves])
+    moments = np.concatenate([three_cornered_hat_sums(main[one], other[one], stamps[one]) for one in halves])
     together = corners(main, other, stamps)
-    np.testing.assert_allclose(corners_of(moments).value, together.value, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(corners_of(moments).sigma, together.sigma, rtol=1e-9)
+    np.testing.assert_allclose(three_cornered_hat(moments).value, together.value, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(three_cornered_hat(moments).sigma, together.sigma, rtol=1e-9)
     with pytest.raises(CalibrationError, match="clusters"):
-        corners_of(moments[:3])
+        three_cornered_hat(moments[:3])
 
 
 def test_figures_of_relation_and_corners_show_every_number():

@@ -7,7 +7,12 @@ import xarray as xr
 from inflight.calibration import NormalEquations
 from inflight.lsq import RESIDUAL
 from inflight.mission_fit import DayDrift
-from inflight.tasks.pipelines.mission.day import means_of_channels, pack_parts, unify_variables, unpack_part
+from inflight.tasks.pipelines.mission_fit.day import (
+    means_of_channels,
+    pack_parts,
+    unify_variables,
+    unpack_part,
+)
 
 WIDTH, ROWS, DAYS = 5, 400, 3
 SCALE = np.array([1e-5, 2e-5, 1e-5, 1.0, 0.5])

@@ -12,7 +12,7 @@ from inflight.dual import readings_of
 from inflight.errors import MissionError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission, sensors_of
-from inflight.model import Band, Layout, Model, filter_rows, make_effect, rows_of
+from inflight.model import Band, Model, ResidualDefinition, filter_rows, make_effect, rows_of
 from inflight.time import day_bounds
 
 ROOT = Path(__file__).parents[2]
@@ -26,7 +26,7 @@ def mission_of(name):
 def model_of(mission, *entries):
     sensors = sensors_of(mission)
     effects = tuple(make_effect(entry, sensors) for entry in entries)
-    return Model("case", mission.mission, "main", effects, layout=Layout.of(mission))
+    return Model("case", mission.mission, "main", effects, layout=ResidualDefinition.of(mission))
 
 
 def samples_of(layout, step_ns=1_000_000_000, seed=0):
@@ -142,7 +142,7 @@ def test_what_has_no_rows_says_so():
 
 def test_the_band_of_a_platform_comes_from_the_mission():
     text = (ROOT / "missions" / "magnav-tl.yaml").read_text(encoding="utf-8")
-    assert Layout.of(Mission.parse(text)).band == Band(0.1, 0.9)
+    assert ResidualDefinition.of(Mission.parse(text)).band == Band(0.1, 0.9)
     with pytest.raises(MissionError, match="rising"):
         Mission.parse(text.replace("[0.1, 0.9]", "[0.9, 0.1]"))
 

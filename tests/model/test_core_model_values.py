@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Mission
-from inflight.model import Dependence, Model, changes, make_effect, parse_tree
+from inflight.model import Model, TimeDependence, changes, make_effect, parse_tree
 from inflight.time import DAY, to_tt2000
 
 START = int(to_tt2000(np.datetime64("2004-01-01")))
@@ -58,7 +58,7 @@ def test_a_spline_goes_through_its_knots_and_is_held_beyond():
 def test_functions_of_time_add_up_to_one(days, time, interpolation, when):
     """So that equal values at all knots and intervals are a constant."""
     moments = tuple(START + day * DAY for day in sorted({0, *days}))
-    basis = Dependence(time, at=moments, interpolation=interpolation).basis(START + when * DAY)
+    basis = TimeDependence(time, at=moments, interpolation=interpolation).basis(START + when * DAY)
     assert basis.shape == (len(moments) + (time == "event"),)
     assert np.isclose(basis.sum(), 1.0, rtol=0, atol=1e-9)
 

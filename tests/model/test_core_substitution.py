@@ -9,7 +9,7 @@ from inflight.calibration import level2
 from inflight.calibration.product import DayParameters
 from inflight.effects import Effect, Parameter
 from inflight.flags import Flag
-from inflight.model import Model, SubstitutedSamples, Typical, substitute
+from inflight.model import Model, SubstitutedSamples, TypicalValue, substitute
 from inflight.time import SECOND
 
 #: Nothing but the stand-ins makes these products uncertain.
@@ -33,8 +33,10 @@ def without(samples: xr.Dataset, *channels: str, rows: slice = MISSING) -> xr.Da
     return out
 
 
-def typical_of(samples: xr.Dataset, *channels: str) -> dict[str, Typical]:
-    found = {name: Typical.of(samples[name].values, samples["tt2000"].values, "the day") for name in channels}
+def typical_of(samples: xr.Dataset, *channels: str) -> dict[str, TypicalValue]:
+    found = {
+        name: TypicalValue.of(samples[name].values, samples["tt2000"].values, "the day") for name in channels
+    }
     return {name: one for name, one in found.items() if one is not None}
 
 
@@ -224,9 +226,9 @@ def test_of_a_product_only_the_missing_factor_is_replaced():
 
 def test_a_typical_value_needs_two_readings_and_keeps_components_together():
     stamps = SECOND * np.arange(500, dtype=np.int64)
-    assert Typical.of(np.array([1.0, np.nan]), stamps[:2], "") is None
+    assert TypicalValue.of(np.array([1.0, np.nan]), stamps[:2], "") is None
     wave = np.sin(0.1 * np.arange(500))
-    found = Typical.of(np.stack([wave, -2 * wave, 0 * wave], axis=1), stamps, "the day")
+    found = TypicalValue.of(np.stack([wave, -2 * wave, 0 * wave], axis=1), stamps, "the day")
     assert found is not None
     assert found.modes.shape == (1, 3)
     assert np.abs(found.modes[0]) == pytest.approx([wave.std(), 2 * wave.std(), 0.0], abs=1e-9)

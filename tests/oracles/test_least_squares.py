@@ -25,7 +25,7 @@ from inflight.lsq import (
     solve,
     solve_clusters,
     solve_scaled,
-    with_least_variance,
+    with_variance_floor,
 )
 
 ROWS, LAGS = 400, 5
@@ -218,5 +218,5 @@ def test_a_covariance_of_correlated_blocks_with_a_prior_covers_both():
 
 
 def test_a_covariance_is_raised_to_another_one_and_keeps_its_correlations():
-    raised = with_least_variance(np.array([[1.0, 0.5], [0.5, 4.0]]), np.diag([4.0, 1.0]))
+    raised = with_variance_floor(np.array([[1.0, 0.5], [0.5, 4.0]]), np.diag([4.0, 1.0]))
     np.testing.assert_allclose(raised, [[4.0, 1.0], [1.0, 4.0]])

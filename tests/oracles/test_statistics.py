@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from statsmodels.stats.multitest import multipletests
 
-from inflight.mission_fit.parameters import holm
+from inflight.mission_fit.parameter_series import holm
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -290,13 +290,13 @@ def test_parallel_ingest_is_byte_for_byte_the_serial_one(tmp_path, data):
 
 
 def test_batches_are_bounded_by_their_samples():
-    assert days_of_batch(PROBE.instruments["fgm"]) == ingest_batch.INGEST.most_days
+    assert days_of_batch(PROBE.instruments["fgm"]) == ingest_batch.INGEST_SETTINGS.most_days
     fast = mission_with(("cadence: 60 s", "cadence: 10 ms"))
     assert days_of_batch(fast.instruments["fgm"]) == 1
     second = mission_with(("cadence: 60 s", "cadence: 1 s"))
     days = days_of_batch(second.instruments["fgm"])
     assert 10 <= days <= 20
-    assert days * 86400 * 44 <= ingest_batch.INGEST.batch_bytes
+    assert days * 86400 * 44 <= ingest_batch.INGEST_SETTINGS.batch_bytes
 
 
 def test_progress_is_told(cat, data):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.catalog.readers import RawTable, assemble_day, split_days
-from inflight.catalog.readers.days import coverage
+from inflight.catalog.readers.day_assembly import coverage
 from inflight.errors import ClashError, ContentError
 from inflight.flags import Flag
 from inflight.instruments import Channel, Files, Instrument

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import SOLVER, grams_by_cluster, solve_clusters
+from inflight.lsq import SOLVER_SETTINGS, grams_by_cluster, solve_clusters
 from inflight.time import SECOND, Int64
 
 #: Steps of the iteration at most, and when it has ended: changes in units of their errors.
@@ -90,9 +90,10 @@ def relation_to_published(
     centre, means = _means(stamps, np.hstack([inboard, outboard, published]), mean_s)
     cluster = (centre // round(cluster_s * SECOND)).astype(np.int64)
     stretches = np.unique(cluster).size
-    if stretches < SOLVER.fewest_clusters:
+    if stretches < SOLVER_SETTINGS.fewest_clusters:
         raise CalibrationError(
-            f"{stretches} stretches of {cluster_s:g} s found, at least {SOLVER.fewest_clusters} needed",
+            f"{stretches} stretches of {cluster_s:g} s found, "
+            f"at least {SOLVER_SETTINGS.fewest_clusters} needed",
             remedy="give a longer record, or shorter clusters",
         )
     inner, outer, target = means[:, :3], means[:, 3:6], means[:, 6:]

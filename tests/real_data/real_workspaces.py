@@ -11,7 +11,7 @@ import xarray as xr
 from injections import _ELEMENTS, _OTHERS, ROOT
 
 from inflight.catalog import Catalog, Workspace
-from inflight.diagnosis import Diagnosis, ModelColumns, Search, conclude
+from inflight.diagnosis import Diagnosis, ModelColumns, Search, run_search
 from inflight.diagnosis.result import FoundEffect
 from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import joint_fit
@@ -89,7 +89,7 @@ def diagnosed(
     settings = DiagnoseSettings(comparison=comparison, draws=500)
     made = make_pass(cat, mission, *days, settings)
     search = begin_search(made, settings)
-    found, search = conclude(search, diagnosis_data(made, mission))
+    found, search = run_search(search, diagnosis_data(made, mission))
     return Diagnosed(search, found)
 
 

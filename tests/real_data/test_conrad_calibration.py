@@ -9,7 +9,7 @@ import pytest
 from inflight.calibration import (
     NormalEquations,
     describe_directions,
-    kernel_parameters,
+    matrix_parameters,
     reference_of,
     remove_other_effects,
     usable_samples,
@@ -50,7 +50,7 @@ class Observatory:
         )
         reading, additive, scalar = remove_other_effects(self.model, samples)
         good = usable_samples(samples, reading, additive, scalar)
-        return residuals(kernel_parameters(value), reading[good], additive, scalar[good])
+        return residuals(matrix_parameters(value), reading[good], additive, scalar[good])
 
 
 @pytest.fixture(scope="module")

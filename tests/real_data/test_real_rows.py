@@ -10,7 +10,7 @@ from injections import OBSERVATORY, following, inject, observatory, observatory_
 
 from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
-from inflight.model import Layout, Model, rows_of
+from inflight.model import Model, ResidualDefinition, rows_of
 from inflight.samples import slow_response
 from inflight.tasks import current_model
 from inflight.tasks.archive import ArchiveIndex, channels_by_name, ingest, load_samples, needs_of
@@ -104,7 +104,7 @@ def pillar():
     """The observatory's record and its model as delivered."""
     mission = Mission.parse((ROOT / "missions" / "conrad.yaml").read_text(encoding="utf-8"))
     record = observatory().assign(flag=("time", np.zeros(345_600, dtype=np.uint32)))
-    return Model("as delivered", "conrad", "main", (), layout=Layout.of(mission)), record
+    return Model("as delivered", "conrad", "main", (), layout=ResidualDefinition.of(mission)), record
 
 
 @needs_observatory

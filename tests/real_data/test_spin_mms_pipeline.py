@@ -5,7 +5,7 @@ import pytest
 from spun_mms import FILE, spun
 
 from inflight.catalog import Catalog
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 pytestmark = [
@@ -13,8 +13,8 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not FILE.exists(), reason=f"no real measurements at {FILE}"),
 ]
-EIGHT = [NAMES.index(name) for name in SPIN_RELATED]
-AXIAL = NAMES.index("offset[3]")
+EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
+AXIAL = PARAMETER_NAMES.index("offset[3]")
 
 
 @pytest.fixture(scope="module")

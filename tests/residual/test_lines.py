@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.residual import (
-    Power,
+    SpectrumSum,
     add_power,
     drawn_periods,
     find_lines,
@@ -172,10 +172,10 @@ def test_a_thinned_spectrum_keeps_its_power_and_its_slow_end():
 
 
 def test_sums_of_spectra_are_means():
-    power = Power(np.array([1.0, 2.0]), np.ones((4, 2)), 1, np.ones(4))
+    power = SpectrumSum(np.array([1.0, 2.0]), np.ones((4, 2)), 1, np.ones(4))
     sums = {}
     for scale in (1.0, 3.0):
-        add_power(sums, Power(power.frequency, scale * np.ones((4, 2)), 1, np.ones(4)))
+        add_power(sums, SpectrumSum(power.frequency, scale * np.ones((4, 2)), 1, np.ones(4)))
     add_power(sums, None)
     assert finest_power(sums).density == pytest.approx(np.full((4, 2), 2.0))
     assert finest_power({}) is None

@@ -12,7 +12,16 @@ import pytest
 
 from inflight.errors import SettingsError
 from inflight.mission_fit import crosstalk
-from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, run_scorecard, select_figures
+from inflight.scorecard import (
+    SECTIONS,
+    PublishedFigure,
+    ScorecardResult,
+    SimulatedDays,
+    ToleranceInterval,
+    figures,
+    run_scorecard,
+    select_figures,
+)
 from inflight.scorecard import recovered_fields as fields_module
 from inflight.scorecard import scalar_calibration as scalar_module
 from inflight.scorecard import spacecraft_fields as spacecraft_module
@@ -31,7 +40,7 @@ CONTRADICTED = {
 
 
 @pytest.fixture(scope="module")
-def reports() -> dict[str, Report]:
+def reports() -> dict[str, ScorecardResult]:
     # Of the processor, not of the clock: what else the machine does is no matter of the scorecard.
     begun = time.process_time()
     found = {report.figure.id: report for report in run_scorecard()}
@@ -60,7 +69,7 @@ def test_the_verdict_follows_from_obtained_and_tolerance(reports, figure):
         return
     several = np.atleast_1d(report.obtained)
     published = np.atleast_1d(figure.published)
-    if isinstance(figure.tolerance, Within):
+    if isinstance(figure.tolerance, ToleranceInterval):
         near = np.all((several >= figure.tolerance.low) & (several <= figure.tolerance.high))
     else:
         near = np.all(np.abs(several - published) <= np.array(figure.tolerance))
@@ -72,9 +81,13 @@ def test_a_figure_can_be_contradicted(reports, figure):
     """Another published value, far from what is obtained, must not be reproduced."""
     obtained = np.atleast_1d(reports[figure.id].obtained)
     away = tuple((3.0 * np.abs(obtained) + 1e3).tolist())
-    tolerance = Within(away[0], 2 * away[0]) if isinstance(figure.tolerance, Within) else figure.tolerance
+    tolerance = (
+        ToleranceInterval(away[0], 2 * away[0])
+        if isinstance(figure.tolerance, ToleranceInterval)
+        else figure.tolerance
+    )
     moved = dataclasses.replace(figure, published=away, tolerance=tolerance)
-    assert Report(moved, reports[figure.id].obtained).verdict == "contradicted"
+    assert ScorecardResult(moved, reports[figure.id].obtained).verdict == "contradicted"
 
 
 def test_obtained_values_come_from_formulas_not_from_the_published_ones(reports):
@@ -86,7 +99,7 @@ def test_obtained_values_come_from_formulas_not_from_the_published_ones(reports)
             assert moved.report(SCENE).obtained == reports[figure.id].obtained
 
 
-SCENE = Scene()
+SCENE = SimulatedDays()
 
 
 def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
@@ -114,11 +127,11 @@ def test_a_lost_sign_in_the_linear_form_changes_the_verdict(monkeypatch):
     figure = next(one for one in figures() if one.id == "difference-form.one-pass")
     assert figure.report(SCENE).verdict == "reproduced"
     monkeypatch.setattr(scalar_module, "fit_difference", without_offsets)
-    assert figure.report(Scene()).verdict == "contradicted"
+    assert figure.report(SimulatedDays()).verdict == "contradicted"
 
 
 def test_what_figures_share_is_made_once():
-    made, scene = [], Scene()
+    made, scene = [], SimulatedDays()
 
     def costly(of, number):
         made.append(number)
@@ -128,8 +141,8 @@ def test_what_figures_share_is_made_once():
     assert made == [3, 4]
 
 
-def figure(**changes) -> Figure:
-    plain = Figure(
+def figure(**changes) -> PublishedFigure:
+    plain = PublishedFigure(
         id="a.b",
         section="residual",
         what="a number",

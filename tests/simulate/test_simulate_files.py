@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inflight.tasks.archive.deliveries as simulated_days
+import inflight.tasks.archive.simulated_deliveries as simulated_days
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.tasks.archive import simulate
-from inflight.tasks.archive.deliveries import CHAMP, INSTRUMENTS
+from inflight.tasks.archive.simulated_deliveries import CHAMP, INSTRUMENTS
 from inflight.time import as_day, day_bounds
 
 SMALL = SimulationSettings(start="2005-01-03", days=2, cadence=10, hide=("day_night",))

@@ -11,7 +11,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import SPINNING, write_cdf
+from inflight.tasks.archive.simulated_deliveries import SPINNING, write_cdf
 from inflight.time import SECOND, day_bounds
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=31, without=("zero_drift",))

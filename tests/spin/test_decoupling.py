@@ -6,7 +6,7 @@ import xarray as xr
 from eight_cases import TRUTH, by_joint, two_fields
 
 from inflight.figures import correlation_figure, parameter_change_figure
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 
@@ -37,14 +37,14 @@ def test_the_figures_show_what_moved_and_what_goes_together():
     record = two_fields(13, hours=0.7)
     turned = TRUTH.changed({"spin_axis[x]": TRUTH.spin_axis[0] + 2e-3})
     found = [by_joint(record, one.disturb(record.field), TRUTH) for one in (TRUTH, turned)]
-    places = [NAMES.index(name) for name in SPIN_RELATED]
+    places = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
     own, sigma = np.full((2, 12), np.nan), np.full((2, 12), np.inf)
     for row, one in enumerate(found):
         own[row, places], sigma[row, places] = one.value, one.sigma
     dims = ("interval", "parameter")
     table = xr.Dataset(
         {"own": (dims, own), "own_sigma": (dims, sigma)},
-        coords={"parameter": [f"spinning_sensor.{name}" for name in NAMES]},
+        coords={"parameter": [f"spinning_sensor.{name}" for name in PARAMETER_NAMES]},
     )
     bars = parameter_change_figure(table).renderers[0].data_source.data
     height = dict(zip(SPIN_RELATED, next(value for key, value in bars.items() if key == "top"), strict=True))

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from inflight.errors import SamplesError
-from inflight.samples import Folding, fold, fold_series
+from inflight.samples import Folding, fold_series, fold_spins
 from inflight.time import SECOND, day_bounds
 
 DAY = np.datetime64("2012-03-02")
@@ -46,8 +46,8 @@ def tone_of(samples, value):
 
 
 def test_a_body_field_comes_through_unchanged():
-    folded = fold(turning((3.0, -4.0, 1.5)), Folding.of_period(round(PERIOD * SECOND)), SPAN)
-    plain = fold(turning(), Folding.of_period(round(PERIOD * SECOND)), SPAN)
+    folded = fold_spins(turning((3.0, -4.0, 1.5)), Folding.of_period(round(PERIOD * SECOND)), SPAN)
+    plain = fold_spins(turning(), Folding.of_period(round(PERIOD * SECOND)), SPAN)
     assert tone_of(folded["vector"].values - plain["vector"].values, [3.0, -4.0, 1.5]).max() < 1e-9
     assert folded.sizes["time"] == 288 * 12
 
@@ -57,8 +57,8 @@ def test_harmonics_of_the_body_come_through_up_to_the_fourth():
         return np.column_stack([np.cos(4 * phase), np.sin(3 * phase), np.cos(2 * phase)])
 
     folding = Folding.of_period(round(PERIOD * SECOND))
-    folded = fold(turning(shape), folding, SPAN)
-    plain = fold(turning(), folding, SPAN)
+    folded = fold_spins(turning(shape), folding, SPAN)
+    plain = fold_spins(turning(), folding, SPAN)
     expected = np.tile(shape(folding.phases), (288, 1))
     off = np.abs(folded["vector"].values - plain["vector"].values - expected)
     # A turn's own fit stops at the second: what is above leaks a little into the means of turns.
@@ -68,7 +68,7 @@ def test_harmonics_of_the_body_come_through_up_to_the_fourth():
 
 def test_a_field_that_changes_outside_leaves_no_tone():
     folding = Folding.of_period(round(PERIOD * SECOND))
-    folded = fold(turning(outside=changing), folding, SPAN)
+    folded = fold_spins(turning(outside=changing), folding, SPAN)
     steady = folding.steady(
         folded["vector"].values,
         folded["spin_phase"].values,
@@ -89,12 +89,12 @@ def test_gaps_and_one_missing_reading_do_no_harm():
     samples = turning((3.0, -4.0, 1.5), outside=changing, keep=some)
     samples["vector"][777, 1] = np.nan
     folding = Folding.of_period(round(PERIOD * SECOND))
-    folded = fold(samples, folding, SPAN)
+    folded = fold_spins(samples, folding, SPAN)
     lost = np.isnan(folded["vector"].values).any(axis=1)
     assert 12 * 3 <= lost.sum() <= 12 * 7
     assert np.all(folded["weight"].values[lost] == 0)
     assert np.all(folded["flag"].values[lost] != 0)
-    whole = fold(turning((0.0, 0.0, 0.0), outside=changing), folding, SPAN)
+    whole = fold_spins(turning((0.0, 0.0, 0.0), outside=changing), folding, SPAN)
     off = folded["vector"].values - whole["vector"].values
     # Intervals with a gap have another mean of the field outside: their tones are compared.
     per = off[~lost].reshape(-1, 12, 3)
@@ -106,7 +106,7 @@ def test_gaps_and_one_missing_reading_do_no_harm():
 def test_a_channel_that_goes_with_the_spin_is_folded_with_it():
     samples = turning()
     folding = Folding.of_period(round(PERIOD * SECOND))
-    folded = fold(samples, folding, SPAN)
+    folded = fold_spins(samples, folding, SPAN)
     expected = np.tile(np.cos(folding.phases + 0.4) + 5.0, 288)
     np.testing.assert_allclose(folded["current"].values, expected, atol=1e-9)
     alone = fold_series(
@@ -120,7 +120,7 @@ def test_noise_tells_what_nature_leaves():
     samples = turning()
     samples["vector"] = samples["vector"] + 0.5 * generator.standard_normal(samples["vector"].shape)
     folding = Folding.of_period(round(PERIOD * SECOND))
-    folded = fold(samples, folding, SPAN)
+    folded = fold_spins(samples, folding, SPAN)
     both = np.column_stack(
         [
             folded["vector"].values[:, 2],
@@ -143,4 +143,4 @@ def test_intervals_divide_a_day_and_samples_stand_evenly():
 
 def test_without_a_phase_nothing_is_folded():
     with pytest.raises(SamplesError, match="phase"):
-        fold(turning().drop_vars("spin_phase"), Folding.of_period(3 * SECOND), SPAN)
+        fold_spins(turning().drop_vars("spin_phase"), Folding.of_period(3 * SECOND), SPAN)

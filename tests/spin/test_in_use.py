@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.spin import SPIN_RELATED, CalibrationParameters, ValueInUse, ValuesInUse
+from inflight.spin import SPIN_RELATED, CalibrationParameters, SpinParametersInUse, ValueInUse
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 SIGMA = np.array([0.01 if name.startswith("offset") else 2e-5 for name in SPIN_RELATED])
@@ -21,7 +21,7 @@ def covariance(correlation=0.97):
 
 def begun():
     ground = CalibrationParameters()
-    return ValuesInUse.from_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
+    return SpinParametersInUse.from_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
 
 
 def flown(truths, generator, quality=None):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.spin import TONES, ToneCoordinate, Tones, find_tone_failures, tone_dependence, tones_of
+from inflight.spin import TONES, ToneCoordinate, Tones, rank_tone_dependences, tone_dependence, tones_of
 
 INTERVALS = 600
 BLOCK = np.arange(INTERVALS) // 30
@@ -50,7 +50,7 @@ def test_a_row_gives_back_the_tones_it_is_made_of():
 def test_noise_follows_nothing():
     told = 0
     for seed in range(10):
-        failures, _ = find_tone_failures(noisy(seed), coordinates(seed), BLOCK)
+        failures, _ = rank_tone_dependences(noisy(seed), coordinates(seed), BLOCK)
         told += len(failures)
     # Eight tones and five coordinates, five sigma each.
     assert told <= 1
@@ -60,7 +60,7 @@ def test_noise_follows_nothing():
 def test_a_state_is_found_with_its_size(sign):
     named = coordinates(3)
     made = shifted(noisy(3), MODULUS, sign * 0.1j * named["shadow"].values)
-    (first, *rest), _ = find_tone_failures(made, named, BLOCK)
+    (first, *rest), _ = rank_tone_dependences(made, named, BLOCK)
     assert first.coordinate == "shadow"
     assert first.tone == MODULUS
     # What is told of a state is its change: the mean of it stays, as a steady tone.
@@ -76,7 +76,7 @@ def test_a_channel_in_step_is_found_whatever_its_phase():
     named = coordinates(4)
     wheel = named["coil at the spin"].channel_tone
     made = shifted(noisy(4), AXIAL, 2e-3 * wheel)
-    (first, *_), found = find_tone_failures(made, named, BLOCK)
+    (first, *_), found = rank_tone_dependences(made, named, BLOCK)
     assert first.coordinate == "coil at the spin"
     assert first.tone == AXIAL
     step = next(one for one in found if one.coordinate.channel_tone is not None)
@@ -86,7 +86,7 @@ def test_a_channel_in_step_is_found_whatever_its_phase():
 
 def test_a_steady_tone_is_told_as_such():
     made = shifted(noisy(5), TWICE, 0.05 + 0.02j)
-    (first, *_), _ = find_tone_failures(made, coordinates(5), BLOCK)
+    (first, *_), _ = rank_tone_dependences(made, coordinates(5), BLOCK)
     assert first.coordinate == "spin phase"
     assert abs(first.amplitude - abs(0.05 + 0.02j) / np.sqrt(2.0)) < 4.0 * first.sigma + 1e-4
     assert "gain ratio or the azimuth" in first.sentence
@@ -96,7 +96,7 @@ def test_what_cannot_be_told_apart_is_named():
     named = coordinates(6)
     named["copy"] = ToneCoordinate("copy", "degC", "temperature", 3.0 * named["sensor"].values + 1.0)
     made = shifted(noisy(6), MODULUS, 0.004 * named["sensor"].values)
-    (first, *_), _ = find_tone_failures(made, named, BLOCK)
+    (first, *_), _ = rank_tone_dependences(made, named, BLOCK)
     assert {first.coordinate, *first.rivals} >= {"sensor", "copy"}
     assert "cannot tell it from" in first.sentence
 

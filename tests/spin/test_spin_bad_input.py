@@ -7,15 +7,15 @@ from bad_spin import BAD, SETTINGS, at, deliver, mission_of, product, truth_of, 
 
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import SPINNING
+from inflight.tasks.archive.simulated_deliveries import SPINNING
 from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND
 
 LATE = SECOND // 3
 WORST = UNUSABLE | Flag.NO_PHASE
-EIGHT = [NAMES.index(name) for name in SPIN_RELATED]
+EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
 
 
 def pulses_gone(begin, end):
@@ -147,7 +147,7 @@ def test_the_parameters_are_those_of_the_mission_without_the_fault(spoilt, plain
     off = table["value"].values - plain["value"].values
     sigma = np.maximum(table["sigma"].values, plain["sigma"].values)
     assert np.all(np.abs(off[EIGHT]) < 2.5 * sigma[EIGHT]), off / sigma
-    third = NAMES.index("offset[3]")
+    third = PARAMETER_NAMES.index("offset[3]")
     assert abs(off[third]) < 2.5 * sigma[third]
 
 

@@ -6,7 +6,7 @@ from boom_mission import BENDS, make_boom_workspace
 
 from inflight.catalog import Catalog
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.relation.tables import unwrap_phase
+from inflight.tasks.pipelines.intercalibration.tables import unwrap_phase
 
 
 @pytest.fixture(scope="module")

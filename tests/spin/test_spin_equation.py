@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.errors import CalibrationError
-from inflight.spin import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED, CalibrationParameters
 
 angles = st.floats(-0.2, 0.2)
 gains = st.floats(0.8, 1.25)
@@ -51,7 +51,7 @@ def test_small_errors_disturb_as_the_linear_equations_say():
         "offset[2]": (0, 1, 0),
         "offset[3]": (0, 0, 1),
     }
-    assert set(expected) == set(NAMES)
+    assert set(expected) == set(PARAMETER_NAMES)
     for name, change in expected.items():
         for step in (1e-6, -1e-6):
             value = step + (1.0 if "gain" in name else 0.0)
@@ -61,10 +61,15 @@ def test_small_errors_disturb_as_the_linear_equations_say():
 
 def test_eight_parameters_are_those_of_the_paper():
     assert len(SPIN_RELATED) == 8
-    assert set(NAMES) - set(SPIN_RELATED) == {"spin_plane_gain", "axial_gain", "rotation", "offset[3]"}
-    assert UNITS["offset[2]"] == "nT"
-    assert UNITS["gain_ratio"] == "1"
-    assert UNITS["azimuth"] == "rad"
+    assert set(PARAMETER_NAMES) - set(SPIN_RELATED) == {
+        "spin_plane_gain",
+        "axial_gain",
+        "rotation",
+        "offset[3]",
+    }
+    assert PARAMETER_UNITS["offset[2]"] == "nT"
+    assert PARAMETER_UNITS["gain_ratio"] == "1"
+    assert PARAMETER_UNITS["azimuth"] == "rad"
 
 
 def test_a_name_nobody_knows_is_refused():
@@ -79,7 +84,9 @@ def test_a_moved_spin_axis_changes_every_angle_of_the_sensor_axes_but_two_parame
         1.001, 1.0, 1.0, (0.01, -0.008), 0.006, (0.004, -0.003), 0.02, (1.0, 2.0, 3.0)
     )
     after = before.changed({"spin_axis[x]": 0.012, "spin_axis[y]": 0.006})
-    moved = [name for name, a, b in zip(NAMES, before.values(), after.values(), strict=True) if a != b]
+    moved = [
+        name for name, a, b in zip(PARAMETER_NAMES, before.values(), after.values(), strict=True) if a != b
+    ]
     assert moved == ["spin_axis[x]", "spin_axis[y]"]
     old, new = (axis_angles(one.matrix()) for one in (before, after))
     assert np.all(np.abs(new[0] - old[0]) > 1e-4)

@@ -9,7 +9,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin import NAMES
+from inflight.spin import PARAMETER_NAMES
 from inflight.tasks.archive import ingest, simulate, split_at_flips
 from inflight.tasks.archive.samples import flip_flags, longest_position, position_edges
 from inflight.tasks.pipelines import reprocess
@@ -74,7 +74,7 @@ def test_sensors_and_spacecraft_come_apart_in_a_certified_table(tmp_path, offset
     assert table["sigma"].values.max() < 0.3
     window = cat.table("main-window", "2012-03-03")
     assert window.sizes["interval"] == 3
-    x = list(NAMES).index("offset[1]")
+    x = list(PARAMETER_NAMES).index("offset[1]")
     expected = [offset[0] + field[0], offset[2] + field[0], offset[0] + field[0]]
     assert np.all(np.abs(window["value"].values[:, x] - expected) < 4 * window["sigma"].values[:, x])
     for day in cat.days("l2/field", states=("published",)):

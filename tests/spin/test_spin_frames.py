@@ -10,8 +10,8 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings, ambient, attitude
 from inflight.tasks.archive import ingest, simulate
-from inflight.tasks.archive.deliveries import SPINNING
 from inflight.tasks.archive.inputs import axis_of
+from inflight.tasks.archive.simulated_deliveries import SPINNING
 from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND, to_tt2000
 

@@ -8,7 +8,7 @@ import pytest
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import MissionError
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
@@ -53,7 +53,9 @@ def test_the_eight_parameters_come_back_within_their_errors(plain):
     table = cat.table("main-window", "2012-03-02")
     value = table["value"].values[0]
     sigma = table["sigma"].values[0]
-    pulls = [(value[i] - put_in(name)) / sigma[i] for i, name in enumerate(NAMES) if name in SPIN_RELATED]
+    pulls = [
+        (value[i] - put_in(name)) / sigma[i] for i, name in enumerate(PARAMETER_NAMES) if name in SPIN_RELATED
+    ]
     assert np.abs(pulls).max() < 4.0
     assert mission.mission == "imp8"
 
@@ -61,12 +63,16 @@ def test_the_eight_parameters_come_back_within_their_errors(plain):
 def test_the_offset_along_the_axis_comes_from_natures_statistics(plain):
     cat, _, _ = plain
     table = cat.table("main-window", "2012-03-02")
-    at = list(NAMES).index("offset[3]")
+    at = list(PARAMETER_NAMES).index("offset[3]")
     assert table["origin"].values[0][at] != "ground"
     assert (
         abs(table["value"].values[0][at] - SETTINGS.parameters.offset[2]) < 4 * table["sigma"].values[0][at]
     )
-    unknown = [name for name, told in zip(NAMES, table["origin"].values[0], strict=True) if told == "ground"]
+    unknown = [
+        name
+        for name, told in zip(PARAMETER_NAMES, table["origin"].values[0], strict=True)
+        if told == "ground"
+    ]
     assert unknown == ["spin_plane_gain", "axial_gain", "rotation"]
 
 

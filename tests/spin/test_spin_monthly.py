@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from inflight.catalog import Catalog, Workspace
-from inflight.flows import run_plain
+from inflight.flows import run_without_prefect
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin import NAMES
+from inflight.spin import PARAMETER_NAMES
 from inflight.tasks.archive import simulate
 from inflight.tasks.pipelines.base.tables import month_edges
 from inflight.time import day_bounds
 
 pytestmark = pytest.mark.slow
-AXIAL = list(NAMES).index("offset[3]")
+AXIAL = list(PARAMETER_NAMES).index("offset[3]")
 TRUTH = SpinningSettings(craft="imp8").parameters.offset[2]
 MARCH, APRIL = np.datetime64("2012-03-01"), np.datetime64("2012-04-01")
 
@@ -26,10 +26,10 @@ def closed(tmp_path_factory):
     """Three days of March, closed with the day after; then two of April, calibrated daily."""
     made = Workspace.create(tmp_path_factory.mktemp("months") / "imp8", "imp8")
     simulate(settings(4), made.data, workers=1)
-    march = run_plain("monthly", made, {"month": "2012-03"}, workers=1)
+    march = run_without_prefect("monthly", made, {"month": "2012-03"}, workers=1)
     simulate(settings(5), made.data, workers=1)
-    run_plain("ingest", made, {}, workers=1)
-    daily = run_plain("reprocess", made, {"settings": {"table": "daily"}}, workers=1)
+    run_without_prefect("ingest", made, {}, workers=1)
+    daily = run_without_prefect("reprocess", made, {"settings": {"table": "daily"}}, workers=1)
     return made, march, daily
 
 
@@ -79,14 +79,14 @@ def test_a_month_that_agrees_with_the_one_before_keeps_its_offset(closed):
 
 def test_a_month_closed_again_costs_nothing(closed):
     before = versions(closed[0])
-    again = run_plain("monthly", closed[0], {"month": "2012-03"}, workers=1)
+    again = run_without_prefect("monthly", closed[0], {"month": "2012-03"}, workers=1)
     assert again.days["unchanged"] == 3
     assert again.days["done"] == 0
     assert versions(closed[0]) == before
 
 
 def test_products_may_take_the_months_own_twelve(closed):
-    report = run_plain("reprocess", closed[0], {"settings": {"table": "monthly"}}, workers=1)
+    report = run_without_prefect("reprocess", closed[0], {"settings": {"table": "monthly"}}, workers=1)
     assert report.days["done"] == 5
     assert report.extra["residual"]["after_nT"] < 0.05
 

@@ -9,7 +9,7 @@ from orbit_fields import steady
 from inflight.errors import CalibrationError
 from inflight.figures import SubintervalEstimates, estimates_figure, uncertainty_figure
 from inflight.spin import (
-    NAMES,
+    PARAMETER_NAMES,
     SPIN_RELATED,
     CalibrationParameters,
     ExternalValue,
@@ -105,20 +105,20 @@ def test_an_unchanged_sensor_is_hardly_ever_updated_and_a_changed_one_always():
 def test_twelve_parameters_say_where_they_came_from():
     record = two_fields(5, hours=0.5)
     found = by_joint(record, TRUTH.disturb(record.field))
-    sigmas = dict.fromkeys(NAMES, 1e-3) | {"offset[3]": 5.0}
+    sigmas = dict.fromkeys(PARAMETER_NAMES, 1e-3) | {"offset[3]": 5.0}
     table = join_parameters(
         (found.value, found.sigma, found.parameters),
         PRESENT,
         sigmas,
         {"offset[3]": ExternalValue(3.0, 0.2, "minimum correlation")},
     )
-    source = dict(zip(NAMES, table.source, strict=True))
-    assert {name for name in NAMES if source[name] == "spin"} == set(SPIN_RELATED)
+    source = dict(zip(PARAMETER_NAMES, table.source, strict=True))
+    assert {name for name in PARAMETER_NAMES if source[name] == "spin"} == set(SPIN_RELATED)
     assert source["offset[3]"] == "minimum correlation"
-    assert {name for name in NAMES if source[name] == "ground"} == {
+    assert {name for name in PARAMETER_NAMES if source[name] == "ground"} == {
         "spin_plane_gain", "axial_gain", "rotation",
     }  # fmt: skip
-    assert np.array_equal(table.determined, [source[name] != "ground" for name in NAMES])
+    assert np.array_equal(table.determined, [source[name] != "ground" for name in PARAMETER_NAMES])
     assert table.parameters == CalibrationParameters.from_values(table.value)
     assert np.allclose(table.parameters.offset, [1.0, -2.0, 3.0], atol=0.01)
 
@@ -141,7 +141,7 @@ def test_a_new_axial_offset_moves_the_spin_plane_ones_along_so_that_no_tone_come
 
 def test_what_the_spin_does_not_determine_stays_as_on_the_ground():
     value, sigma = PRESENT.spin_related() + 1e-6, np.full(8, np.inf)
-    table = join_parameters((value, sigma, PRESENT), PRESENT, dict.fromkeys(NAMES, 1e-4))
+    table = join_parameters((value, sigma, PRESENT), PRESENT, dict.fromkeys(PARAMETER_NAMES, 1e-4))
     assert set(table.source) == {"ground"}
     assert np.array_equal(table.value, PRESENT.values())
     assert table.sigmas()["azimuth"] == 1e-4

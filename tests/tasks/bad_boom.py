@@ -12,7 +12,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 from inflight.tasks.archive import ingest
-from inflight.tasks.archive.deliveries import VENUS_EXPRESS, write_cdf
+from inflight.tasks.archive.simulated_deliveries import VENUS_EXPRESS, write_cdf
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"

@@ -13,7 +13,7 @@ from inflight.flags import Flag
 from inflight.simulate import Parameters, SimulationSettings, mean_current
 from inflight.simulate.stray import coefficients
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.mission.day import unpack_part
+from inflight.tasks.pipelines.mission_fit.day import unpack_part
 from inflight.time import SECOND
 
 DAYS = 24

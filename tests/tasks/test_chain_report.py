@@ -12,8 +12,8 @@ from inflight.errors import CatalogError, SettingsError
 from inflight.simulate import SimulationSettings
 from inflight.tasks import to_json
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.mission import mission_fit_report
-from inflight.tasks.pipelines.mission.report import SECTIONS
+from inflight.tasks.pipelines.mission_fit import mission_fit_report
+from inflight.tasks.pipelines.mission_fit.report import SECTIONS
 
 DAYS = 12
 SETTINGS = SimulationSettings(seed=5, cadence=5)

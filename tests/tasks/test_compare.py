@@ -234,7 +234,7 @@ def test_a_page_that_cannot_be_made_leaves_the_old_one(four_days, pages, monkeyp
 
 def test_what_is_kept_of_a_mission_is_bounded(four_days, monkeypatch):
     catalog, mission = four_days
-    monkeypatch.setattr(module, "COMPARE", module.CompareSettings(most_rows=2_000))
+    monkeypatch.setattr(module, "COMPARE_SETTINGS", module.CompareSettings(most_rows=2_000))
     days = catalog.days("l2/field", states=("published",)) * 50
     digest = module.digest_days(catalog, mission, "main", days, lambda stage, done, total: None)
     assert sum(row["after"].size for row in digest.rows) <= 2_000 + len(days)

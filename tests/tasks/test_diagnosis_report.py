@@ -19,17 +19,17 @@ from inflight.diagnosis import (
     Features,
     Series,
     along_field,
-    conclude,
+    calibration_biases,
     cross_talk,
-    epoch,
+    error_waterfall,
     heat_maps,
     responses,
-    shifts_of,
+    run_search,
     sizes_of,
+    superposed_epoch,
     trials,
-    waterfall,
 )
-from inflight.diagnosis.views import VIEWS
+from inflight.diagnosis.figure_data import VIEW_SETTINGS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
@@ -92,7 +92,7 @@ def searched(place):
     """A search that has taken what it found, with what a verdict needs."""
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
     search, data = begin_search(prepared, SETTINGS), diagnosis_data(prepared, place.mission())
-    found, search = conclude(search, data)
+    found, search = run_search(search, data)
     return search, data, found
 
 
@@ -212,7 +212,7 @@ def test_a_search_without_rounds_has_a_page(place):
     settings = SETTINGS.model_copy(update={"rounds": 0})
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, settings)
     search, data = begin_search(prepared, settings), diagnosis_data(prepared, place.mission())
-    found, search = conclude(search, data)
+    found, search = run_search(search, data)
     text, _ = told(diagnosis_page(search, data, found, settings))
     assert "No effect was added" in text
     assert "No round took anything" in text
@@ -225,7 +225,7 @@ def test_a_span_of_two_days_has_a_page(place, tmp_path):
 
 def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):
     """Both are made once: asking again makes neither anew."""
-    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.BURSTS", BurstSettings(largest_share=-1.0))
+    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.BURST_SETTINGS", BurstSettings(largest_share=-1.0))
     kept, again = (make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
     assert kept.loaded.outliers.kept
     assert kept.run
@@ -241,7 +241,7 @@ def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypa
 
 def test_the_steps_of_the_waterfall_join_and_end_at_the_held_out_error(searched):
     search, data, found = searched
-    steps = waterfall(search, data)
+    steps = error_waterfall(search, data)
     assert [step.name for step in steps] == [option.name for option in search.accepted]
     assert steps[0].before == pytest.approx(found.residual["held_out_before_nT"])
     assert steps[-1].after == pytest.approx(found.residual["held_out_after_nT"])
@@ -256,7 +256,7 @@ def test_looking_changes_nothing(searched):
     search, data, _ = searched
     before = list(search.accepted)
     search.with_accepted([])
-    waterfall(search, data)
+    error_waterfall(search, data)
     trials(search, data, [option.name for option in search.options])
     assert list(search.accepted) == before
 
@@ -274,8 +274,8 @@ def test_correlations_are_correlations(searched):
 def test_a_shift_is_straight_in_the_coefficient(searched):
     search, _, found = searched
     option, values = search.accepted[0], found.effects[0].coefficients
-    once = shifts_of(search, option, values)
-    twice = shifts_of(search, option, [replace(one, value=2.0 * one.value) for one in values])
+    once = calibration_biases(search, option, values)
+    twice = calibration_biases(search, option, [replace(one, value=2.0 * one.value) for one in values])
     for one, other in zip(once, twice, strict=True):
         assert {name: 2.0 * by for name, by in one.shifts.items()} == pytest.approx(other.shifts)
 
@@ -374,11 +374,11 @@ def test_maps_find_the_phase_and_keep_gaps_open():
     assert (found.coordinate, found.reach, found.before.shape) == (
         "orbit_phase",
         360.0,
-        (6, VIEWS.map_columns),
+        (6, VIEW_SETTINGS.map_columns),
     )
     assert np.isnan(found.before[0]).all()
-    assert np.nanmax(found.before[1:, : VIEWS.map_columns // 2 - 1]) < -0.9
-    assert np.nanmin(found.before[1:, VIEWS.map_columns // 2 + 1 :]) > 0.9
+    assert np.nanmax(found.before[1:, : VIEW_SETTINGS.map_columns // 2 - 1]) < -0.9
+    assert np.nanmin(found.before[1:, VIEW_SETTINGS.map_columns // 2 + 1 :]) > 0.9
     np.testing.assert_allclose(found.after[1:], 0.1 * found.before[1:])
 
 
@@ -386,7 +386,7 @@ def test_maps_find_the_phase_and_keep_gaps_open():
 def test_maps_and_sizes_stay_small_whatever_the_span(days, step_s):
     seen = series_of(days, step_s, {}, lambda s, u, c: u[:, 0])
     (found,) = heat_maps(seen)
-    assert found.before.shape[0] <= VIEWS.map_rows
+    assert found.before.shape[0] <= VIEW_SETTINGS.map_rows
     assert np.isfinite(found.before).any()
     sizes = sizes_of(seen)
     assert sizes.day.size <= 1000
@@ -395,7 +395,7 @@ def test_maps_and_sizes_stay_small_whatever_the_span(days, step_s):
 
 def test_an_epoch_shows_a_step_at_its_time():
     seen = series_of(10, 600, {}, lambda s, u, c: np.where(s > 4 * 86_400, 0.5, 0.0))
-    found = epoch(seen, int(seen.series.tt2000[0]) + 4 * DAY)["before"]
+    found = superposed_epoch(seen, int(seen.series.tt2000[0]) + 4 * DAY)["before"]
     assert np.nanmax(np.abs(found.mean[found.centre < -0.3])) < 0.05
     assert np.nanmin(found.mean[found.centre > 0.3]) > 0.45
 

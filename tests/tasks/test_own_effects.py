@@ -11,7 +11,7 @@ from tiny_mission import TINY_YAML, deliver_tiny_day
 from inflight.catalog import Catalog, Workspace
 from inflight.effects import known_effects
 from inflight.errors import MissionError, ModelError
-from inflight.flows import dask_client, run_plain
+from inflight.flows import dask_client, run_without_prefect
 from inflight.flows.cluster import SCHEDULER_VARIABLE
 from inflight.mission import sensors_of
 from inflight.model import make_effect
@@ -101,7 +101,7 @@ def one_worker(monkeypatch):
 @pytest.mark.usefixtures("one_worker")
 def test_the_tutorial_s_effect_goes_through_the_chain_and_its_workers(workspace):
     for name in ("ingest", "reprocess"):
-        assert run_plain(name, workspace, {}).exit_code == 0
+        assert run_without_prefect(name, workspace, {}).exit_code == 0
     cat = Catalog(workspace.root)
     day = cat.read_day("l2/field", DAYS[1])
     heater, boom = housekeeping(DAYS[1])
@@ -110,7 +110,7 @@ def test_the_tutorial_s_effect_goes_through_the_chain_and_its_workers(workspace)
     # Without the effect the readings' own noise, 0.05 nT each, would be exceeded more than tenfold.
     assert float(day["residual"].std()) < 0.1
     changed(workspace, "10.0", "9.0")
-    again = run_plain("reprocess", workspace, {})
+    again = run_without_prefect("reprocess", workspace, {})
     assert again.as_json()["days"]["done"] == 2, "a changed effect makes the days anew"
 
 

@@ -19,9 +19,9 @@ from inflight.tasks import current_model, preflight_model
 from inflight.tasks.analysis import DiagnoseSettings, compare
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.archive import ingest, simulate
-from inflight.tasks.archive.deliveries import CHAMP
+from inflight.tasks.archive.simulated_deliveries import CHAMP
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.relation import relation_report
+from inflight.tasks.pipelines.intercalibration import relation_report
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 NAME = "champ-two-fluxgates"

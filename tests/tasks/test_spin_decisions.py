@@ -8,7 +8,7 @@ import xarray as xr
 
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 from inflight.tasks.pipelines.spin.tables import spin_table
 from inflight.time import day_bounds
 
@@ -17,7 +17,7 @@ FIRST = np.datetime64("2012-03-01", "D")
 SIGMA = np.array([0.01 if name.startswith("offset") else 2e-5 for name in SPIN_RELATED])
 TRUTH = np.array([1.001, 1e-3, -1e-3, 2e-3, 1e-3, 1e-3, 3.0, -4.0])
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
-ONE = NAMES.index("spin_axis[x]")
+ONE = PARAMETER_NAMES.index("spin_axis[x]")
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def table_of(model, truths, seed, zero=None, days_each=1):
 
 
 def test_noise_alone_replaces_hardly_anything(model):
-    places = [NAMES.index(name) for name in SPIN_RELATED]
+    places = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
     replaced = []
     for seed in range(20, 28):
         table = table_of(model, np.tile(TRUTH, (10, 1)), seed)
@@ -80,7 +80,7 @@ def test_a_drift_is_followed_within_the_stated_errors(model):
     at = AT["offset[1]"]
     truths[:, at] += 0.008 * np.arange(20)
     table = table_of(model, truths, seed=5)
-    place = NAMES.index("offset[1]")
+    place = PARAMETER_NAMES.index("offset[1]")
     assert (table["decision"].values[1:, place] == "update").sum() >= 2
     pulls = (table["value"].values[:, place] - truths[:, at]) / table["sigma"].values[:, place]
     assert np.abs(pulls).max() < 4.0
@@ -89,7 +89,7 @@ def test_a_drift_is_followed_within_the_stated_errors(model):
 def test_what_nothing_in_flight_tells_stays_as_on_the_ground(model):
     table = table_of(model, np.tile(TRUTH, (2, 1)), seed=6)
     for name in ("spin_plane_gain", "axial_gain", "rotation"):
-        place = NAMES.index(name)
+        place = PARAMETER_NAMES.index(name)
         assert (table["decision"].values[:, place] == "").all()
         assert "ground" in str(table["reason"].values[0, place])
         assert (table["origin"].values[:, place] == "ground").all()
@@ -100,9 +100,9 @@ def test_windows_decide_as_days_do(model):
     truths = np.tile(TRUTH, (12, 1))
     truths[9:, AT["azimuth"]] += 30.0 * SIGMA[AT["azimuth"]]
     table = table_of(model, truths, seed=7, days_each=3)
-    assert table["decision"].values[:, NAMES.index("azimuth")].tolist() == [
+    assert table["decision"].values[:, PARAMETER_NAMES.index("azimuth")].tolist() == [
         "update", *("keep" if one == "keep" else "confirm" for one in
-                    table["decision"].values[1:3, NAMES.index("azimuth")]), "update",
+                    table["decision"].values[1:3, PARAMETER_NAMES.index("azimuth")]), "update",
     ]  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def test_the_axial_offset_is_replaced_by_the_same_rules(model):
         }
     )
     table = table_of(model, np.tile(TRUTH, (4, 1)), seed=8, zero=zero)
-    place = NAMES.index("offset[3]")
+    place = PARAMETER_NAMES.index("offset[3]")
     assert table["decision"].values[:, place].tolist() == ["update", "keep", "update", "keep"]
     assert table["value"].values[:, place].tolist() == [1.5, 1.5, 3.0, 3.0]
     assert "does not tell" in str(table["reason"].values[3, place])

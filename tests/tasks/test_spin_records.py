@@ -12,7 +12,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.spin import NAMES, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
 from inflight.tasks.pipelines.spin import SpinResults
 from inflight.tasks.pipelines.spin.compare import _tone_coordinates, _ToneRecord
 from inflight.tasks.pipelines.spin.day import pad_days
@@ -99,7 +99,7 @@ def test_a_long_reason_is_kept_whole(model, monkeypatch):
         covariance=(("block", "parameter", "other"), np.eye(8)[None]),
     )
     twelve = spin_tables.spin_table([told], model, [NEW, NEW + 1], "daily", zero)
-    assert str(twelve["origin"].values[0, NAMES.index("offset[3]")]) == source
+    assert str(twelve["origin"].values[0, PARAMETER_NAMES.index("offset[3]")]) == source
 
 
 def test_a_day_without_a_product_does_not_lend_its_flags_to_the_next():
@@ -133,7 +133,7 @@ def test_selected_means_stand_beside_their_own_day_when_one_is_gone():
         day_of(NEW + number, subs=30).assign(value=(("block", "parameter"), np.full((1, 8), float(number))))
         for number in range(3)
     ]
-    own = np.tile(np.arange(3.0)[:, None], (1, len(NAMES)))
+    own = np.tile(np.arange(3.0)[:, None], (1, len(PARAMETER_NAMES)))
     starts = np.array([int(day["start"].values[0]) for day in days])
     daily = xr.Dataset({"own": (("interval", "parameter"), own), "start": ("interval", starts)})
     whole = SpinResults(None, None, "main", {"daily": daily}, days, [], []).selected

@@ -21,9 +21,9 @@ from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
-from inflight.tasks.pipelines.states import constant_sentences
-from inflight.tasks.pipelines.states.day import body_of, correction_of, table_of, window_readings
-from inflight.tasks.pipelines.states.tables import (
+from inflight.tasks.pipelines.two_sensor import constant_sentences
+from inflight.tasks.pipelines.two_sensor.day import body_of, correction_of, table_of, window_readings
+from inflight.tasks.pipelines.two_sensor.tables import (
     constant_changes,
     continue_table,
     describe_constant,

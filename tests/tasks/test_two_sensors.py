@@ -18,9 +18,9 @@ from inflight.flows import plan_span
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.analysis import compare
 from inflight.tasks.archive import ingest, simulate
-from inflight.tasks.archive.deliveries import VENUS_EXPRESS
+from inflight.tasks.archive.simulated_deliveries import VENUS_EXPRESS
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.states import named_units
+from inflight.tasks.pipelines.two_sensor import named_units
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 #: Every four seconds, to be quick.

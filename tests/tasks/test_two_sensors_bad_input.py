@@ -8,7 +8,7 @@ from inflight.catalog import Catalog
 from inflight.flags import Flag
 from inflight.tasks.analysis import compare
 from inflight.tasks.pipelines import reprocess
-from inflight.tasks.pipelines.states.day import still_axes
+from inflight.tasks.pipelines.two_sensor.day import still_axes
 from inflight.time import SECOND
 
 HALF = CADENCE * SECOND // 2

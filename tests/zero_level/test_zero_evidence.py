@@ -7,11 +7,11 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps
 from weather import sheath, wind
 
-from inflight.simulate.spinning import CRAFT
+from inflight.simulate.spinning import SPACECRAFT_PRESETS
 from inflight.simulate.spinning import solar_wind as turbulent
 from inflight.zero_level import Intervals, OffsetSearch, combine_methods, minimum_correlation
 from inflight.zero_level.combination import (
-    LIKELIHOOD,
+    LIKELIHOOD_SETTINGS,
     compare_estimates,
     likelihood_ratio,
     log_likelihood,
@@ -30,7 +30,9 @@ def along_axis(times, field, offset, length=900.0):
 
 def half_minutes(hours, seed, size):
     seconds = np.arange(0.0, hours * 3600.0, 30.0)
-    return stamps(seconds.size, 30.0), turbulent(seconds, seed, 0, replace(CRAFT["imp8"], field=size))
+    return stamps(seconds.size, 30.0), turbulent(
+        seconds, seed, 0, replace(SPACECRAFT_PRESETS["imp8"], field=size)
+    )
 
 
 @pytest.mark.parametrize("offset", [-9.0, -3.8, 6.5])
@@ -51,7 +53,8 @@ def test_the_most_evident_offset_lies_near_the_truth_in_rotations_and_in_compres
     said = log_likelihood(intervals, found)
     for far in (-25.0, 25.0):
         assert (
-            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > LIKELIHOOD.rejected
+            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far])))
+            > LIKELIHOOD_SETTINGS.rejected
         )
 
 
@@ -81,7 +84,7 @@ def test_a_field_that_fluctuates_alike_in_all_directions_tells_no_offset():
     own = log_likelihood(intervals, np.array([0.0, 0.0, 2.0]))
     assert (
         abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0]))))
-        < LIKELIHOOD.rejected
+        < LIKELIHOOD_SETTINGS.rejected
     )
     estimate = minimum_correlation(intervals, None, AXIAL)
     claimed = replace(estimate, determined=np.array([False, False, True]), solution=np.array([0.0, 0.0, 2.0]))
@@ -96,13 +99,13 @@ def test_the_sign_of_intervals_counts_and_not_how_strong_the_wind_was():
     generator = np.random.default_rng(47)
     strength = np.repeat(np.exp(generator.normal(size=12)), 8)
     nothing = np.zeros(96)
-    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD.rejected
+    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD_SETTINGS.rejected
     tossed = [
         abs(likelihood_ratio(strength * generator.choice([-1.0, 1.0], 96), nothing)) for _ in range(400)
     ]
-    assert np.mean(np.array(tossed) < LIKELIHOOD.rejected) > 0.98
+    assert np.mean(np.array(tossed) < LIKELIHOOD_SETTINGS.rejected) > 0.98
     # Four intervals cannot refuse anything, were they never so sure.
-    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD.rejected
+    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD_SETTINGS.rejected
 
 
 def test_two_roads_to_one_zero_agree():

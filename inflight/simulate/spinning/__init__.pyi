@@ -1,9 +1,9 @@
 from .ambient import solar_wind
 from .day import simulate_spinning_day
-from .settings import CRAFT, SpinningParameters, SpinningSettings
+from .settings import SPACECRAFT_PRESETS, SpinningParameters, SpinningSettings
 
 __all__ = [
-    "CRAFT",
+    "SPACECRAFT_PRESETS",
     "SpinningParameters",
     "SpinningSettings",
     "simulate_spinning_day",

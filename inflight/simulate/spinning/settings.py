@@ -91,7 +91,7 @@ class SpinningParameters(MissionParameters):
 
 #: Spacecraft: THEMIS turns in 3 s and passes through dipole, sheath and wind; IMP-8 in 2.6 s and Helios
 #: in 1 s, both in the solar wind.
-CRAFT: dict[str, SpinningParameters] = {
+SPACECRAFT_PRESETS: dict[str, SpinningParameters] = {
     "themis": SpinningParameters(perigee=1.5, apogee=19.5, attitude=(0.07, -0.05, 1.0)),
     "imp8": SpinningParameters(
         spin_period=2.5871, cadence=0.32, noise=0.03, resolution=0.05, attitude=(0.0, 0.0, 1.0)
@@ -114,4 +114,4 @@ class SpinningSettings(MissionSettings):
     @property
     def parameters(self) -> SpinningParameters:
         """The numbers behind the effects."""
-        return CRAFT[self.craft].changed(self.overrides)
+        return SPACECRAFT_PRESETS[self.craft].changed(self.overrides)

@@ -32,14 +32,14 @@ from .planning import (
 )
 from .publication import (
     Reprocessing,
-    Solved,
+    TablesToPublish,
     UsedTable,
-    adopt_days,
     record_failure,
     register_outcome,
+    reuse_interrupted_days,
     rounded,
 )
-from .reprocessing import carry_out, product_key, residual_of_days
+from .reprocessing import product_key, residual_of_days, run_plan
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
@@ -57,16 +57,14 @@ __all__ = [
     "Report",
     "ReprocessSettings",
     "Reprocessing",
-    "Solved",
     "Sources",
     "Spans",
     "TablesReport",
+    "TablesToPublish",
     "TextLine",
     "UsedTable",
     "Versions",
-    "adopt_days",
     "blocks_of",
-    "carry_out",
     "channel_means",
     "content_keys",
     "daily_residual_figure",
@@ -88,8 +86,10 @@ __all__ = [
     "record_failure",
     "register_outcome",
     "residual_of_days",
+    "reuse_interrupted_days",
     "rounded",
     "rows_of_day",
+    "run_plan",
     "scalar_channels",
     "scatter_html",
     "structures_html",

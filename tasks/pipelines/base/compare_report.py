@@ -13,7 +13,7 @@ import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, daily_figure, html_table
-from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
+from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics
 from inflight.tasks.pipelines.base.parts import TextLine
 from inflight.tasks.report import Progress
 
@@ -89,8 +89,8 @@ class CompareReport:
 
     comparison: str
     context: str
-    before: Size
-    after: Size
+    before: ResidualStatistics
+    after: ResidualStatistics
     floor: NoiseFloor
     by_day: list[dict[str, Any]]
     fails_where: Sequence[Structure]
@@ -197,7 +197,9 @@ def tables_in_use(cat: Catalog, comparison: str, day: Day) -> tuple[xr.Dataset, 
     return daily, used
 
 
-def day_summary(day: Day, before: Size, after: Size, **more: float) -> dict[str, Any]:
+def day_summary(
+    day: Day, before: ResidualStatistics, after: ResidualStatistics, **more: float
+) -> dict[str, Any]:
     """Return the size of a day's residual before and after calibration, as plain fields; nT."""
     return {
         "day": str(day.day),

@@ -42,7 +42,7 @@ class BlockLengths:
     short_s: float = 3 * 3600.0
 
 
-BLOCKS = BlockLengths()
+BLOCK_LENGTHS = BlockLengths()
 
 #: Channels of these kinds are no coordinates: geometry makes coordinates of them, or they are no numbers.
 _NO_COORDINATE = (*NO_CAUSE, "flag")
@@ -70,10 +70,10 @@ def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
 
 def blocks_of(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
     """Return the number of each row's block, (row,), and the length of a block in words."""
-    if days >= BLOCKS.least_days:
+    if days >= BLOCK_LENGTHS.least_days:
         first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
         return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
-    return (tt2000 / (BLOCKS.short_s * SECOND)).astype(np.int64), "3 h"
+    return (tt2000 / (BLOCK_LENGTHS.short_s * SECOND)).astype(np.int64), "3 h"
 
 
 @dataclass(frozen=True)

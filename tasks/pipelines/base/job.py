@@ -2,7 +2,7 @@
 
 `Batch` and `ProductBatch` are what a pipeline's `make_day` and `make_product` are given. `make_days` makes
 each day of a batch and writes those that succeed as one segment of the archive; a day that fails does not
-stop the others, and its `RankedDependence` is recorded.
+stop the others, and its `Failure` is recorded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from inflight.catalog import Catalog, DayData, Segment, cause_of, write_segment
+from inflight.catalog import Catalog, DayData, Segment, failure_cause, write_segment
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
@@ -101,7 +101,7 @@ def failure_of(error: BaseException) -> Failure:
     if isinstance(error, InflightError):
         message = f"{error.file}: {error.message}" if error.file else error.message
         return Failure(error.cause, message, error.remedy, error.channel)
-    cause = cause_of(error)
+    cause = failure_cause(error)
     remedy = "please report it with the log" if cause == "bug" else ""
     return Failure(cause, f"{type(error).__name__}: {error}", remedy)
 

@@ -31,7 +31,7 @@ from inflight.mission import Mission
 from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
-from inflight.tasks.pipelines.base.publication import Reprocessing, Solved, TableStager
+from inflight.tasks.pipelines.base.publication import Reprocessing, TableStager, TablesToPublish
 from inflight.tasks.pipelines.base.tables import content_keys
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
@@ -167,7 +167,7 @@ class Pipeline(ABC):
     # --- tables -----------------------------------------------------------------------------------------
 
     @abstractmethod
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the tables and stage those that are new.
 
         Parameters
@@ -208,7 +208,7 @@ class Pipeline(ABC):
         self,
         work: Reprocessing,
         days: Mapping[np.datetime64, Day],
-        solved: Solved,
+        solved: TablesToPublish,
         reports: Mapping[np.datetime64, Mapping[str, Any]],
     ) -> None:
         """Make what needs the reports of the products; nothing unless overridden."""
@@ -216,13 +216,13 @@ class Pipeline(ABC):
 
     # --- the report of a run ----------------------------------------------------------------------------
 
-    def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
+    def outputs(self, plan: Plan, solved: TablesToPublish | None, made: int) -> list[str]:
         """Return the datasets and tables of a run; `made` days have products now."""
         del solved, made
         return [plan.product, f"tables/{plan.settings.comparison}-{plan.settings.table}"]
 
     @abstractmethod
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the extra fields of a run's report; ``residual`` is rms before and after, nT.
 
         Parameters

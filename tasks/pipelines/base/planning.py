@@ -20,7 +20,7 @@ from inflight.errors import CatalogError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import (
-    INPUTS,
+    INPUT_SETTINGS,
     ArchiveIndex,
     Need,
     base_role,
@@ -235,7 +235,7 @@ def plan_archive_days(
     named = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
     needs = tuple(replaceable_needs(mission, used.model, named))
     # A day is also made from days around it; the farthest have typical values for a missing channel.
-    after = INPUTS.typical_value_days if any(need.replaceable for need in needs) else 1
+    after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1
     before = max(after, *(need.days_before for need in needs))
     first = str(as_day(start) - before * ONE_DAY) if start is not None else None
     last = str(as_day(end) + after * ONE_DAY) if end is not None else None

@@ -81,7 +81,7 @@ class UsedTable(NamedTuple):
 
 
 @dataclass(kw_only=True)
-class Solved:
+class TablesToPublish:
     """Tables of a run: the ones products take, and what is to be certified at publication.
 
     Attributes
@@ -159,7 +159,7 @@ class TableStager:
 
     def solved(
         self, name: str, model: Model, notes: Mapping[str, str] | None = None, inputs: Sequence[str] = ()
-    ) -> Solved:
+    ) -> TablesToPublish:
         """Return the tables so far, one of which the products of all planned days take.
 
         Parameters
@@ -178,7 +178,7 @@ class TableStager:
             day: UsedTable(self.ids[name], (table_row_hash(table, sum(day_bounds(day)) // 2), *inputs), table)
             for day in self.work.plan.days
         }
-        return Solved(
+        return TablesToPublish(
             model=model, used=used, certify=self.certify, kept=tuple(self.ids), notes=dict(notes or {})
         )
 
@@ -202,7 +202,7 @@ def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
     return digest.hexdigest()
 
 
-def adopt_days(
+def reuse_interrupted_days(
     run: Run, dataset: str, keys: Mapping[np.datetime64, str], days: Iterable[np.datetime64]
 ) -> dict[np.datetime64, Day]:
     """Adopt the days that a killed run had made from the same inputs, and return them."""

@@ -1,6 +1,6 @@
 """A reprocessing, step by step: statistics of days, tables, products, and the report of the run.
 
-In go a pipeline and a `Plan`, out comes a published run with its `RunReport`. `carry_out` does the same for
+In go a pipeline and a `Plan`, out comes a published run with its `RunReport`. `run_plan` does the same for
 every pipeline. All batches of a stage are independent; the `Mapper` says where they run.
 """
 
@@ -22,10 +22,10 @@ from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.tasks.pipelines.base.planning import Plan
 from inflight.tasks.pipelines.base.publication import (
     Reprocessing,
-    Solved,
+    TablesToPublish,
     UsedTable,
-    adopt_days,
     register_outcome,
+    reuse_interrupted_days,
 )
 from inflight.tasks.report import RunReport, no_work_problems
 
@@ -33,7 +33,7 @@ from inflight.tasks.report import RunReport, no_work_problems
 _MOST_PASSES = 4
 
 
-def carry_out(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, mapper: Mapper) -> RunReport:
+def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, mapper: Mapper) -> RunReport:
     """Carry out a plan, publish it as one run, and return its report.
 
     Raises
@@ -105,7 +105,7 @@ def _make_pass(
         # Statistics that a killed run linearised in a later pass differ in their bytes from those of an
         # undisturbed run: only those of the first pass are adopted.
         days = [day for batch in batches for day in batch]
-        adopted = adopt_days(work.run, plan.equations, plan.keys, days)
+        adopted = reuse_interrupted_days(work.run, plan.equations, plan.keys, days)
         fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
     todo = [[day for day in batch if day not in fresh] for batch in batches]
     arguments = [
@@ -143,7 +143,7 @@ def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTa
     return idempotency_key(plan.product, day, pipeline.versions.products, plan.context, inputs)
 
 
-def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _Products:
+def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPublish) -> _Products:
     """Make and stage the products whose samples, model or table changed."""
     cat, plan = work.cat, work.plan
     current = {day.day: day for day in cat.days(plan.product, states=("published",))}
@@ -154,7 +154,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
     }
     unchanged = [day for day, key in keys.items() if day in current and current[day].key == key]
     todo = [day for day in keys if day not in set(unchanged)]
-    adopted = adopt_days(work.run, plan.product, keys, todo)
+    adopted = reuse_interrupted_days(work.run, plan.product, keys, todo)
     todo = [day for day in todo if day not in adopted]
     # The days of a batch have one table in common.
     arguments = []
@@ -181,7 +181,9 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _P
     return _Products(sorted(done), unchanged, reports)
 
 
-def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made: _Products) -> RunReport:
+def _report(
+    pipeline: Pipeline, work: Reprocessing, solved: TablesToPublish | None, made: _Products
+) -> RunReport:
     plan = work.plan
     counts = {
         "planned": len(plan.days) + len(plan.no_work),

@@ -1,4 +1,4 @@
-from .calibrate import fit_day
+from .day import fit_day
 from .pipeline import ScalarPipeline
 from .product import level2_day
 from .tables import load_equations

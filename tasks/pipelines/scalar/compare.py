@@ -22,22 +22,22 @@ from inflight.residual import (
     Coordinate,
     Line,
     NoiseFloor,
-    Power,
-    Size,
+    ResidualStatistics,
+    SpectrumSum,
     add_power,
     daily_scatter,
     find_lines,
     finest_power,
     join_floors,
-    join_sizes,
     known_periods,
     measure_dependences,
+    merge_statistics,
     noise_floor,
     orbit_period,
     rank_dependences,
     record_lines,
+    residual_statistics,
     rising_or_falling,
-    size_of,
     stretch_power,
 )
 from inflight.tasks.models import current_model
@@ -89,7 +89,7 @@ class CompareSettings:
     branch_rows: int = 2
 
 
-COMPARE = CompareSettings()
+COMPARE_SETTINGS = CompareSettings()
 
 #: Columns of rows that are no coordinates.
 _RESIDUAL_COLUMNS = {"tt2000", "before", "after", "low", "high"}
@@ -134,8 +134,8 @@ def compare_samples(
     report = CompareReport(
         comparison=comparison,
         context=days[-1].context or "",
-        before=join_sizes(digest.before),
-        after=join_sizes(digest.after),
+        before=merge_statistics(digest.before),
+        after=merge_statistics(digest.after),
         floor=join_floors(digest.floors),
         by_day=[day_summary(*of_day) for of_day in zip(days, digest.before, digest.after, strict=True)],
         fails_where=rank_dependences(coordinates, found, rows["after"], direction, block),
@@ -174,23 +174,26 @@ class Digest:
 
     length: float
     rows: list[dict[str, Floats]] = field(default_factory=list)
-    before: list[Size] = field(default_factory=list)
-    after: list[Size] = field(default_factory=list)
+    before: list[ResidualStatistics] = field(default_factory=list)
+    after: list[ResidualStatistics] = field(default_factory=list)
     floors: list[NoiseFloor] = field(default_factory=list)
-    power_before: dict[tuple[int, float], Power] = field(default_factory=dict)
-    power: dict[tuple[int, float], Power] = field(default_factory=dict)
+    power_before: dict[tuple[int, float], SpectrumSum] = field(default_factory=dict)
+    power: dict[tuple[int, float], SpectrumSum] = field(default_factory=dict)
     counts: dict[str, Floats] = field(default_factory=dict)
     skipped: int = 0
     outliers: int = 0
 
     def add_sizes(self, before: Floats, after: Floats) -> None:
         """Add a day's sizes and histograms; the first day sets the range."""
-        self.before.append(size_of(before))
-        self.after.append(size_of(after))
+        self.before.append(residual_statistics(before))
+        self.after.append(residual_statistics(after))
         if "edges" not in self.counts:
-            wide = COMPARE.half_width * max(self.after[-1].std, 1e-3)
-            self.counts["edges"] = np.linspace(-wide, wide, COMPARE.bins + 1)
-            self.counts |= {"before": np.zeros(COMPARE.bins), "after": np.zeros(COMPARE.bins)}
+            wide = COMPARE_SETTINGS.half_width * max(self.after[-1].std, 1e-3)
+            self.counts["edges"] = np.linspace(-wide, wide, COMPARE_SETTINGS.bins + 1)
+            self.counts |= {
+                "before": np.zeros(COMPARE_SETTINGS.bins),
+                "after": np.zeros(COMPARE_SETTINGS.bins),
+            }
         for name, values, size in (
             ("before", before, self.before[-1]),
             ("after", after, self.after[-1]),
@@ -228,7 +231,7 @@ def digest_days(
     cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
 ) -> Digest:
     """Read the products of days one after the other and return what is kept of them."""
-    digest = Digest(max(COMPARE.shortest_span_s, 86_400.0 * len(days) / COMPARE.most_rows))
+    digest = Digest(max(COMPARE_SETTINGS.shortest_span_s, 86_400.0 * len(days) / COMPARE_SETTINGS.most_rows))
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
     for day in each_day(days, progress):
         product = cat.read(day)
@@ -264,7 +267,7 @@ def _spectra(digest: Digest, rows: dict[str, Floats], direction: Floats, mission
     stated = {name: period / SECOND for name, period in mission.periods.items()}
     seconds = rows["tt2000"] / SECOND
     orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
-    known, shortest = known_periods(stated, orbit), COMPARE.least_spans * digest.length
+    known, shortest = known_periods(stated, orbit), COMPARE_SETTINGS.least_spans * digest.length
     fast, before = finest_power(digest.power), finest_power(digest.power_before)
     slow, slow_lines = record_lines(
         (seconds, rows["after"], direction), digest.length, known, shortest=shortest
@@ -284,7 +287,7 @@ def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordina
             continue
         if name in channels:
             channel = channels[name][2]
-            branch = rising_or_falling(values, COMPARE.branch_rows)
+            branch = rising_or_falling(values, COMPARE_SETTINGS.branch_rows)
             yield Coordinate(name, channel.unit, channel.kind, values, branch)
         else:
             # As `inflight.residual.dependence` knows kinds: all three components of one are of a kind.

@@ -30,8 +30,8 @@ from inflight.residual import (
     SERIES,
     Dependence,
     Line,
-    Power,
     RankedDependence,
+    SpectrumSum,
     drawn_periods,
     format_period,
 )
@@ -49,9 +49,9 @@ _LISTED = 24
 class Spectra:
     """Spectra of days (after, before) and of weeks, the lines in them, and the periods that are known (s)."""
 
-    fast: Power | None
-    before: Power | None
-    slow: Power | None
+    fast: SpectrumSum | None
+    before: SpectrumSum | None
+    slow: SpectrumSum | None
     lines: list[Line]
     known: dict[str, float]
 

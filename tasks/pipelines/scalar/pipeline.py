@@ -24,13 +24,13 @@ from inflight.tasks.pipelines.base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     Versions,
     month_edges,
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.pipelines.scalar.calibrate import calibrate_day
+from inflight.tasks.pipelines.scalar.day import calibrate_day
 from inflight.tasks.pipelines.scalar.product import level2_day
 from inflight.tasks.pipelines.scalar.tables import (
     daily_table,
@@ -69,7 +69,7 @@ class ScalarPipeline(Pipeline):
         value = relinearise_at(equations, plan.model, strength, last)
         return None if value is None else value.tolist()
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
         plan, stager = work.plan, self.table_stager(work, days)
         equations, model = load_equations(work.cat, list(days.values())), plan.model
@@ -88,7 +88,7 @@ class ScalarPipeline(Pipeline):
         """Return the day's calibrated field; see `level2_day`."""
         return level2_day(batch, day)
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the residual of the planned days."""
         return {"residual": residual_of_days(work) if solved else {}}
 

@@ -12,7 +12,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission_fit import day_statistics
-from inflight.residual import size_of
+from inflight.residual import residual_statistics
 from inflight.tasks.archive import load_samples, substitute_missing, substitution_report
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.time import day_bounds, usual_step
@@ -59,10 +59,10 @@ def level2_day(
     step = usual_step(np.asarray(product["tt2000"].values), end - start)
     # The numbers as stored, of the samples that `compare_samples` takes: both give one residual.
     measured = (flag & np.uint32(UNUSABLE)) == 0
-    after = size_of(residual[measured])
+    after = residual_statistics(residual[measured])
     report = {
         "coverage": float(good.sum() * step / (end - start)),
-        "before_nT": size_of(product["residual_preflight"].values[measured]).rms,
+        "before_nT": residual_statistics(product["residual_preflight"].values[measured]).rms,
         "after_nT": after.rms,
         "samples": after.count,
         **substituted,

@@ -24,7 +24,7 @@ from inflight.calibration import (
 )
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
-from inflight.lsq import WEIGHTED_RMS, Solution, residual_sum
+from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
 from inflight.model import Model
 from inflight.time import day_bounds
 
@@ -118,7 +118,7 @@ def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) 
         solution,
         float(part.dataset["used"].values.sum()),
         float(np.sqrt(gram[-1, -1] / count)),
-        float(np.sqrt(residual_sum(gram, solution.value) / count)) / WEIGHTED_RMS,
+        float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR,
         len(part),
     )
 

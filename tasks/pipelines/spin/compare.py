@@ -30,14 +30,14 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.model import Model, folding_of, rows_of, spin_residual
-from inflight.residual import NO_FLOOR, NO_SIZE, NoiseFloor, Size, daily_scatter
-from inflight.samples import Complex, Folding, fold
+from inflight.residual import NO_FLOOR, NO_STATISTICS, NoiseFloor, ResidualStatistics, daily_scatter
+from inflight.samples import Complex, Folding, fold_spins
 from inflight.spin import (
     TONES,
     ToneCoordinate,
     ToneDependence,
     Tones,
-    find_tone_failures,
+    rank_tone_dependences,
     tone_dependence,
     tones_of,
 )
@@ -83,7 +83,7 @@ class SpinCompareSettings:
     interval_sigmas: float = 1.96
 
 
-SPIN_COMPARE = SpinCompareSettings()
+SPIN_COMPARE_SETTINGS = SpinCompareSettings()
 
 
 @dataclass
@@ -146,7 +146,7 @@ def _residual(report: SpinCompareReport, drawn: SpinDrawn) -> SectionBody:
     )
     daily = daily_residual_figure(report)
     daily.title.text = "What goes with the spin, each day"
-    strongest = np.argsort(-drawn.after.size)[: SPIN_COMPARE.drawn_tones]
+    strongest = np.argsort(-drawn.after.size)[: SPIN_COMPARE_SETTINGS.drawn_tones]
     over_time = [
         tones_over_time_figure(drawn.time, drawn.before, drawn.after, int(tone)) for tone in strongest
     ]
@@ -212,7 +212,7 @@ class _ToneRecord:
     time: list[Int64] = field(default_factory=list)
     before: list[Tones] = field(default_factory=list)
     after: list[Tones] = field(default_factory=list)
-    sizes: list[tuple[Size, Size]] = field(default_factory=list)
+    sizes: list[tuple[ResidualStatistics, ResidualStatistics]] = field(default_factory=list)
     coordinates: list[dict[str, Floats]] = field(default_factory=list)
     channel_tones: list[dict[str, Complex]] = field(default_factory=list)
     skipped: int = 0
@@ -265,7 +265,7 @@ def compare_spin(
     before, after = found.tones("before"), found.tones("after")
     coordinates = {one.name: one for one in _tone_coordinates(found, mission)}
     block, block_name = blocks_of(found.stamps.astype(np.float64), len(days))
-    failures, whole = find_tone_failures(after, coordinates, block)
+    failures, whole = rank_tone_dependences(after, coordinates, block)
     daily, used = tables_in_use(cat, comparison, days[0])
     report = SpinCompareReport(
         comparison,
@@ -334,8 +334,8 @@ class _Reader:
             folded=False,
         )
         span = day_bounds(day.day)
-        raw = fold(samples, self.folding, span)
-        folded = fold(self._product_samples(day, samples), self.folding, span)
+        raw = fold_spins(samples, self.folding, span)
+        folded = fold_spins(self._product_samples(day, samples), self.folding, span)
         calibrated = np.asarray(folded["vector"].values, dtype=np.float64)
         after, good = spin_residual(self.folding, calibrated, folded)
         before = np.where(good[:, None], rows_of(self.model, raw).residual, np.nan)
@@ -411,7 +411,7 @@ def _tone_coordinates(found: _ToneRecord, mission: Mission) -> Iterator[ToneCoor
     yield ToneCoordinate("spin phase", "", "spin_phase", np.zeros(stamps.size))
     yield ToneCoordinate("time", "d", "time", (stamps - stamps[0]) / DAY)
     for name, period in mission.periods.items():
-        if name != "spin" and stamps[-1] - stamps[0] > SPIN_COMPARE.fewest_periods * period:
+        if name != "spin" and stamps[-1] - stamps[0] > SPIN_COMPARE_SETTINGS.fewest_periods * period:
             phase = 360.0 * ((stamps - stamps[0]) / period % 1.0)
             yield ToneCoordinate(f"phase of the period '{name}'", "deg", "orbit_phase", phase)
     channels = scalar_channels(mission, flags=True)
@@ -439,18 +439,18 @@ def _joined(parts: Sequence[Mapping[str, Any]], sizes: Sequence[int], empty: com
     }
 
 
-def _size(rows: Floats, weight: Floats) -> Size:
+def _size(rows: Floats, weight: Floats) -> ResidualStatistics:
     """Return the size of rows (time, 2), rms by their weights; nT."""
     known = np.isfinite(rows).all(axis=1) & (weight > 0.0)
     values, shares = rows[known], weight[known]
     if not len(values):
-        return NO_SIZE
+        return NO_STATISTICS
     rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
     # The rows have no mean: that of their turn is taken off.
     order = np.argsort(np.abs(values).max(axis=1), kind="stable")
     half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
     robust = 1.4826 * float(np.median(np.abs(values[order[: 2 * int(half) + 1]])))
-    return Size(
+    return ResidualStatistics(
         count=int(known.sum()),
         mean=0.0,
         std=rms,
@@ -461,13 +461,13 @@ def _size(rows: Floats, weight: Floats) -> Size:
     )
 
 
-def _total_size(sizes: Sequence[Size], tones: Tones) -> Size:
+def _total_size(sizes: Sequence[ResidualStatistics], tones: Tones) -> ResidualStatistics:
     """Return the size of all days together: rms by the intervals' weights."""
     rms = float(np.sqrt(np.sum(tones.size**2) / 2.0))
     known = [one for one in sizes if one.count]
     if not known:
         return sizes[0]
-    return Size(
+    return ResidualStatistics(
         count=sum(one.count for one in known),
         mean=0.0,
         std=rms,
@@ -495,5 +495,5 @@ def _noise_floor(tones: Tones, block: np.ndarray) -> NoiseFloor:
     if each.size < 2:
         return NoiseFloor(level, float("nan"), float("nan"))
     sigma = float(np.sqrt((each.size - 1) / each.size * np.sum((each - np.mean(each)) ** 2)))
-    half = SPIN_COMPARE.interval_sigmas * sigma
+    half = SPIN_COMPARE_SETTINGS.interval_sigmas * sigma
     return NoiseFloor(level, max(level - half, 0.0), level + half)

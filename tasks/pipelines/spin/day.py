@@ -24,7 +24,7 @@ from inflight.frames import FRAMES, sun_direction_gse, to_gse
 from inflight.mission import Mission, SpinAxis
 from inflight.model import Model, ModelEffect
 from inflight.spin import (
-    NAMES,
+    PARAMETER_NAMES,
     SPIN_RELATED,
     UNCALIBRATED_SIGMA,
     Attitude,
@@ -75,7 +75,7 @@ class SpinDaySettings:
     longest_gap_ns: int = 7200 * SECOND
 
 
-SPIN_DAY = SpinDaySettings()
+SPIN_DAY_SETTINGS = SpinDaySettings()
 
 _TT2000 = {"scale": "TT2000"}
 
@@ -166,7 +166,7 @@ def _delivered_axis(series: xr.DataArray, need: Need, mission: Mission, stamps: 
     before, beyond = np.maximum(after - 1, 0), np.minimum(after, times.size - 1)
     inside = (after > 0) & (after < times.size)
     apart = np.where(inside, times[beyond] - times[before], 2 * np.abs(stamps - times[before]))
-    near = apart <= max(SPIN_DAY.longest_gap_ns, 3 * need.cadence_ns)
+    near = apart <= max(SPIN_DAY_SETTINGS.longest_gap_ns, 3 * need.cadence_ns)
     return np.where(near[:, None], between, np.nan)
 
 
@@ -283,7 +283,7 @@ def ground_of(entry: ModelEffect, tt2000: int) -> tuple[CalibrationParameters, d
     """Return the twelve parameters that the model states before flight, and their sigmas by name."""
     values, sigmas = [], {}
     kinds = SpinningSensor.parameters()
-    for name in NAMES:
+    for name in PARAMETER_NAMES:
         key, _, axis = name.partition("[")
         index = (kinds[key].axes or ("",)).index(axis.rstrip("]"))
         parameter = entry.parameters[key]
@@ -318,9 +318,10 @@ def plain_readings(
 def exclusions_of(mission: Mission, start: int, end: int) -> list[Exclusion]:
     """Return the spans of a mission's manoeuvres that touch [start, end), with the hour after each."""
     return [
-        Exclusion(event.at, event.at + SPIN_DAY.after_manoeuvre_ns, "manoeuvre")
+        Exclusion(event.at, event.at + SPIN_DAY_SETTINGS.after_manoeuvre_ns, "manoeuvre")
         for event in mission.events
-        if event.kind in ("manoeuvre", "maneuver") and start - SPIN_DAY.after_manoeuvre_ns <= event.at < end
+        if event.kind in ("manoeuvre", "maneuver")
+        and start - SPIN_DAY_SETTINGS.after_manoeuvre_ns <= event.at < end
     ]
 
 
@@ -334,7 +335,7 @@ def unusable_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusio
     jump = Flag.PHASE_JUMP | Flag.NO_PHASE
     for bits, reason in ((jump, "phase jump"), (Flag.SATURATED, "saturated")):
         at = np.flatnonzero((flag & np.uint32(bits)) == np.uint32(bits))
-        apart = np.flatnonzero(np.diff(stamps[at]) > SPIN_DAY.joined_ns) + 1
+        apart = np.flatnonzero(np.diff(stamps[at]) > SPIN_DAY_SETTINGS.joined_ns) + 1
         runs = np.split(at, apart) if at.size else []
         found += [Exclusion(int(stamps[run[0]]), int(stamps[run[-1]]) + 1, reason) for run in runs]
     return found
@@ -398,7 +399,7 @@ def _payload_means(
     field: Floats, phase: Floats, stamps: Int64, good: np.ndarray, period: float, span: tuple[int, int]
 ) -> xr.Dataset:
     """Return means over whole turns in payload axes: (block, mean, axis) nT, and their times."""
-    turns = max(1, round(SPIN_DAY.mean_s / period))
+    turns = max(1, round(SPIN_DAY_SETTINGS.mean_s / period))
     known = good & np.isfinite(phase)
     payload = despin(field, phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
@@ -406,7 +407,7 @@ def _payload_means(
     most = int(group[known].max()) + 1
     count = np.bincount(group[known], minlength=most + 1)[:most]
     usual = np.median(count[count > 0])
-    whole = count > SPIN_DAY.full_mean * usual
+    whole = count > SPIN_DAY_SETTINGS.full_mean * usual
     sums = np.stack([np.bincount(group[known], part[known], most + 1)[:most] for part in payload.T], axis=1)
     times = np.bincount(group[known], (stamps[known] - span[0]) / SECOND, most + 1)[:most]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -29,8 +29,8 @@ from inflight.tasks.pipelines.base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
     TablesReport,
+    TablesToPublish,
     TextLine,
     Versions,
     month_edges,
@@ -92,7 +92,7 @@ class SpinPipeline(Pipeline):
         """Return days padded with empty sub-intervals and means; see `pad_days`."""
         return pad_days(days)
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the tables: zero levels, each day, windows, months, the whole span.
 
         The offset along the spin axis needs many hours of solar wind: days and months use that of their
@@ -130,7 +130,7 @@ class SpinPipeline(Pipeline):
         """Return the day's despun field; see `spin_product`."""
         return spin_product(batch, day)
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the residual of the planned days, and the tables that could not be made."""
         if solved is None:
             return {"residual": {}}

@@ -10,8 +10,8 @@ import xarray as xr
 from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
 from inflight.model import Model, rows_of
-from inflight.samples import fold
-from inflight.spin import NAMES, CalibrationParameters, make_spin_product
+from inflight.samples import fold_spins
+from inflight.spin import PARAMETER_NAMES, CalibrationParameters, make_spin_product
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
@@ -37,7 +37,7 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
     covariance = np.asarray(row["covariance"].values)
     product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
-    free = np.array([entry.parameters[name.partition("[")[0]].free for name in NAMES])
+    free = np.array([entry.parameters[name.partition("[")[0]].free for name in PARAMETER_NAMES])
     if not np.all(row["determined"].values[free]):
         product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
@@ -73,7 +73,7 @@ def _residual(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, in
     if bound.layout.folding is None:
         return {}
     try:
-        folded = fold(samples, bound.layout.folding, span)
+        folded = fold_spins(samples, bound.layout.folding, span)
     except InflightError:
         return {}
     out = {}

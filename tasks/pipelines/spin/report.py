@@ -28,7 +28,7 @@ from inflight.figures import (
 )
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.spin import NAMES, SPIN_RELATED, UNITS
+from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED
 from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
@@ -107,10 +107,10 @@ def _items(row: xr.Dataset) -> list[dict[str, Any]]:
     columns = ("prior", "prior_sigma", "value", "sigma", "own", "own_sigma")
     keys = ("preflight", "preflight_sigma", "value", "sigma", "own", "own_sigma")
     return [
-        {"name": name, "unit": UNITS[name]}
+        {"name": name, "unit": PARAMETER_UNITS[name]}
         | {key: float(row[column].values[at]) for key, column in zip(keys, columns, strict=True)}
         | {key: str(row[key].values[at]) for key in ("origin", "decision", "reason")}
-        for at, name in enumerate(NAMES)
+        for at, name in enumerate(PARAMETER_NAMES)
     ]
 
 
@@ -173,14 +173,14 @@ def _selection_and_joint(
     rows: list[tuple[str, ...]] = []
     items: list[dict[str, Any]] = []
     for at, name in enumerate(SPIN_RELATED):
-        prior = float(table["prior"].values[NAMES.index(name)])
-        spread = float(table["prior_sigma"].values[NAMES.index(name)])
+        prior = float(table["prior"].values[PARAMETER_NAMES.index(name)])
+        spread = float(table["prior_sigma"].values[PARAMETER_NAMES.index(name)])
         count = int(cloud.chosen[:, at].sum())
         apart = abs(cloud.value[at] - value[at]) / float(np.hypot(cloud.sigma[at], sigma[at]))
         items.append(
             {
                 "name": name,
-                "unit": UNITS[name],
+                "unit": PARAMETER_UNITS[name],
                 "selection": float(cloud.value[at]),
                 "selection_sigma": float(cloud.sigma[at]),
                 "joint": float(value[at]),
@@ -193,7 +193,7 @@ def _selection_and_joint(
         rows.append(
             (
                 name,
-                UNITS[name],
+                PARAMETER_UNITS[name],
                 with_error(prior, spread),
                 selection,
                 with_error(value[at], sigma[at]),
@@ -267,7 +267,7 @@ def _offset_drift(table: xr.Dataset) -> dict[str, tuple[float, float]]:
     out = {}
     time = (table["start"].values // 2 + table["end"].values // 2) / DAY
     for name in ("offset[1]", "offset[2]"):
-        at = NAMES.index(name)
+        at = PARAMETER_NAMES.index(name)
         value, sigma = table["own"].values[:, at], table["own_sigma"].values[:, at]
         known = np.isfinite(sigma)
         if known.sum() < 3:

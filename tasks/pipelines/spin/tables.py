@@ -25,17 +25,17 @@ from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
 from inflight.spin import (
     GROUND,
-    NAMES,
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
     SPIN,
     SPIN_RELATED,
-    UNITS,
     Bools,
     CalibrationParameters,
     Decision,
     ExternalValue,
     ParameterTable,
+    SpinParametersInUse,
     ValueInUse,
-    ValuesInUse,
     axial_offset_slope,
     choose_estimates,
     join_parameters,
@@ -47,7 +47,7 @@ from inflight.time import DAY, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     COMBINED_METHODS,
     PARTS,
-    Flipped,
+    FlipperSolution,
     Intervals,
     OffsetSearch,
     combine_methods,
@@ -82,9 +82,9 @@ class SpinTableSettings:
     published_sigmas: float = 1.7
 
 
-SPIN_TABLE = SpinTableSettings()
+SPIN_TABLE_SETTINGS = SpinTableSettings()
 
-#: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
+#: Codes of the variable `source`, as `inflight.calibration.table.VALUE_ORIGINS` has them.
 _PRIOR, _DATA = 0, 2
 
 #: The parameter that leaves no tone and is found from natural fluctuations.
@@ -171,7 +171,7 @@ def spin_table(
 class _InUse:
     """The values in use, from one interval to the next."""
 
-    eight: ValuesInUse
+    eight: SpinParametersInUse
     axial: ValueInUse
     source: str = GROUND
 
@@ -180,7 +180,7 @@ class _InUse:
         """Return the values in use before the flight."""
         ground, sigma = ground_of(entry, tt2000)
         axial = ValueInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
-        return cls(ValuesInUse.from_ground(ground, sigma), axial)
+        return cls(SpinParametersInUse.from_ground(ground, sigma), axial)
 
     def row(
         self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
@@ -190,7 +190,7 @@ class _InUse:
         prior = np.array([sigma[name] for name in SPIN_RELATED])
         value, covariance, excess = _combine_days(days, ground.spin_related(), prior)
         free = [entry.parameters[name.partition("[")[0]].free for name in SPIN_RELATED]
-        determined = (np.sqrt(np.diag(covariance)) < SPIN_TABLE.determined_part * prior) & free
+        determined = (np.sqrt(np.diag(covariance)) < SPIN_TABLE_SETTINGS.determined_part * prior) & free
         step = self.eight.update(value, covariance, determined, (start + end) // 2 / DAY)
         self.eight = step.used
         axial = _axial_offset(zero, start, end)
@@ -208,10 +208,13 @@ class _InUse:
         # The interval's own offsets 1 and 2, too, are those for the third offset in use.
         estimated = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
         own = join_parameters((step.estimate, step.sigma, estimated), ground, sigma, others)
-        known = np.array([name in SPIN_RELATED for name in NAMES]) & own.determined
+        known = np.array([name in SPIN_RELATED for name in PARAMETER_NAMES]) & own.determined
         own_value, own_sigma = np.where(known, own.value, np.nan), np.where(known, own.sigma, np.inf)
         if np.isfinite(axial.sigma):
-            own_value[NAMES.index(AXIAL)], own_sigma[NAMES.index(AXIAL)] = axial.value, axial.sigma
+            own_value[PARAMETER_NAMES.index(AXIAL)], own_sigma[PARAMETER_NAMES.index(AXIAL)] = (
+                axial.value,
+                axial.sigma,
+            )
         full = _full_covariance(twelve, step.covariance, stated)
         return _Row(start, end, twelve, full, decisions, (own_value, own_sigma), len(days), used, excess)
 
@@ -281,12 +284,12 @@ def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) 
     The `sigma` of the eight is infinite for those that the flight has not determined.
     """
     out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
-    places = [NAMES.index(name) for name in SPIN_RELATED]
+    places = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
     known = np.isfinite(sigma)
     for row, column in itertools.product(np.flatnonzero(known), repeat=2):
         if row != column:
             out[places[row], places[column]] = covariance[row, column]
-    offsets = [NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
+    offsets = [PARAMETER_NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
     variance = out[offsets[2], offsets[2]]
     slope = axial_offset_slope(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
     for at, rate in zip(offsets[:2], slope, strict=True):
@@ -299,10 +302,10 @@ def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) 
 
 def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, str]) -> xr.Dataset:
     ground, sigma = ground_of(entry, rows[0].start)
-    names = [f"{entry.name}.{name}" for name in NAMES]
+    names = [f"{entry.name}.{name}" for name in PARAMETER_NAMES]
     each, one = ("interval", "parameter"), ("interval",)
     from_ground = [[source == GROUND for source in row.twelve.source] for row in rows]
-    decided = [[row.decisions.get(name) for name in NAMES] for row in rows]
+    decided = [[row.decisions.get(name) for name in PARAMETER_NAMES] for row in rows]
     undecided = "nothing in flight tells it: as on the ground"
     verdicts = [[one.verdict if one else "" for one in row] for row in decided]
     reasons = [[one.reason if one else undecided for one in row] for row in decided]
@@ -319,8 +322,8 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "decision": (each, np.array(verdicts, dtype="U8")),
             "reason": (each, np.array(reasons, dtype=np.str_)),
             "prior": ("parameter", ground.values()),
-            "prior_sigma": ("parameter", np.array([sigma[name] for name in NAMES])),
-            "units": ("parameter", np.array([UNITS[name] for name in NAMES], dtype="U8")),
+            "prior_sigma": ("parameter", np.array([sigma[name] for name in PARAMETER_NAMES])),
+            "units": ("parameter", np.array([PARAMETER_UNITS[name] for name in PARAMETER_NAMES], dtype="U8")),
             "start": (one, np.array([row.start for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array([row.end for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "blocks": (one, np.array([row.days for row in rows], dtype=np.int64)),
@@ -353,7 +356,7 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
     rows = []
     for start, end, inside in _windows(days, edges):
         ground, sigma = ground_of(entry, (start + end) // 2)
-        rows.append((start, end, _zero_level(inside, ground, SPIN_TABLE.reach * sigma[AXIAL])))
+        rows.append((start, end, _zero_level(inside, ground, SPIN_TABLE_SETTINGS.reach * sigma[AXIAL])))
     one, each = ("interval",), ("interval", "method_name")
     return xr.Dataset(
         {
@@ -396,10 +399,10 @@ def _zero_level(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound
     count, start = 0, float(ground.offset[2])
     search = OffsetSearch(free=(False, False, True), bound=bound)
     try:
-        intervals = Intervals.of(times, means, SPIN_TABLE.zero_interval_s)
+        intervals = Intervals.of(times, means, SPIN_TABLE_SETTINGS.zero_interval_s)
         count = len(intervals.start)
-        if count < SPIN_TABLE.fewest_intervals:
-            why = f"{count} quarter hours, at least {SPIN_TABLE.fewest_intervals} needed"
+        if count < SPIN_TABLE_SETTINGS.fewest_intervals:
+            why = f"{count} quarter hours, at least {SPIN_TABLE_SETTINGS.fewest_intervals} needed"
             return _ZeroLevel(start, float("inf"), GROUND, why, count, each)
         found = combine_methods(intervals, search)
     except InflightError as error:
@@ -485,7 +488,7 @@ class SpinResults:
     @cached_property
     def selected(self) -> tuple[Floats, Floats]:
         """Means of selected estimates, and errors, day by day; (day, 8), beside the daily table's `own`."""
-        own = self.tables["daily"]["own"].values[:, [NAMES.index(name) for name in SPIN_RELATED]]
+        own = self.tables["daily"]["own"].values[:, [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]]
         value, sigma = np.full(own.shape, np.nan), np.full(own.shape, np.inf)
         rows = self.tables["daily"]["start"].values.tolist()
         for day in self.days:
@@ -520,13 +523,13 @@ def cloud_of(
             continue
         mine, errors = estimate[chosen[:, at], at], uncertainty[chosen[:, at], at]
         threshold[at], value[at] = float(errors.max()), float(mine.mean())
-        expected = float(np.sqrt(np.sum((errors / SPIN_TABLE.published_sigmas) ** 2)) / mine.size)
+        expected = float(np.sqrt(np.sum((errors / SPIN_TABLE_SETTINGS.published_sigmas) ** 2)) / mine.size)
         sigma[at] = max(expected, sigma_of_mean(mine))
     return SubintervalEstimates(start, end, estimate, uncertainty, chosen, threshold, value, sigma)
 
 
 #: Offsets along x and z among the twelve.
-_X, _Z = NAMES.index("offset[1]"), NAMES.index("offset[3]")
+_X, _Z = PARAMETER_NAMES.index("offset[1]"), PARAMETER_NAMES.index("offset[3]")
 
 
 def flipper_table(
@@ -558,7 +561,7 @@ def flipper_table(
     determined = np.where(table["determined"].values, table["value"].values, np.nan)
     # Edges of positions lie within half a day of the flip.
     middle = (table["start"].values + table["end"].values) // 2
-    rows: list[tuple[int, int, Flipped]] = []
+    rows: list[tuple[int, int, FlipperSolution]] = []
     missing = []
     for at, flipped in flips_of(mission):
         before, after = np.flatnonzero(middle < at), np.flatnonzero(middle >= at)

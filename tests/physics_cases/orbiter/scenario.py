@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Scenario:
     """One kind of case; a seed draws everything else.
 
-    `hidden` names causes of `causes.CAUSES`; `orbit` is one of `case.ORBITS`; `attitude`
+    `hidden` names causes of `causes.CAUSE_SETTINGS`; `orbit` is one of `case.ORBITS`; `attitude`
     one of `orbit.ATTITUDES` or empty for any; `size` is the range of the contribution the nine
     parameters leave, in tenths of the noise (a gain of 1 % is what is called detectable).
     """

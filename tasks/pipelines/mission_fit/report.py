@@ -16,8 +16,8 @@ from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part, TextLine
-from inflight.tasks.pipelines.mission.fit import MissionFitResults, read_mission_fit
-from inflight.tasks.pipelines.mission.parameter_sections import (
+from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults, read_mission_fit
+from inflight.tasks.pipelines.mission_fit.parameter_sections import (
     behaviour,
     clock,
     coil_temperature,
@@ -25,8 +25,8 @@ from inflight.tasks.pipelines.mission.parameter_sections import (
     day_night,
     temperature,
 )
-from inflight.tasks.pipelines.mission.sections import (
-    REPORT,
+from inflight.tasks.pipelines.mission_fit.sections import (
+    MISSION_REPORT_SETTINGS,
     coefficients,
     current_steps,
     jumps,
@@ -118,7 +118,7 @@ def mission_fit_report(
     Raises
     ------
     SettingsError, CatalogError
-        As `inflight.tasks.pipelines.mission.fit.read_mission_fit`.
+        As `inflight.tasks.pipelines.mission_fit.fit.read_mission_fit`.
     """
     found = read_mission_fit(cat, mission, comparison)
     parts = tuple(make(found) if make is not cross_talk else cross_talk(found, cause) for make in SECTIONS)
@@ -136,11 +136,11 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
     """Return how many coefficients are determined, and those far from what was known, farthest first."""
     known = sum(one["determined"] for one in items)
     head = f"{len(items)} coefficients, {known} determined;"
-    far = [one for one in items if abs(one["shift_sigma"] or 0.0) > REPORT.far_sigma]
+    far = [one for one in items if abs(one["shift_sigma"] or 0.0) > MISSION_REPORT_SETTINGS.far_sigma]
     if not far:
-        return [f"{head} none is beyond {REPORT.far_sigma:g} sigma of what was known before"]
+        return [f"{head} none is beyond {MISSION_REPORT_SETTINGS.far_sigma:g} sigma of what was known before"]
     return [
-        f"{head} beyond {REPORT.far_sigma:g} sigma of what was known before:",
+        f"{head} beyond {MISSION_REPORT_SETTINGS.far_sigma:g} sigma of what was known before:",
         *(
             f"  {one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']} "
             f"({one['shift_sigma']:+.1f})"
@@ -158,6 +158,6 @@ def _cross_talk_lines(found: Mapping[str, Any]) -> list[str]:
             rows = sorted(rows, key=lambda one: -abs(one["shift"]) / max(one["sigma"], 1e-300))
             out += [
                 f"  {one['parameter']} {one['shift']:+.4g} ± {one['sigma']:.2g} {one['unit']}"
-                for one in rows[: REPORT.listed_shifts]
+                for one in rows[: MISSION_REPORT_SETTINGS.listed_shifts]
             ]
     return out

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import FILL, MissionSettings, SimulatedDay, SimulationSettings, simulate_day
 from inflight.simulate.dual import simulate_dual_day
-from inflight.simulate.spinning import CRAFT, SpinningSettings, simulate_spinning_day
+from inflight.simulate.spinning import SPACECRAFT_PRESETS, SpinningSettings, simulate_spinning_day
 from inflight.time import TT2000_FILL, day_bounds
 
 #: zlib level of the deliveries; higher ones save 3 % and cost twice the time.
@@ -356,7 +356,7 @@ SPINNING = {
         _SPINNING_VARIABLES,
         simulate_spinning_day,
     )
-    for name in CRAFT
+    for name in SPACECRAFT_PRESETS
 }
 
 

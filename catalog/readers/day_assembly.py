@@ -49,7 +49,7 @@ class DayAssemblySettings:
     listed_gaps: int = 200
 
 
-DAY_ASSEMBLY = DayAssemblySettings()
+DAY_ASSEMBLY_SETTINGS = DayAssemblySettings()
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def coverage(times: Int64, day: np.datetime64, cadence: int) -> dict[str, Any]:
     at = np.flatnonzero(spacing > GAP * cadence)
     missing = np.rint(spacing[at] / cadence).astype(np.int64) - 1
     begins, ends = to_utc(fence[at] + cadence), to_utc(fence[at + 1])
-    gaps = list(zip(begins, ends, missing, strict=True))[: DAY_ASSEMBLY.listed_gaps]
+    gaps = list(zip(begins, ends, missing, strict=True))[: DAY_ASSEMBLY_SETTINGS.listed_gaps]
     listed = [[str(begin), str(stop), int(count)] for begin, stop, count in gaps]
     return {
         "valid": int(times.size),
@@ -182,7 +182,7 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
     """Drop the rows of a clock that jumped away and back (see the module's rule)."""
     times = part.times
     descents = np.flatnonzero(np.diff(times) < 0) + 1
-    crowded = np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY.near * cadence)
+    crowded = np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY_SETTINGS.near * cadence)
     if not descents.size or not crowded.any():
         return part, 0
     keep = np.ones(times.size, dtype=bool)
@@ -195,8 +195,8 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
         others = np.sort(np.delete(times, slice(begin, stop)))
         after = np.clip(np.searchsorted(others, times[begin:stop]), 1, others.size - 1)
         distance = np.abs(others[[after - 1, after]] - times[begin:stop]).min(axis=0)
-        near = (distance <= DAY_ASSEMBLY.near * cadence).all()
-        if abs(missing) < DAY_ASSEMBLY.excursion_gap * cadence and near:
+        near = (distance <= DAY_ASSEMBLY_SETTINGS.near * cadence).all()
+        if abs(missing) < DAY_ASSEMBLY_SETTINGS.excursion_gap * cadence and near:
             keep[begin:stop] = False
     return part.take(keep), int((~keep).sum())
 
@@ -220,7 +220,7 @@ def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
 
 def _refuse_backwards(rows: _Rows, files: Sequence[str], day: np.datetime64, cadence: int) -> None:
     spacing = np.diff(rows.times)
-    twice = (spacing > 0) & (spacing <= DAY_ASSEMBLY.near * cadence) & _same_file_other_run(rows)
+    twice = (spacing > 0) & (spacing <= DAY_ASSEMBLY_SETTINGS.near * cadence) & _same_file_other_run(rows)
     if not twice.any():
         return
     at = int(np.flatnonzero(twice)[0])

@@ -7,7 +7,7 @@ comes one Dataset with the normal equations of everything the model lets data mo
 ``band``
     normal equations of the torquers' band (`inflight.mission_fit.torquers`), one row a segment
 ``epoch``
-    epochs at which a current steps (`inflight.mission_fit.epochs`), one row an epoch
+    epochs at which a current steps (`inflight.mission_fit.superposed_epochs`), one row an epoch
 ``channel``
     mean, spread and number of readings of each auxiliary channel
 ``beside``
@@ -251,12 +251,12 @@ def mission_statistics(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, di
         The wide equations with their parts; `fit`, `fit_covariance`, `before`, `after` and `used` of the
         day's own fit of nine parameters.
     dict
-        As `inflight.tasks.pipelines.scalar.calibrate.FittedDay.report`.
+        As `inflight.tasks.pipelines.scalar.day.FittedDay.report`.
 
     Raises
     ------
     CalibrationError
-        As `inflight.tasks.pipelines.scalar.calibrate.calibrate_day`.
+        As `inflight.tasks.pipelines.scalar.day.calibrate_day`.
     """
     model, fitted = batch.model, fit_day(batch, day)
     fit, samples, span = fitted.fit, fitted.samples, day_bounds(day)

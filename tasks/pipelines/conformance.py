@@ -31,9 +31,9 @@ from inflight.tasks.pipelines.base import (
     ReprocessSettings,
     UsedTable,
     Versions,
-    carry_out,
     product_key,
     published_products,
+    run_plan,
 )
 from inflight.tasks.report import RunReport, to_json
 from inflight.time import day_bounds
@@ -160,7 +160,7 @@ class _Case:
         return (pipeline or self.pipeline).make_plan(self.cat, self.mission, self.settings, (None, None))
 
     def run(self) -> RunReport:
-        return carry_out(self.pipeline, self.cat, self.mission, self.plan(), batch_mapper(None))
+        return run_plan(self.pipeline, self.cat, self.mission, self.plan(), batch_mapper(None))
 
     def newer(self, part: str) -> Pipeline:
         """Return the pipeline with a version raised."""

@@ -25,12 +25,12 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NINE_UNITS, NormalEquations
+from inflight.calibration import NINE_PARAMETER_NAMES, NINE_PARAMETER_UNITS, NormalEquations
 from inflight.effects import DayNight, DayNightSeries
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     RESIDUAL,
-    SOLVER,
+    SOLVER_SETTINGS,
     ClusteredFit,
     correlation_of,
     fit_white,
@@ -95,7 +95,7 @@ class CauseSettings:
     parts: int = 10
 
 
-CAUSES = CauseSettings()
+CAUSE_SETTINGS = CauseSettings()
 
 
 def fit_coil_lag(
@@ -142,18 +142,18 @@ def fit_coil_lag(
     wide = with_auxiliary_columns(equations, auxiliary, rates)
     sigma = np.append(prior_sigma_of(model), PRIOR[2])
     fit, change = found.fit, 0.0
-    for _ in range(CAUSES.passes):
+    for _ in range(CAUSE_SETTINGS.passes):
         value, before = np.array([fit.value[fit.index(name)][0] for name in own]), change
         linear = _with_lag(wide, rates, own, value, change)
         fit = fit_with_auxiliary(linear, equations, found, sigma)
         change = float(fit.value[-1])
-        if abs(change - before) <= CAUSES.settled * fit.sigma[-1]:
+        if abs(change - before) <= CAUSE_SETTINGS.settled * fit.sigma[-1]:
             break
     places = [fit.index(name).start for name in (*own, "lag")]
     columns = [linear.columns.index(name) for name in (*own, "lag")]
     whole = fit.value[places] + np.append(np.zeros(len(own)), lag)
     determined = fit.determined[places].copy()
-    follows = np.abs(whole[:3]) > CAUSES.follows * fit.sigma[places][:3]
+    follows = np.abs(whole[:3]) > CAUSE_SETTINGS.follows * fit.sigma[places][:3]
     determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
     return CoilFit(
         channel,
@@ -187,14 +187,14 @@ def _with_lag(
     weights[np.arange(len(kept)), kept] = 1.0
     for rate, column in zip(of_rate, of_coefficient, strict=True):
         weights[kept.index(column), rate] = change * scale[column] / scale[rate]
-    weights[-2, of_rate] = CAUSES.lag_unit_s * value / scale[of_rate]
+    weights[-2, of_rate] = CAUSE_SETTINGS.lag_unit_s * value / scale[of_rate]
     weights[-1, -1] = 1.0
     common = equations.reference
     assert common is not None
     each = np.broadcast_to(weights, (len(common), *weights.shape)).copy()
     each[:, -1, of_rate] = change * (common[:, of_coefficient] - value) / scale[of_rate]
     reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
-    units = np.concatenate([scale[kept], [CAUSES.lag_unit_s, 1.0]])
+    units = np.concatenate([scale[kept], [CAUSE_SETTINGS.lag_unit_s, 1.0]])
     return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, units, reference)
 
 
@@ -236,16 +236,16 @@ def compare_temperatures_jointly(
     zero = np.zeros(len(wide))
     values = [zero if name in held else fitted.get(name, zero) for name in wide.columns]
     nine = wide.columns[:9]
-    rest = wide.at(np.stack(values, axis=1)).marginalise(nine, cut=SOLVER.weak_cut, least_kept=0.0)
+    rest = wide.at(np.stack(values, axis=1)).marginalise(nine, cut=SOLVER_SETTINGS.weak_cut, least_kept=0.0)
     others = [name for name in equations.columns[9:] if name not in held]
     known = dict(zip(equations.columns, prior_sigma_of(model).tolist(), strict=True))
     prior = np.array([known[name] for name in others])
     squares: dict[str, Floats] = {}
-    sections = np.array_split(np.arange(len(wide)), min(CAUSES.sections, len(wide)))
-    if len(sections) < 2 * CAUSES.folds:
+    sections = np.array_split(np.arange(len(wide)), min(CAUSE_SETTINGS.sections, len(wide)))
+    if len(sections) < 2 * CAUSE_SETTINGS.folds:
         raise CalibrationError(
-            f"{len(sections)} days for {CAUSES.folds} parts to hold out",
-            remedy=f"use {2 * CAUSES.folds} days or more",
+            f"{len(sections)} days for {CAUSE_SETTINGS.folds} parts to hold out",
+            remedy=f"use {2 * CAUSE_SETTINGS.folds} days or more",
         )
     rows = np.array([wide.count[part].sum() for part in sections])
     for name in (NONE, *channels):
@@ -259,7 +259,7 @@ def compare_temperatures_jointly(
 def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
     """Return the sum of squares of each section at the fit of the other folds; (section,) nT^2."""
     out = np.empty(len(gram))
-    for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
+    for part in np.array_split(np.arange(len(gram)), CAUSE_SETTINGS.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
         change = np.append(_solve_columns(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
         out[part] = np.einsum("i,bij,j->b", change, gram[part], change)
@@ -271,7 +271,7 @@ def _solve_columns(gram: Floats, rows: float, prior: Floats, temperature: bool) 
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
-    for _ in range(CAUSES.passes):
+    for _ in range(CAUSE_SETTINGS.passes):
         basis = np.zeros((len(gram), sigma.size + 1))
         basis[:count, :count], basis[-1, -1] = np.eye(count), 1.0
         if temperature:
@@ -323,7 +323,7 @@ def fit_day_night_jointly(
     Parameters
     ----------
     equations, auxiliary, found, model
-        As `inflight.mission_fit.causes.fit_coil_lag`.
+        As `inflight.mission_fit.joint_effects.fit_coil_lag`.
     form : str
 
     Raises
@@ -399,7 +399,7 @@ def ignored_causes(columns: Sequence[str], units: Mapping[str, str], model: Mode
     found = []
     for name in columns:
         unit = units.get(name, "nT")
-        size = CAUSES.bias if name in biases else SIZES.get(unit, 1.0)
+        size = CAUSE_SETTINGS.bias if name in biases else SIZES.get(unit, 1.0)
         found.append(IgnoredCause(name, size, unit))
     return found
 
@@ -423,7 +423,7 @@ def nine_parameter_cross_talk(
             "the model has nothing but the nine parameters that data may move",
             remedy="give an effect a sigma in the model's file",
         )
-    own_units = dict(zip(nine, (NINE_UNITS[name] for name in NINE), strict=True))
+    own_units = dict(zip(nine, (NINE_PARAMETER_UNITS[name] for name in NINE_PARAMETER_NAMES), strict=True))
     return cross_talk(equations.filled, causes, nine, own_units)
 
 
@@ -450,7 +450,7 @@ def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model
     """
     filled = equations.filled
     if not len(filled):
-        raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
+        raise CalibrationError("no day tells anything", remedy="see the failed days of the run")
     scale = filled.scale[:-1]
     prior, names = prior_sigma_of(model) / scale, filled.columns
     causes = ignored_causes(names, units, model)
@@ -458,7 +458,7 @@ def joint_cross_talk(equations: NormalEquations, units: Mapping[str, str], model
     factor = scale * np.array([one for one, _ in shown])
     size = np.array([one.size for one in causes]) / scale
     total, count = filled.total, float(filled.count.sum())
-    parts = np.array_split(np.arange(len(filled)), min(CAUSES.parts, len(filled)))
+    parts = np.array_split(np.arange(len(filled)), min(CAUSE_SETTINGS.parts, len(filled)))
     whole = _covariance(total, count, prior)
     value = _shifts(whole) * np.outer(size, factor)
     error = np.full_like(value, np.nan)

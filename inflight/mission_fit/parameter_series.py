@@ -86,7 +86,7 @@ class BehaviourSettings:
     far: float = 6.0
 
 
-BEHAVIOUR = BehaviourSettings()
+BEHAVIOUR_SETTINGS = BehaviourSettings()
 
 WEEK = 7
 
@@ -129,7 +129,12 @@ class RunningMean:
 
 
 def running_mean(
-    mjd: Floats, value: Floats, window: float, *, coverage: float = BEHAVIOUR.coverage, unit: str = ""
+    mjd: Floats,
+    value: Floats,
+    window: float,
+    *,
+    coverage: float = BEHAVIOUR_SETTINGS.coverage,
+    unit: str = "",
 ) -> RunningMean:
     """Return the mean of the days within half a window on either side, each day alike.
 
@@ -165,7 +170,7 @@ def running_mean(
         one[place] for one in (means.mean[:, 0], means.weight, means.coverage, means.lean)
     )
     inside = (mjd - window / 2 >= mjd[known].min() - 1.0) & (mjd + window / 2 <= mjd[known].max() + 1.0)
-    defined = inside & (share >= coverage) & (np.abs(lean) <= BEHAVIOUR.lean * window)
+    defined = inside & (share >= coverage) & (np.abs(lean) <= BEHAVIOUR_SETTINGS.lean * window)
     if not defined.any():
         raise CalibrationError(
             f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
@@ -174,7 +179,7 @@ def running_mean(
     residual = np.where(defined & known, value - mean, np.nan)
     # What repeats with the window does not enter its mean, whatever its size.
     rest = np.isfinite(residual)
-    angles = [2 * np.pi * k * mjd / window for k in range(1, BEHAVIOUR.harmonics + 1)]
+    angles = [2 * np.pi * k * mjd / window for k in range(1, BEHAVIOUR_SETTINGS.harmonics + 1)]
     rows = np.stack([wave(angle) for angle in angles for wave in (np.cos, np.sin)], axis=1)
     if rest.sum() >= 2 * rows.shape[1]:
         residual = residual - rows @ np.linalg.lstsq(rows[rest], residual[rest])[0]
@@ -191,7 +196,7 @@ def _variance_of_day(residual: Floats, means: float) -> float:
     As many independent means were subtracted as windows fit into the span.
     """
     known = residual[np.isfinite(residual)]
-    if known.size < BEHAVIOUR.fewest:
+    if known.size < BEHAVIOUR_SETTINGS.fewest:
         return float("nan")
     spread = robust_sigma(known - np.median(known))
     clipped = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
@@ -255,7 +260,7 @@ def fit_slope(
     """
     use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
     unknowns = 2 + 2 * len(periods)
-    if use.sum() < unknowns + BEHAVIOUR.fewest:
+    if use.sum() < unknowns + BEHAVIOUR_SETTINGS.fewest:
         raise CalibrationError(
             f"{int(use.sum())} days with a value for {unknowns} unknowns", remedy="use a longer span"
         )
@@ -310,7 +315,7 @@ class EventSteps:
     def found(self) -> np.ndarray:
         """Which events have a step beyond chance; (event,) bool."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.family < BEHAVIOUR.step_false_alarm)
+            return np.asarray(self.family < BEHAVIOUR_SETTINGS.step_false_alarm)
 
     def table(self) -> xr.Dataset:
         """Return the steps: dim event."""
@@ -334,7 +339,7 @@ def measure_event_steps(
     sigma: Floats,
     events: Floats,
     *,
-    window: int = BEHAVIOUR.step_window,
+    window: int = BEHAVIOUR_SETTINGS.step_window,
     unit: str = "",
 ) -> EventSteps:
     """Measure the step of a parameter at each event.
@@ -361,9 +366,10 @@ def measure_event_steps(
     others = mjd[np.min(np.abs(mjd[:, None] - events[None]), axis=1) > 0.5] if events.size else mjd
     away, away_sigma = _contrasts(mjd, value, sigma, others, window)
     standardised = (away / away_sigma)[np.isfinite(away)]
-    if standardised.size < BEHAVIOUR.fewest_contrasts:
+    if standardised.size < BEHAVIOUR_SETTINGS.fewest_contrasts:
         raise CalibrationError(
-            f"{standardised.size} contrasts away from events, {BEHAVIOUR.fewest_contrasts} are needed",
+            f"{standardised.size} contrasts away from events, "
+            f"{BEHAVIOUR_SETTINGS.fewest_contrasts} are needed",
             remedy="use a longer span",
         )
     widened = robust_sigma(standardised, floor=1.0)
@@ -390,7 +396,7 @@ def _contrasts(mjd: Floats, value: Floats, sigma: Floats, at: Floats, window: in
     for low, high in ((at - window - 0.5, at - 0.5), (at + 0.5, at + window + 0.5)):
         first, last = np.searchsorted(mjd, low), np.searchsorted(mjd, high, side="right")
         part = {name: total[last] - total[first] for name, total in sums.items()}
-        enough = part["count"] >= max(BEHAVIOUR.least * window, 1)
+        enough = part["count"] >= max(BEHAVIOUR_SETTINGS.least * window, 1)
         full = np.where(enough, part["weight"], np.nan)
         sides.append((part["value"] / full, 1.0 / full))
     (before, early), (after, late) = sides
@@ -436,7 +442,7 @@ class WeekPattern:
     @property
     def found(self) -> bool:
         """True when the day stands out beyond chance."""
-        return self.chance < BEHAVIOUR.step_false_alarm
+        return self.chance < BEHAVIOUR_SETTINGS.step_false_alarm
 
     def summary(self) -> str:
         """Return the pattern as a sentence."""
@@ -490,17 +496,17 @@ def find_week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "")
     skip = int(-day[0]) % WEEK
     weeks = change[skip : skip + (change.size - skip) // WEEK * WEEK].reshape(-1, WEEK)
     weeks = weeks[np.isfinite(weeks).all(axis=1)]
-    if len(weeks) < BEHAVIOUR.fewest_weeks:
+    if len(weeks) < BEHAVIOUR_SETTINGS.fewest_weeks:
         raise CalibrationError(f"{len(weeks)} whole weeks, ten are needed", remedy="use a longer span")
-    most = BEHAVIOUR.clip * robust_sigma(weeks.ravel())
+    most = BEHAVIOUR_SETTINGS.clip * robust_sigma(weeks.ravel())
     squares = np.minimum(weeks**2, most**2)
     mean, sigma = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(weeks))
     draws = np.random.default_rng(seed)
     shuffled = np.array(
-        [draws.permuted(squares, axis=1).mean(axis=0).max() for _ in range(BEHAVIOUR.shuffles)]
+        [draws.permuted(squares, axis=1).mean(axis=0).max() for _ in range(BEHAVIOUR_SETTINGS.shuffles)]
     )
     best = int(np.argmax(mean))
-    chance = float((1 + np.sum(shuffled >= mean[best])) / (1 + BEHAVIOUR.shuffles))
+    chance = float((1 + np.sum(shuffled >= mean[best])) / (1 + BEHAVIOUR_SETTINGS.shuffles))
     # Its neighbours' changes hold part of its step; the days farther off do not.
     far = [(best + k) % WEEK for k in (2, 3, 4, 5)]
     excess = squares[:, best] - squares[:, far].mean(axis=1)
@@ -567,7 +573,7 @@ class ClockFaults:
 
 
 def find_clock_faults(
-    mjd: Floats, shift: Floats, sigma: Floats, longest: int = BEHAVIOUR.longest_fault
+    mjd: Floats, shift: Floats, sigma: Floats, longest: int = BEHAVIOUR_SETTINGS.longest_fault
 ) -> ClockFaults:
     """Find spans of days whose time shift stands out from what it is around them.
 
@@ -590,12 +596,12 @@ def find_clock_faults(
         When fewer than ten days have an estimate.
     """
     known = np.flatnonzero(np.isfinite(shift) & np.isfinite(sigma) & (sigma > 0))
-    if known.size < BEHAVIOUR.fewest_days:
+    if known.size < BEHAVIOUR_SETTINGS.fewest_days:
         raise CalibrationError(
-            f"{known.size} days have a time shift, {BEHAVIOUR.fewest_days} are needed",
+            f"{known.size} days have a time shift, {BEHAVIOUR_SETTINGS.fewest_days} are needed",
             remedy="use a longer span",
         )
-    limit = float(stats.norm.isf(0.5 * BEHAVIOUR.clock_false_alarm / (known.size * longest)))
+    limit = float(stats.norm.isf(0.5 * BEHAVIOUR_SETTINGS.clock_false_alarm / (known.size * longest)))
     t, y, own = mjd[known], shift[known], sigma[known]
     free = np.ones(t.size, dtype=bool)
     faults: list[ClockFault] = []
@@ -624,9 +630,9 @@ def _median_around(days: Floats, value: Floats, free: np.ndarray) -> Floats:
     """Return the median of the free days around each; (day,)."""
     base, series = days[free], value[free]
     whole = float(np.median(series))
-    low = np.searchsorted(base, days - BEHAVIOUR.around)
-    high = np.searchsorted(base, days + BEHAVIOUR.around, side="right")
-    spans = zip(low, high, high - low >= BEHAVIOUR.fewest_days, strict=True)
+    low = np.searchsorted(base, days - BEHAVIOUR_SETTINGS.around)
+    high = np.searchsorted(base, days + BEHAVIOUR_SETTINGS.around, side="right")
+    spans = zip(low, high, high - low >= BEHAVIOUR_SETTINGS.fewest_days, strict=True)
     return np.array([np.median(series[a:b]) if enough else whole for a, b, enough in spans])
 
 
@@ -637,7 +643,7 @@ def _most_significant(
     best: tuple[int, int, float] | None = None
     sums = np.concatenate([[0.0], np.cumsum(np.where(free, z, 0.0))])
     taken = np.concatenate([[0], np.cumsum(~free)])
-    far = np.concatenate([[0], np.cumsum(np.abs(z) > BEHAVIOUR.far)])
+    far = np.concatenate([[0], np.cumsum(np.abs(z) > BEHAVIOUR_SETTINGS.far)])
     for length in range(1, min(longest, z.size // 2) + 1):
         score = (sums[length:] - sums[:-length]) / np.sqrt(length)
         whole = (taken[length:] == taken[:-length]) & (
@@ -646,7 +652,7 @@ def _most_significant(
         # Slow changes of the shift make long spans scatter more than their days do; spans with a day that is
         # itself far off do not show it.
         without_far = np.abs(score[whole & (far[length:] == far[:-length])])
-        usual = robust_sigma(without_far) if without_far.size >= BEHAVIOUR.fewest_days else 1.0
+        usual = robust_sigma(without_far) if without_far.size >= BEHAVIOUR_SETTINGS.fewest_days else 1.0
         score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):

@@ -17,7 +17,7 @@ import xarray as xr
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
-    Reference,
+    ParameterPrior,
     empty_block,
     fit_block,
     reference_of,
@@ -51,7 +51,7 @@ class FittedDay:
 
     samples: xr.Dataset
     fit: BlockFit
-    reference: Reference
+    reference: ParameterPrior
     attributes: dict[str, Any]
     report: dict[str, Any]
 
@@ -106,7 +106,7 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     start, end = day_bounds(day)
     reference = prior = reference_of(model, (start + end) // 2)
     if batch.reference is not None:
-        reference = Reference(np.asarray(batch.reference, dtype=np.float64), prior.sigma, prior.name)
+        reference = ParameterPrior(np.asarray(batch.reference, dtype=np.float64), prior.sigma, prior.name)
     parts = remove_other_effects(model, samples)
     vector = mission.comparisons[model.comparison].instruments()["vector"]
     step = usual_step(np.asarray(samples["tt2000"].values), mission.instruments[vector].cadence)

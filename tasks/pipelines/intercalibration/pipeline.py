@@ -24,14 +24,14 @@ from inflight.tasks.pipelines.base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
     TablesReport,
+    TablesToPublish,
     TextLine,
     Versions,
     equations_of,
     plan_days,
 )
-from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, RELATIONS, Pair
+from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, RELATIONS, Pair
 from inflight.time import DayLike, is_within
 
 #: Days that the command line lists, the newest.
@@ -106,7 +106,7 @@ class RelationPipeline(Pipeline):
         sources = [batch.job.index.days[name, day] for name in pair.products]
         return pair.relation.make_day([batch.cat.read(source, pair.relation.read) for source in sources], day)
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the tables of the planned days; those that cannot be made have a note."""
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         planned = {day: days[day] for day in work.plan.days if day in days}
@@ -114,18 +114,20 @@ class RelationPipeline(Pipeline):
         keep = self.table_stager(work, planned)
         makers = {name: partial(make, read) for name, make in pair.relation.tables.items()}
         notes = keep.stage_possible(makers) if planned else {}
-        return Solved(model=work.plan.model, used={}, certify=keep.certify, kept=tuple(keep.ids), notes=notes)
+        return TablesToPublish(
+            model=work.plan.model, used={}, certify=keep.certify, kept=tuple(keep.ids), notes=notes
+        )
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
         """Return the key of a table: a hash of the keys of the days it is made from."""
         return hashlib.sha256("".join([name, *(day.key for day in days.values())]).encode()).hexdigest()
 
-    def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
+    def outputs(self, plan: Plan, solved: TablesToPublish | None, made: int) -> list[str]:
         """Return the tables that could be made."""
         comparison = plan.settings.comparison
         return [f"tables/{comparison}-{name}" for name in solved.kept] if solved else []
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return why there is no product, and the tables that could not be made."""
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         return {
@@ -138,14 +140,14 @@ class RelationPipeline(Pipeline):
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return how both sensors stand to each other, and which of the three disagrees."""
-        from inflight.tasks.pipelines.relation.report import relation_report
+        from inflight.tasks.pipelines.intercalibration.report import relation_report
 
         fields = relation_report(cat, mission, comparison, output)
         return TablesReport(fields, summary_lines(fields), output)
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report`; raises `CatalogError` when no table is published."""
-        from inflight.tasks.pipelines.relation.report import relation_parts
+        from inflight.tasks.pipelines.intercalibration.report import relation_parts
 
         return [(part.heading, part.text, part.plots) for part in relation_parts(cat, comparison)[1]]
 

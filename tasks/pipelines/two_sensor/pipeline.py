@@ -25,13 +25,13 @@ from inflight.tasks.pipelines.base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     UsedTable,
     Versions,
     product_key,
 )
-from inflight.tasks.pipelines.states.day import states_day
-from inflight.tasks.pipelines.states.tables import (
+from inflight.tasks.pipelines.two_sensor.day import states_day
+from inflight.tasks.pipelines.two_sensor.tables import (
     TablesBefore,
     constant_changes,
     constant_sentences,
@@ -39,7 +39,7 @@ from inflight.tasks.pipelines.states.tables import (
     describe_constant,
     named_units,
 )
-from inflight.tasks.pipelines.states.windows import (
+from inflight.tasks.pipelines.two_sensor.windows import (
     StoredTables,
     combine_steps,
     solve_windows,
@@ -108,7 +108,7 @@ class StatesPipeline(Pipeline):
                 before.add(key, cat.table_by_id(record.id))
         return todo, same
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Fit each window of days, and continue the tables in order; see `solve_windows`."""
         return solve_windows(work, self.versions.tables)
 
@@ -116,11 +116,11 @@ class StatesPipeline(Pipeline):
         """Return the day's corrected field; see `states_day`."""
         return states_day(batch, day)
 
-    def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
+    def outputs(self, plan: Plan, solved: TablesToPublish | None, made: int) -> list[str]:
         """Return the products and the table of states, where any day has a product."""
         return [plan.product, f"tables/{table_name(plan)}"] if made else []
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the steps at switchings, the verdict of each window, and where the constant part changes.
 
         ``residual`` is the step of the outboard field where the spacecraft switches, rms of a component, as
@@ -153,7 +153,7 @@ class StatesPipeline(Pipeline):
         progress: Progress,
     ) -> CompareResult[Any]:
         """Measure the steps of the products where the spacecraft switches; see `compare_dual`."""
-        from inflight.tasks.pipelines.states.compare import compare_dual
+        from inflight.tasks.pipelines.two_sensor.compare import compare_dual
 
         return compare_dual(cat, mission, comparison, days, progress)
 

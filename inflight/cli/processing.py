@@ -78,10 +78,10 @@ def run_flow(
     prefect : bool
         False runs the plain function.
     """
-    from inflight.flows import run_embedded, run_plain
+    from inflight.flows import run_with_prefect, run_without_prefect
 
     workspace = command.open_workspace()
-    run: Callable[..., RunReport] = run_embedded if prefect else run_plain
+    run: Callable[..., RunReport] = run_with_prefect if prefect else run_without_prefect
     with command.progress() as progress:
         return run(name, workspace, parameters, workers=workers, progress=progress)
 

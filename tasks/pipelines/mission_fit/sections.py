@@ -15,7 +15,7 @@ import xarray as xr
 from bokeh.layouts import column
 
 from inflight.arrays import Floats
-from inflight.calibration import PARAMETER_GROUPS, table_jumps, trend_jumps, vector_sensor_of
+from inflight.calibration import PARAMETER_GROUPS, table_boundary_steps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
 from inflight.errors import SamplesError, SettingsError
 from inflight.figures import (
@@ -48,8 +48,8 @@ from inflight.mission_fit import (
 )
 from inflight.model import component_names
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import MissionFitResults
-from inflight.tasks.pipelines.mission.tables import node_times, torquer_band
+from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
+from inflight.tasks.pipelines.mission_fit.tables import node_times, torquer_band
 from inflight.time import Int64, to_utc
 
 
@@ -75,7 +75,7 @@ class MissionReportSettings:
     mean_windows_d: tuple[float, ...] = (60.0, 260.0)
 
 
-REPORT = MissionReportSettings()
+MISSION_REPORT_SETTINGS = MissionReportSettings()
 
 #: How the nine parameters are shown: part, title, factor, unit.
 NINE_SHOWN = (
@@ -142,7 +142,7 @@ def coefficients(found: MissionFitResults) -> Part:
         "that differ, correlated in time. Shift: value less what was known before, in sigmas of that; what "
         "the vector sensor and the scalar sensor share shows only as their difference."
     )
-    if far := [row for row in rows if abs(row["shift_sigma"] or 0.0) > REPORT.far_sigma]:
+    if far := [row for row in rows if abs(row["shift_sigma"] or 0.0) > MISSION_REPORT_SETTINGS.far_sigma]:
         listed = "; ".join(f"{row['name']} ({row['shift_sigma']:+.1f})" for row in far)
         part.add_text(f"Beyond three sigmas of what was known: {listed}.")
     cells = [
@@ -249,7 +249,7 @@ def jumps(found: MissionFitResults) -> Part:
     """Steps of a table of windows at their boundaries against the continuous parameters'."""
     part, what = Part("jumps", "Jumps between intervals"), "Jumps of a table of windows"
     with part.optional(what):
-        steps, continuous = table_jumps(found.table("window")), found.tables["continuous"]
+        steps, continuous = table_boundary_steps(found.table("window")), found.tables["continuous"]
         inside = (steps.at > continuous["start"].values[0]) & (steps.at < continuous["end"].values[-1])
         own = replace(
             steps,

@@ -44,7 +44,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, scalar_channels
-from inflight.tasks.pipelines.states.tables import (
+from inflight.tasks.pipelines.two_sensor.tables import (
     channel_changes,
     concatenate_changes,
     concatenate_signs,

@@ -48,7 +48,7 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.archive import channels_by_name
-from inflight.tasks.pipelines.mission.day import (
+from inflight.tasks.pipelines.mission_fit.day import (
     AuxiliaryChannels,
     auxiliary_columns_of,
     means_of_channels,
@@ -90,7 +90,7 @@ class TableSettings:
     most_turns: int = 15
 
 
-TABLE = TableSettings()
+TABLE_SETTINGS = TableSettings()
 
 
 # --- from the parts of days -----------------------------------------------------------------------------
@@ -212,7 +212,7 @@ def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset
         {
             "value": (each, mean, units),
             "spread": (each, spread, units),
-            "sigma": (each, spread / np.sqrt(np.clip(count, 1, TABLE.most_turns)), units),
+            "sigma": (each, spread / np.sqrt(np.clip(count, 1, TABLE_SETTINGS.most_turns)), units),
             "start": ("interval", np.concatenate([day["start"].values for day in read]), {"scale": "TT2000"}),
             "end": ("interval", np.concatenate([day["end"].values for day in read]), {"scale": "TT2000"}),
         },
@@ -241,9 +241,10 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
         When too few days have a spread, or their noise cannot be told.
     """
     spreads = [reports[day]["spread"] for day in sorted(reports) if reports[day].get("spread")]
-    if len(spreads) < TABLE.least_spread_days:
+    if len(spreads) < TABLE_SETTINGS.least_spread_days:
         raise CalibrationError(
-            f"{len(spreads)} days tell the spread of their residual, {TABLE.least_spread_days} needed",
+            f"{len(spreads)} days tell the spread of their residual, "
+            f"{TABLE_SETTINGS.least_spread_days} needed",
             remedy="make the products of more days",
         )
     dims = dict.fromkeys(spreads[0], ("interval",)) | {
@@ -421,9 +422,11 @@ def stated_periods(mission: Mission | None) -> dict[str, float]:
     out = dict(KNOWN_PERIODS)
     for name, length in (mission.periods if mission is not None else {}).items():
         days = length / DAY
-        if days < TABLE.shortest_period_d:
+        if days < TABLE_SETTINGS.shortest_period_d:
             continue
-        same = next((key for key, other in out.items() if abs(other - days) < TABLE.same_period * days), None)
+        same = next(
+            (key for key, other in out.items() if abs(other - days) < TABLE_SETTINGS.same_period * days), None
+        )
         if same is None:
             out[f"{name}, {days:g} d"] = days
         else:
@@ -454,7 +457,7 @@ def spectra_of(
                 deviation,
                 factor * one["sigma"].values,
                 known,
-                shortest=TABLE.shortest_period_d,
+                shortest=TABLE_SETTINGS.shortest_period_d,
                 unit=unit,
             )
         except InflightError as error:

@@ -22,7 +22,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part, newest_tables, with_error
-from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
+from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
 from inflight.tasks.report import write_page
 from inflight.time import day_of
 

@@ -36,8 +36,8 @@ from inflight.mission_fit import (
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, newest_tables, product_of
-from inflight.tasks.pipelines.mission.day import equations_of_days, unpack_part
-from inflight.tasks.pipelines.mission.tables import (
+from inflight.tasks.pipelines.mission_fit.day import equations_of_days, unpack_part
+from inflight.tasks.pipelines.mission_fit.tables import (
     AUXILIARY_TABLES,
     auxiliary_table_makers,
     daily_after,
@@ -267,7 +267,7 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
         )
     newest = newest_record(cat, f"{comparison}-continuous")
     if newest is None:
-        raise CatalogError(f"no chain of all days is published for comparison '{comparison}'", remedy=_REMEDY)
+        raise CatalogError(f"no fit of all days is published for comparison '{comparison}'", remedy=_REMEDY)
     days = [
         day
         for day in cat.days(equations_of(comparison, STATISTICS), states=("published",))
@@ -275,7 +275,7 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
     ]
     days.sort(key=lambda day: day.day)
     if not days:
-        raise CatalogError("the days of the published chain are gone", remedy=_REMEDY)
+        raise CatalogError("the days of the published fit are gone", remedy=_REMEDY)
     tables = _tables_of_one_fit(cat, comparison)
     skipped: dict[str, str] = (
         json.loads(tables["trend"].attrs.get(SKIPPED, "{}")) if "trend" in tables else {}

@@ -66,7 +66,7 @@ from inflight.tasks.archive import (
     saturation_flags,
 )
 from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
-from inflight.tasks.pipelines.states.tables import (
+from inflight.tasks.pipelines.two_sensor.tables import (
     constant_part,
     describe_constant,
     gradiometer_in_states,
@@ -115,7 +115,7 @@ class TwoSensorSettings:
     most_samples: int = 3_000_000
 
 
-TWO_SENSORS = TwoSensorSettings()
+TWO_SENSOR_SETTINGS = TwoSensorSettings()
 
 _ROLES = ("inboard", "outboard")
 
@@ -140,7 +140,7 @@ def two_sensor_samples(
     flag = np.asarray(samples["flag"].values, dtype=np.uint32).copy()
     for role in _ROLES:
         with np.errstate(invalid="ignore"):
-            wild = np.asarray((np.abs(values[role]) > TWO_SENSORS.largest_reading).any(axis=1))
+            wild = np.asarray((np.abs(values[role]) > TWO_SENSOR_SETTINGS.largest_reading).any(axis=1))
         flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
         values[role] = np.where(wild[:, None], np.nan, values[role])
     turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
@@ -149,7 +149,9 @@ def two_sensor_samples(
         flag |= saturation_flags(values[role], mission.instruments[need.instrument].channels[need.channel])
         # In the axes of the sensor: it is one of these that sticks.
         seen = turns[role].inv().apply(turns[other].apply(values[other]))
-        still = still_axes(values[role], seen * (TWO_SENSORS.seen_outboard if role == "outboard" else 1.0))
+        still = still_axes(
+            values[role], seen * (TWO_SENSOR_SETTINGS.seen_outboard if role == "outboard" else 1.0)
+        )
         read = np.isfinite(values[role]).all(axis=1)
         stuck = still[read].all(axis=0) if read.any() else np.zeros(3, dtype=bool)
         if stuck.any():
@@ -193,26 +195,26 @@ def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     """
     out = np.zeros(values.shape, dtype=bool)
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if rows.size < TWO_SENSORS.still_samples:
+    if rows.size < TWO_SENSOR_SETTINGS.still_samples:
         return out
     for axis in range(values.shape[1]):
         own = values[rows, axis]
         steps = np.abs(np.diff(own))
-        steps[steps <= TWO_SENSORS.same * float(np.abs(own).max())] = 0.0
+        steps[steps <= TWO_SENSOR_SETTINGS.same * float(np.abs(own).max())] = 0.0
         edges = np.concatenate([[0], np.flatnonzero(steps) + 1, [rows.size]])
         for first, last in pairwise(edges.tolist()):
-            if last - first < TWO_SENSORS.still_samples:
+            if last - first < TWO_SENSOR_SETTINGS.still_samples:
                 continue
             seen = other[rows[first:last], axis]
             seen = seen[np.isfinite(seen)]
-            if seen.size < TWO_SENSORS.parts:
+            if seen.size < TWO_SENSOR_SETTINGS.parts:
                 continue
-            change = np.ptp([part.mean() for part in np.array_split(seen, TWO_SENSORS.parts)])
-            near = TWO_SENSORS.nearby_steps
+            change = np.ptp([part.mean() for part in np.array_split(seen, TWO_SENSOR_SETTINGS.parts)])
+            near = TWO_SENSOR_SETTINGS.nearby_steps
             around = steps[max(first - near, 0) : first], steps[last - 1 : last - 1 + near]
             taken = [part[part > 0.0] for part in around]
             smallest = max((float(part.min()) for part in taken if part.size), default=0.0)
-            if change > TWO_SENSORS.moves * smallest:
+            if change > TWO_SENSOR_SETTINGS.moves * smallest:
                 out[rows[first:last], axis] = True
     return out
 
@@ -304,7 +306,7 @@ def window_readings(
     stamps, inboard, outboard = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("stamps", "inboard", "outboard")
     )
-    size = -(-stamps.size // TWO_SENSORS.most_samples)
+    size = -(-stamps.size // TWO_SENSOR_SETTINGS.most_samples)
     return average_samples(Readings(stamps, inboard, outboard), np.concatenate(ambient), size)
 
 

@@ -23,13 +23,13 @@ from inflight.tasks.pipelines.base import (
     Plan,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     UsedTable,
     record_failure,
     window_edges,
 )
-from inflight.tasks.pipelines.states.day import states_window
-from inflight.tasks.pipelines.states.tables import (
+from inflight.tasks.pipelines.two_sensor.day import states_window
+from inflight.tasks.pipelines.two_sensor.tables import (
     OWN_KEY,
     TablesBefore,
     continue_table,
@@ -88,7 +88,7 @@ class StoredTables:
         return cls({record.key: record for record in records}, fitted)
 
 
-def solve_windows(work: Reprocessing, version: int) -> Solved:
+def solve_windows(work: Reprocessing, version: int) -> TablesToPublish:
     """Fit each window, and continue the tables in order; what has not changed is not done again.
 
     A window's table is staged as soon as those before it are, so that the next run finds what a killed run
@@ -111,7 +111,7 @@ def solve_windows(work: Reprocessing, version: int) -> Solved:
     fitted: Iterator[xr.Dataset | Failure] = iter(work.mapper("calibrate", states_window, arguments))
     before = TablesBefore.of_day(cat, name, groups[0][0])
     used: dict[np.datetime64, UsedTable] = {}
-    solved = Solved(model=plan.model, used=used, certify=[])
+    solved = TablesToPublish(model=plan.model, used=used, certify=[])
     for group, own in zip(groups, keys, strict=True):
         key = continued_key(own, before.keys)
         record = stored.fitted.get(own[:OWN_KEY])

@@ -48,10 +48,10 @@ from inflight.mission_fit import (
     running_mean,
 )
 from inflight.tasks.pipelines.base import Part, with_error
-from inflight.tasks.pipelines.mission.fit import MissionFitResults
-from inflight.tasks.pipelines.mission.sections import NINE_SHOWN, REPORT
-from inflight.tasks.pipelines.mission.tables import (
-    TABLE,
+from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
+from inflight.tasks.pipelines.mission_fit.sections import MISSION_REPORT_SETTINGS, NINE_SHOWN
+from inflight.tasks.pipelines.mission_fit.tables import (
+    TABLE_SETTINGS,
     faults_of,
     middles,
     spectra_of,
@@ -136,7 +136,7 @@ def _add_scatter(part: Part, series: Sequence[Deviation]) -> None:
 
 def _add_periods(part: Part, found: MissionFitResults, daily: xr.Dataset) -> None:
     """Add the amplitudes of the named periods, and a spectrum of each parameter."""
-    shortest = TABLE.shortest_period_d
+    shortest = TABLE_SETTINGS.shortest_period_d
     short = [name for name, length in found.mission.periods.items() if length < shortest * DAY]
     if short:
         text = f"Shorter than {shortest:g} days and not in daily values: {', '.join(short)}."
@@ -168,7 +168,7 @@ def _add_means(part: Part, series: Sequence[Deviation], mjd: Floats) -> None:
     why: dict[str, str] = {}
     for one in series:
         means: list[RunningMean] = []
-        for window in REPORT.mean_windows_d:
+        for window in MISSION_REPORT_SETTINGS.mean_windows_d:
             try:
                 means.append(running_mean(mjd, one.value, window, unit=one.unit))
             except InflightError as error:
@@ -491,7 +491,7 @@ def _add_joint_shifts(part: Part, table: xr.Dataset) -> None:
         "what the first does to the second when it is left out, everything else answering."
     )
     rows = []
-    for _, i, j in sorted(pairs, reverse=True)[: REPORT.listed_pairs]:
+    for _, i, j in sorted(pairs, reverse=True)[: MISSION_REPORT_SETTINGS.listed_pairs]:
         shift = with_error(float(table["value"].values[i, j]), float(table["sigma"].values[i, j]))
         size = f"{table['size'].values[i]:.3g} {table['size_units'].values[i]}"
         unit = str(table["units"].values[j])

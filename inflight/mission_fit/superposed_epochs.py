@@ -44,7 +44,7 @@ class EpochSettings:
     bootstraps: int = 400
 
 
-EPOCHS = EpochSettings()
+EPOCH_SETTINGS = EpochSettings()
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def _has_both_sides(used: Floats, seconds: Floats, usable: Mask, windows: Window
         return bool(used.size > 0.5 * seconds.size and min((used < 0).sum(), (used > 0).sum()) > 2)
     # The usual spacing of samples gives how many there should be.
     spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else np.inf
-    least = max(EPOCHS.least_side * windows.length / spacing, 3.0)
+    least = max(EPOCH_SETTINGS.least_side * windows.length / spacing, 3.0)
     return bool((used < 0).sum() >= least and (used > 0).sum() >= least)
 
 
@@ -564,7 +564,11 @@ class EpochStack:
 
 
 def stack_epochs(
-    epochs: xr.Dataset, value: Floats | None = None, *, seed: int = 0, bootstraps: int = EPOCHS.bootstraps
+    epochs: xr.Dataset,
+    value: Floats | None = None,
+    *,
+    seed: int = 0,
+    bootstraps: int = EPOCH_SETTINGS.bootstraps,
 ) -> EpochStack:
     """Superpose the curves of the epochs of one direction; days are resampled, not epochs.
 

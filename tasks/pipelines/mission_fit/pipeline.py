@@ -28,16 +28,16 @@ from inflight.tasks.pipelines.base import (
     Report,
     Reprocessing,
     ReprocessSettings,
-    Solved,
+    TablesToPublish,
     Versions,
     content_keys,
     newest_record,
     page_sections,
     residual_of_days,
 )
-from inflight.tasks.pipelines.mission.day import AuxiliaryChannels, mission_statistics, unify_variables
-from inflight.tasks.pipelines.mission.fit import STATISTICS, fit_mission_tables, save_fitted
-from inflight.tasks.pipelines.mission.tables import spread_offsets
+from inflight.tasks.pipelines.mission_fit.day import AuxiliaryChannels, mission_statistics, unify_variables
+from inflight.tasks.pipelines.mission_fit.fit import STATISTICS, fit_mission_tables, save_fitted
+from inflight.tasks.pipelines.mission_fit.tables import spread_offsets
 from inflight.tasks.pipelines.scalar import ScalarPipeline, level2_day
 from inflight.tasks.report import Progress
 
@@ -70,7 +70,7 @@ class MissionPipeline(Pipeline):
         """Return days with the same variables; of a part a day lacks, no row counts."""
         return unify_variables(days)
 
-    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Fit all days, stage the tables that their parts allow, and save the fitted model."""
         plan, stager = work.plan, self.table_stager(work, days)
         result = fit_mission_tables(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
@@ -102,7 +102,7 @@ class MissionPipeline(Pipeline):
         self,
         work: Reprocessing,
         days: Mapping[np.datetime64, Day],
-        solved: Solved,
+        solved: TablesToPublish,
         reports: Mapping[np.datetime64, Mapping[str, Any]],
     ) -> None:
         """Stage the table of daily offsets from the spread of the products' residuals."""
@@ -115,7 +115,7 @@ class MissionPipeline(Pipeline):
         stager.table("z-offset", lambda: table)
         solved.certify.extend(stager.certify)
 
-    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+    def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
         """Return the residual, the fitted model, and the tables that could not be made."""
         if solved is None:
             return {"residual": {}}
@@ -141,7 +141,7 @@ class MissionPipeline(Pipeline):
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return the results of the fit, section by section; see `mission_fit_report`."""
-        from inflight.tasks.pipelines.mission.report import mission_fit_report
+        from inflight.tasks.pipelines.mission_fit.report import mission_fit_report
 
         return mission_fit_report(cat, mission, comparison, output, cause)
 
@@ -149,6 +149,6 @@ class MissionPipeline(Pipeline):
         """Return the sections of `report` when a whole-mission fit was ever published; else none."""
         if newest_record(cat, f"{comparison}-continuous") is None:
             return []
-        from inflight.tasks.pipelines.mission.report import mission_fit_report
+        from inflight.tasks.pipelines.mission_fit.report import mission_fit_report
 
         return page_sections(mission_fit_report(cat, mission, comparison).parts)

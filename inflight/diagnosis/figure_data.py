@@ -23,7 +23,7 @@ from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
 from inflight.diagnosis.verdict import column_unit
 from inflight.lsq import correlation_of, gram_inverse
-from inflight.residual import DEPENDENCES, Curve, FieldResponse, curve_of, field_axes, field_response
+from inflight.residual import DEPENDENCE_SETTINGS, Curve, FieldResponse, curve_of, field_axes, field_response
 from inflight.time import DAY, SECOND, Int64, to_utc
 
 
@@ -65,7 +65,7 @@ class ViewSettings:
     most_trials: int = 16
 
 
-VIEWS = ViewSettings()
+VIEW_SETTINGS = ViewSettings()
 
 #: Coordinates of a heat map with unit and whole turn, the most informative first.
 _COORDINATES = {
@@ -123,7 +123,7 @@ class BeforeAfter:
         values = self.before if which == "before" else self.after
         return np.where(self.good, values[:, self.row], np.nan)
 
-    def thinned(self, most: int = VIEWS.most_samples) -> BeforeAfter:
+    def thinned(self, most: int = VIEW_SETTINGS.most_samples) -> BeforeAfter:
         """Return every n-th sample, so that at most so many stay."""
         step = -(-len(self.before) // most)
         if step == 1:
@@ -139,7 +139,7 @@ def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     series = data.series
     before, after = (remaining_residual(search, data, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
-    long = day.size > 0 and day[-1] >= VIEWS.day_blocks
+    long = day.size > 0 and day[-1] >= VIEW_SETTINGS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
 
 
@@ -181,16 +181,18 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
             varied.append(name)
     # A row is a day or more of a long record, else a part of it.
     whole = int(series.tt2000[-1] - series.tt2000[0]) + 1
-    length = DAY * -(-whole // (DAY * VIEWS.map_rows)) if whole >= 4 * DAY else max(-(-whole // 24), 1)
+    length = (
+        DAY * -(-whole // (DAY * VIEW_SETTINGS.map_rows)) if whole >= 4 * DAY else max(-(-whole // 24), 1)
+    )
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
     # No more columns than a row has samples, or every other one were empty.
-    columns = int(np.clip(length / (SECOND * series.step_s), 4, VIEWS.map_columns))
+    columns = int(np.clip(length / (SECOND * series.step_s), 4, VIEW_SETTINGS.map_columns))
     span = (first, first + rows * length)
     out = []
-    for name in varied[: VIEWS.maps]:
+    for name in varied[: VIEW_SETTINGS.maps]:
         unit, reach = _COORDINATES[name]
-        out.append(_map(seen, (name, unit, reach), series[name], place, span, VIEWS.map_columns))
+        out.append(_map(seen, (name, unit, reach), series[name], place, span, VIEW_SETTINGS.map_columns))
     if not out:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
         out.append(_map(seen, (name, unit, reach), values, place, span, columns))
@@ -247,14 +249,14 @@ def along_field(seen: BeforeAfter, axis: int = 2) -> dict[str, list[Curve]]:
         return {}
     thin = seen.thinned()
     part = thin.series.direction()[:, 0, axis]
-    if not thin.good.any() or np.ptp(part[thin.good]) < VIEWS.turned:
+    if not thin.good.any() or np.ptp(part[thin.good]) < VIEW_SETTINGS.turned:
         return {}
     sides = {"all": np.ones(part.size, dtype=bool)}
     if "sunlit" in thin.series.channels:
         lit = thin.series["sunlit"] > 0.5
         if lit.any() and not lit.all():
             sides = {"day": lit, "night": ~lit}
-    edges = np.linspace(-1.0, 1.0, 2 * DEPENDENCES.curve_bins + 1)
+    edges = np.linspace(-1.0, 1.0, 2 * DEPENDENCE_SETTINGS.curve_bins + 1)
     out: dict[str, list[Curve]] = {}
     for which in ("before", "after") if seen.changed else ("before",):
         values = thin.of_row(which)
@@ -289,11 +291,11 @@ def sizes_of(seen: BeforeAfter) -> Sizes:
     """Return distribution and daily rms of all rows together."""
     good = seen.good
     span = int(seen.series.tt2000[-1] - seen.series.tt2000[0]) + 1
-    width = DAY * -(-span // (DAY * VIEWS.days)) if span >= 2 * DAY else max(-(-span // 24), 1)
+    width = DAY * -(-span // (DAY * VIEW_SETTINGS.days)) if span >= 2 * DAY else max(-(-span // 24), 1)
     day = (seen.series.tt2000 - seen.series.tt2000[0]) // width
     count = np.bincount(day[good], minlength=int(day[-1]) + 1)
     wide = 6.0 * float(np.quantile(np.abs(seen.before[good]), 0.8)) if good.any() else 1.0
-    edges = np.linspace(-wide, wide, VIEWS.histogram + 1)
+    edges = np.linspace(-wide, wide, VIEW_SETTINGS.histogram + 1)
     counts, rms = {}, {}
     for which, values in (("before", seen.before), ("after", seen.after)):
         counts[which] = np.histogram(values[good], edges)[0].astype(np.float64)
@@ -303,21 +305,21 @@ def sizes_of(seen: BeforeAfter) -> Sizes:
     return Sizes(edges, counts, np.asarray(middle, dtype=np.int64), rms)
 
 
-def epoch(seen: BeforeAfter, when: int, width: int = 40) -> dict[str, Curve]:
+def superposed_epoch(seen: BeforeAfter, when: int, width: int = 40) -> dict[str, Curve]:
     """Return the mean residual around an event, before and after; the coordinate is days from it."""
     days = (seen.series.tt2000 - when) / DAY
     inside = float(min(max(days[-1], 0.1), max(-days[0], 0.1), 10.0))
     edges = np.linspace(-inside, inside, width + 1)
     near = np.abs(days) < inside
     # A bin of time lies within one block of the search: its error is that between its own parts.
-    part = np.floor((days + inside) / (edges[1] - edges[0]) * VIEWS.parts).astype(np.int64)
+    part = np.floor((days + inside) / (edges[1] - edges[0]) * VIEW_SETTINGS.parts).astype(np.int64)
     return {
         which: curve_of(which, days, seen.of_row(which), part, edges, near) for which in ("before", "after")
     }
 
 
 @dataclass(frozen=True)
-class Step:
+class ErrorContribution:
     """One effect's part in how the held-out error falls.
 
     Attributes
@@ -342,7 +344,7 @@ class Step:
         return self.before**2 - self.after**2
 
 
-def waterfall(search: Search, data: DiagnosisData) -> list[Step]:
+def error_waterfall(search: Search, data: DiagnosisData) -> list[ErrorContribution]:
     """Return how the held-out error falls with every effect the search took."""
     taken, known = list(search.accepted), with_correctable_rows(search, data)
 
@@ -355,7 +357,7 @@ def waterfall(search: Search, data: DiagnosisData) -> list[Step]:
         first = sizes[0] ** 2 - size([option]) ** 2
         others = [one for one in taken if one is not option]
         last = size(others) ** 2 - sizes[-1] ** 2
-        out.append(Step(option.name, option.family, sizes[place], sizes[place + 1], first, last))
+        out.append(ErrorContribution(option.name, option.family, sizes[place], sizes[place + 1], first, last))
     return out
 
 
@@ -401,12 +403,12 @@ def cross_talk(search: Search) -> CrossTalk:
     covariance = gram_inverse(raw.total[np.ix_(place, place)] + np.diag(precision))
     correlation = correlation_of(covariance)
     groups = ["calibration"] * len(base) + ["model"] * len(refined) + ["found"] * len(found)
-    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
+    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEW_SETTINGS.most_parameters]
     own = [place for place, group in enumerate(groups) if group == "model"]
     # Of many refined parameters those that are most correlated with the others are kept.
     others = np.abs(correlation - np.diag(np.diag(correlation)))
     strength = others[:, fixed].max(axis=1, initial=0.0)
-    chosen = sorted(own, key=lambda place: -strength[place])[: VIEWS.most_parameters - len(fixed)]
+    chosen = sorted(own, key=lambda place: -strength[place])[: VIEW_SETTINGS.most_parameters - len(fixed)]
     kept = sorted([*fixed, *chosen])
     return CrossTalk(
         tuple(names[one].removeprefix("model:") for one in kept),
@@ -416,7 +418,7 @@ def cross_talk(search: Search) -> CrossTalk:
 
 
 @dataclass(frozen=True)
-class Shift:
+class CalibrationBias:
     """What a found coefficient, ignored, does to the calibration; it is straight in the value.
 
     Attributes
@@ -434,14 +436,18 @@ class Shift:
     shifts: dict[str, float]
 
 
-def shifts_of(search: Search, option: Option, coefficients: Sequence[Coefficient]) -> list[Shift]:
+def calibration_biases(
+    search: Search, option: Option, coefficients: Sequence[Coefficient]
+) -> list[CalibrationBias]:
     """Return by how much the calibration shifts for the found value of each coefficient, were it ignored."""
     out = []
     for place, coefficient in enumerate(coefficients):
         gamma = np.zeros(len(option.columns))
         gamma[place] = coefficient.value
         found = calibration_shifts(search, option, gamma)
-        out.append(Shift(option.name, coefficient.name, coefficient.unit, coefficient.value, dict(found)))
+        out.append(
+            CalibrationBias(option.name, coefficient.name, coefficient.unit, coefficient.value, dict(found))
+        )
     return out
 
 
@@ -474,7 +480,7 @@ def trials(search: Search, data: DiagnosisData, names: Sequence[str]) -> dict[st
     """
     known = {option.name: option for option in search.options}
     out = {}
-    for name in list(dict.fromkeys(names))[: VIEWS.most_trials]:
+    for name in list(dict.fromkeys(names))[: VIEW_SETTINGS.most_trials]:
         option = known.get(name)
         if option is None or option.change is not None:
             continue
@@ -497,7 +503,7 @@ def responses(seen: BeforeAfter, channels: Sequence[str]) -> list[FieldResponse]
     direction = np.where(thin.good[:, None, None], series.direction(), 0.0)
     columns = field_axes(direction, thin.is_scalar)
     residuals = {"before": thin.before} | ({"after": thin.after} if thin.changed else {})
-    reach = max(1, round(VIEWS.reach_s / series.step_s))
+    reach = max(1, round(VIEW_SETTINGS.reach_s / series.step_s))
     units = dict(zip(series.features.names, series.features.units, strict=True))
     coordinates = [(name, units[name], series[name]) for name in channels if series[name].ndim == 1]
     found = [field_response(one, residuals, columns, thin.block, thin.good, reach) for one in coordinates]

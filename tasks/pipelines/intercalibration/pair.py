@@ -12,7 +12,7 @@ import xarray as xr
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import product_of
-from inflight.tasks.pipelines.relation.tables import (
+from inflight.tasks.pipelines.intercalibration.tables import (
     bending_day,
     bending_table,
     corner_table,

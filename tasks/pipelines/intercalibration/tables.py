@@ -16,7 +16,13 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.flags import UNUSABLE, Flag
-from inflight.mission_fit import CLUSTER_S, corner_moments, corners_of, relation_grams, relation_of
+from inflight.mission_fit import (
+    CLUSTER_S,
+    relation_grams,
+    relation_of,
+    three_cornered_hat,
+    three_cornered_hat_sums,
+)
 from inflight.spin import fit_spins, measure_boom_bending
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
@@ -36,7 +42,7 @@ def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr
     -------
     xarray.Dataset
         `gram` (block, cluster, column, other) and `rows` (block, cluster) of `relation_grams`, `moments`
-        (block, cluster, moment) of `corner_moments`, empty clusters last; `closure` (block) nT.
+        (block, cluster, moment) of `three_cornered_hat_sums`, empty clusters last; `closure` (block) nT.
 
     Raises
     ------
@@ -50,7 +56,7 @@ def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr
     gram, rows = relation_grams(fields[0], fields[1], stamps)
     along = np.linalg.norm(fields[0], axis=1) - np.linalg.norm(fields[1], axis=1)
     closure = float(np.sqrt(np.nanmean((main - other - along) ** 2)))
-    moments = corner_moments(main, other, stamps)
+    moments = three_cornered_hat_sums(main, other, stamps)
     found = xr.Dataset(
         {
             "gram": (("block", "cluster", "column", "other"), _padded(gram)[None], {"units": "nT2"}),
@@ -105,10 +111,10 @@ def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def corner_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Return the variance of each of the three sensors' own error, nT^2; see `corners_of`."""
+    """Return the variance of each of the three sensors' own error, nT^2; see `three_cornered_hat`."""
     closure = float(np.sqrt(np.mean(np.concatenate([day["closure"].values for day in read]) ** 2)))
     moments = np.concatenate([day["moments"].values[0] for day in read])
-    return corners_of(moments[moments[:, 0] > 0], closure=closure).table()
+    return three_cornered_hat(moments[moments[:, 0] > 0], closure=closure).table()
 
 
 def bending_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:

@@ -28,7 +28,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.dual import (
-    ASSIGNMENT,
+    ASSIGNMENT_SETTINGS,
     ContinuedTraining,
     Correction,
     Readings,
@@ -79,7 +79,7 @@ class StateTableSettings:
     exchanged_ratio: float = 1.5
 
 
-STATE_TABLES = StateTableSettings()
+STATE_TABLE_SETTINGS = StateTableSettings()
 
 _CHANGES = ("change", "change_sigma", "aged")
 
@@ -120,7 +120,7 @@ class TablesBefore:
             if table.sizes["state"]:
                 out.keys.append(record.key)
                 out.tables.append(table)
-            if len(out.keys) == STATE_TABLES.most_before:
+            if len(out.keys) == STATE_TABLE_SETTINGS.most_before:
                 break
         return out
 
@@ -128,11 +128,11 @@ class TablesBefore:
         """Put the next window's continued table in front; one without states is nothing to continue."""
         if table.sizes["state"]:
             self.add_key(key)
-            self.tables[:] = [table, *self.tables[: STATE_TABLES.most_before - 1]]
+            self.tables[:] = [table, *self.tables[: STATE_TABLE_SETTINGS.most_before - 1]]
 
     def add_key(self, key: str) -> None:
         """Put the key in front of a table that is still to be made."""
-        self.keys[:] = [key, *self.keys[: STATE_TABLES.most_before - 1]]
+        self.keys[:] = [key, *self.keys[: STATE_TABLE_SETTINGS.most_before - 1]]
 
 
 def continue_table(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
@@ -222,7 +222,7 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     if len(training) and readings.good.any():
         taken = correction_by_stored_gradiometer(table, readings)
         states = correction_by_states(readings, training)
-        sure = taken.known & (states.probability >= ASSIGNMENT.least_probability)
+        sure = taken.known & (states.probability >= ASSIGNMENT_SETTINGS.least_probability)
         for row, number in enumerate(training.number.tolist()):
             inside = sure & (states.state == number)
             if inside.any():
@@ -412,7 +412,7 @@ def channel_changes(
             continue
         data = cat.read(source, list(names.values()), with_time=False)
         stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
-        reach = STATE_TABLES.near_cadences * mission.instruments[instrument].cadence
+        reach = STATE_TABLE_SETTINGS.near_cadences * mission.instruments[instrument].cadence
         for name, channel in names.items():
             values = np.asarray(data[channel].values, dtype=np.float64)
             known = np.isfinite(values)
@@ -500,7 +500,7 @@ def with_remark(table: xr.Dataset) -> xr.Dataset:
 
 def _looks_exchanged(table: xr.Dataset) -> bool:
     """Return True when what switches adds more to the outer than to the inner sensor."""
-    ratio = STATE_TABLES.exchanged_ratio
+    ratio = STATE_TABLE_SETTINGS.exchanged_ratio
     # What units, then states less the longest one, add to the outboard sensor and to the difference.
     names = ("unit_correction", "unit", "unit_covariance"), ("correction", "centre", "covariance")
     for place, (correction, centre, covariance) in enumerate(names):
@@ -511,7 +511,7 @@ def _looks_exchanged(table: xr.Dataset) -> bool:
         inner = outer + difference
         variance = np.einsum("uii->ui", np.asarray(table[covariance].values))
         sigma = np.sqrt(np.clip(variance, 0.0, None))
-        clear = (np.abs(outer) > STATE_TABLES.clear_sigmas * sigma).any(axis=1)
+        clear = (np.abs(outer) > STATE_TABLE_SETTINGS.clear_sigmas * sigma).any(axis=1)
         if clear.any():
             return float(np.linalg.norm(outer[clear])) > ratio * float(np.linalg.norm(inner[clear]))
     if has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
