@@ -144,7 +144,7 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
 
 
 def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
-    """Return the encoding as multiples of the resolution; None unless it keeps all values, see `PACKING_SETTINGS`."""
+    """Return the encoding as multiples of the resolution; None unless it keeps all values."""
     largest = 0.0
     for piece in pieces:
         finite = piece if np.isfinite(piece).all() else piece[~np.isnan(piece)]

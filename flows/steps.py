@@ -1,6 +1,6 @@
-"""The steps of each flow, written once: `run_without_prefect` calls them, `inflight.flows.prefect_flows`
-wraps them.
+"""The steps of each flow, written once.
 
+`run_without_prefect` calls them, `inflight.flows.prefect_flows` wraps them.
 Each takes a workspace and the parameters that the command line and a deployment name, and returns the fields
 of a `RunReport` (of `diagnose`: with those of a `Diagnosis`) as JSON has them. How batches run is decided by
 the runner (`inflight.flows.runner`). What several steps take means the same in all of them:

@@ -1,0 +1,39 @@
+"""Solving symmetric systems: what numpy's eigenvalue routine cannot do is done another way."""
+
+import numpy as np
+import pytest
+
+from inflight.lsq.solver import eigen_of_symmetric, solve_scaled
+
+
+def refuse(matrix):
+    raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+
+@pytest.fixture
+def gram():
+    rows = np.random.default_rng(3).normal(size=(2, 40, 6)) * [1.0, 1e3, 1e-3, 1.0, 5.0, 0.2]
+    return np.swapaxes(rows, 1, 2) @ rows
+
+
+def test_eigenvalues_are_found_where_divide_and_conquer_does_not_converge(gram, monkeypatch):
+    usual = np.linalg.eigh(gram)
+    monkeypatch.setattr(np.linalg, "eigh", refuse)
+    values, vectors = eigen_of_symmetric(gram)
+    np.testing.assert_allclose(values, usual[0], rtol=1e-9, atol=1e-9 * values.max())
+    np.testing.assert_allclose(
+        (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2), gram, atol=1e-8 * values.max()
+    )
+
+
+def test_a_system_is_solved_all_the_same(gram, monkeypatch):
+    right = np.eye(6)
+    usual = solve_scaled(gram[0], right)
+    monkeypatch.setattr(np.linalg, "eigh", refuse)
+    np.testing.assert_allclose(solve_scaled(gram[0], right), usual, rtol=1e-8)
+
+
+def test_what_is_not_a_number_is_still_refused(gram):
+    gram[0, 0, 0] = np.nan
+    with pytest.raises(np.linalg.LinAlgError):
+        eigen_of_symmetric(gram)
