@@ -92,7 +92,7 @@ def test_a_lag_between_those_of_the_bank_is_found_within_its_error(lag, size):
         found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
         assert found.sigma < 0.15 * lag
         misses.append((found.best - lag) / found.sigma)
-        assert found.left.min() > 0.9 * BLOCKS * 1440 * 0.09**2
+        assert found.remaining.min() > 0.9 * BLOCKS * 1440 * 0.09**2
     assert np.median(np.abs(misses)) < 3.0, misses
 
 
@@ -101,4 +101,4 @@ def test_no_lag_is_found_where_there_is_none():
     found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
     assert found.best < 20.0
     assert found.as_json()["best_s"] == found.best
-    assert found.lags[np.argmin(found.left)] < 20.0
+    assert found.lags[np.argmin(found.remaining)] < 20.0

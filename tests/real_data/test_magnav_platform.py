@@ -27,10 +27,10 @@ def test_the_effect_has_the_published_columns(record):
 
 def test_the_published_coefficients_leave_the_published_residual(record):
     (first, second), coefficient = published_halves(FOLDER)
-    assert first.left(coefficient) == pytest.approx(0.0556, abs=1e-4)
-    assert second.left(coefficient) == pytest.approx(0.0263, abs=1e-4)
+    assert first.remaining(coefficient) == pytest.approx(0.0556, abs=1e-4)
+    assert second.remaining(coefficient) == pytest.approx(0.0263, abs=1e-4)
     ours = record.halves()
-    assert [half.left(record.published) for half in ours] == pytest.approx([0.0556, 0.0263], abs=2e-3)
+    assert [half.remaining(record.published) for half in ours] == pytest.approx([0.0556, 0.0263], abs=2e-3)
 
 
 def test_the_published_coefficients_are_a_fit_to_both_halves_and_no_held_out_mark():
@@ -49,9 +49,9 @@ def test_the_half_not_fitted_is_far_better_than_untouched(record, arrays, fitted
     else:
         halves, coefficient = published_halves(FOLDER)
     score = judge(halves[fitted], halves[1 - fitted], coefficient, record.rows.step_s, record.band)
-    record_property("left_nT", score.left)
-    assert score.left["ridge, one error"] < 0.65 * score.left["untouched"]
-    assert score.left["ridge, one error"] < score.left["least squares"]
+    record_property("left_nT", score.remaining)
+    assert score.remaining["ridge, one error"] < 0.65 * score.remaining["untouched"]
+    assert score.remaining["ridge, one error"] < score.remaining["least squares"]
 
 
 def test_wherever_the_fitted_window_lies_the_rest_is_not_made_worse(record):
