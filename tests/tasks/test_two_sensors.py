@@ -61,7 +61,7 @@ def boom(tmp_path_factory):
 
 def errors(cat, made, day, constants=False):
     """Return errors of the measured and the corrected outboard field every 10 s, without constants; nT."""
-    product = cat.read(day, dated=False)
+    product = cat.read(day, with_time=False)
     with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
         stamps, field = truth["Epoch"].values.astype(np.int64), truth["FIELD"].values
         known = field + truth["OFFSET_OUT"].values
@@ -233,7 +233,7 @@ def test_a_state_has_one_number_in_all_windows(three):
     cat, _, made, _ = three
     seen = {}
     for day in cat.days("l2/field", states=("published",)):
-        product = cat.read(day, dated=False)
+        product = cat.read(day, with_time=False)
         with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, true = truth["Epoch"].values.astype(np.int64), truth["STATE"].values
         rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)
@@ -324,7 +324,7 @@ def test_a_known_ambient_field_tells_the_constant_part_and_later_windows_take_it
     assert (first.attrs["constant_known"], first.attrs["carried"]) == (1, 0)
     assert (second.attrs["constant_known"], second.attrs["carried"]) == (1, 1)
     for day, table in zip(cat.days("l2/field", states=("published",)), (first, second), strict=True):
-        product = cat.read(day, dated=False)
+        product = cat.read(day, with_time=False)
         with xr.open_dataset(VENUS_EXPRESS.truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, stray = truth["Epoch"].values.astype(np.int64), truth["STRAY_OUT"] + truth["OFFSET_OUT"]
             true = stray.values
