@@ -206,7 +206,7 @@ class Catalog:
         return self.read(found, variables)
 
     def read(self, day: Day, variables: Iterable[str] | None = None, *, with_time: bool = True) -> xr.Dataset:
-        """Read a day by its record; no database access. Without `with_time` it has no ``time`` and costs less."""
+        """Read a day by its record; no database access. Without `with_time` it lacks ``time``, costs less."""
         if not day.segment:
             raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
         return read_one_day(self.workspace, day, variables, with_time)
