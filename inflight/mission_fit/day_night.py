@@ -25,7 +25,7 @@ from inflight.calibration import NINE_PARAMETER_NAMES, NINE_PARAMETER_UNITS, Nor
 from inflight.effects import AXES, MAX_HARMONIC, DayNight, DayNightSeries, order_names
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq import SOLVER_SETTINGS, gram_inverse, marginalise, solve_clusters, student_sigma
+from inflight.lsq import SOLVER_SETTINGS, gram_inverse, marginalise, solve_clusters
 from inflight.mission_fit.crosstalk import DISPLAY_UNITS
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
@@ -266,12 +266,10 @@ def fit_day_night(
     grams, rows = parts.rows(parts.names), parts.count
     sign = np.append(np.ones(grams.shape[1] - 1), -1.0)
     found = solve_clusters(grams * np.outer(sign, sign), rows)
-    # Few blocks determine their own scatter badly: one sigma shall mean 68 % with any number of them.
-    widened = student_sigma(found.clusters) ** 2
     place, count = np.flatnonzero(determined), len(free)
     value, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
     value[place] = found.value[:count]
-    covariance[np.ix_(place, place)] = widened * found.covariance[:count, :count]
+    covariance[np.ix_(place, place)] = found.covariance[:count, :count]
     sigma = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
     total = grams.sum(axis=0)
     alone = marginalise(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
