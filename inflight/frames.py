@@ -285,7 +285,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         nec); a vector reading with attribute `orientation`, the quaternion from sensor to
         spacecraft axes (the same axes when absent).
     names : collection of str
-        Of `GEOMETRY_SETTINGS`, what to add.
+        Of `GEOMETRY`, what to add.
 
     Returns
     -------

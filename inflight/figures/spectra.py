@@ -1,6 +1,6 @@
 """Figures of spectra: the residual, and the residual along each axis, with known and unknown lines.
 
-Takes spectra and lines as `inflight.residual` makes them (`Power`, `Line`, periods by name); makes Bokeh
+Takes spectra and lines as `inflight.residual` makes them (`SpectrumSum`, `Line`, periods by name); makes Bokeh
 figures of amplitude density against period.
 """
 
@@ -125,7 +125,7 @@ def axis_spectrum_figures(
 
     Parameters
     ----------
-    before : Power, optional
+    before : SpectrumSum, optional
         Absent when nothing was found.
     known : mapping of str to float
         Periods to name, s.

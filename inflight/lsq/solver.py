@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from inflight.arrays import Floats
 
@@ -99,6 +98,8 @@ def eigen_of_symmetric(matrix: Floats) -> tuple[Floats, Floats]:
     except np.linalg.LinAlgError:
         if not np.isfinite(matrix).all():
             raise
+        import scipy.linalg  # rarely needed, and slow to load
+
         flat = matrix.reshape(-1, *matrix.shape[-2:])
         each = [scipy.linalg.eigh(one, driver="ev") for one in flat]
         values = np.stack([one[0] for one in each]).reshape(matrix.shape[:-1])

@@ -198,7 +198,7 @@ def coil_columns_of(key: str, kinds: Sequence[str] = KINDS) -> list[str]:
 def coil_columns(
     channel: str, field: Floats, stamps: Int64, temperature: Floats, lag: float, reference: float
 ) -> dict[str, Floats]:
-    """Return the columns of a temperature: ``channel.kind[axis]`` for every one of `KIND_SETTINGS`, (time,).
+    """Return the columns of a temperature: ``channel.kind[axis]`` for every one of `KINDS`, (time,).
 
     Parameters
     ----------

@@ -449,7 +449,7 @@ class FilledRunningMean:
     coverage : ndarray, shape (day,)
         Part of the window around the day that has data, in [0, 1].
     state : ndarray of int8, shape (day,)
-        Codes of `STATE_SETTINGS`: *whole* window; *partial*, the mean of what is there; *interpolated*
+        Codes of `MEAN_STATES`: *whole* window; *partial*, the mean of what is there; *interpolated*
         between days with enough coverage; *held* at the nearest such day, at the ends of the record.
     daily : ndarray, shape (day, 3)
         The daily means, A; NaN where there are none.

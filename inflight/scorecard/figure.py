@@ -53,11 +53,11 @@ class PublishedFigure:
     tolerance : float, tuple of float or Within
         The source's own error or last digit, else the scatter over days or seeds.
     basis : str
-        What the obtained value rests on, see `Basis`.
+        What the obtained value rests on, see `EvidenceKind`.
     why : str
         One sentence on the verdict.
     obtain : callable, optional
-        Function of the `Scene` that works the value out; None when it cannot be.
+        Function of the `SimulatedDays` that works the value out; None when it cannot be.
     printed : bool
         Whether the source prints the number; otherwise it is what theory or geometry makes one expect.
     """

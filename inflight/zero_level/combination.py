@@ -1,6 +1,6 @@
 r"""All methods on one record: one offset, whether they agree, and whether other offsets are rejected.
 
-Takes: `Intervals` and a `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of
+Takes: `Intervals` and an `OffsetSearch`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of
 the methods of `METHODS`, each on the intervals that suit it, with their agreement.
 
 Methods share intervals and fluctuations, so they are not independent. Each is weighted by the inverse of its
