@@ -1,7 +1,7 @@
 """Figures of spectra: the residual, and the residual along each axis, with known and unknown lines.
 
-Takes spectra and lines as `inflight.residual` makes them (`SpectrumSum`, `Line`, periods by name); makes Bokeh
-figures of amplitude density against period.
+Takes spectra and lines as `inflight.residual` makes them (`SpectrumSum`, `Line`, periods by name); makes
+Bokeh figures of amplitude density against period.
 """
 
 from __future__ import annotations

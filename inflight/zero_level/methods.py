@@ -1,8 +1,8 @@
 r"""The methods of the zero level, one call each: ``method(intervals, used, search) -> Estimate``.
 
-Takes: `Intervals`, which of them are of the method's kind, and an `OffsetSearch`. Makes: `Estimate`. The table
-`METHODS` names every method, the intervals that suit it, and whether `inflight.zero_level.combination` uses
-it. B is a reading, O the offset, :math:`\bar B` the mean of an interval.
+Takes: `Intervals`, which of them are of the method's kind, and an `OffsetSearch`. Makes: `Estimate`. The
+table `METHODS` names every method, the intervals that suit it, and whether `inflight.zero_level.combination`
+uses it. B is a reading, O the offset, :math:`\bar B` the mean of an interval.
 
 **Kinds** (`classify_intervals`): Alfvenic intervals, in which the field turns; compressional ones, in which
 its size varies; and neither. The parts of the variance are those of the field less the present offset; a
