@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
 from ppigrf.ppigrf import read_shc
-from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import MissionError, SamplesError
@@ -105,10 +105,12 @@ def from_date(vectors: Floats, days: Floats) -> Floats:
     return np.asarray(_precession(days).inv().apply(vectors))
 
 
-def _precession(days: Floats) -> Rotation:
+def _precession(days: Floats) -> scipy.spatial.transform.Rotation:
     century = float(np.mean(days)) / 36525.0 if days.size else 0.0
     # scipy turns vectors, not axes: the signs are the opposite of the almanac's R3, R2, R3.
-    return Rotation.from_euler("zyz", [0.640616 * century, -0.556753 * century, 0.640616 * century], True)
+    return scipy.spatial.transform.Rotation.from_euler(
+        "zyz", [0.640616 * century, -0.556753 * century, 0.640616 * century], True
+    )
 
 
 def rotate_with_earth(vectors: Floats, days: Floats, sign: int) -> Floats:
@@ -165,7 +167,7 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     ndarray, shape (time, 3)
     """
     if quaternion.ndim == 1:
-        return np.asarray(field @ Rotation.from_quat(quaternion).as_matrix().T)
+        return np.asarray(field @ scipy.spatial.transform.Rotation.from_quat(quaternion).as_matrix().T)
     x, y, z, w = np.ascontiguousarray(quaternion.T)
     vx, vy, vz = np.ascontiguousarray(field.T)
     size = x * x + y * y + z * z + w * w

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import scipy
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
-from scipy.spatial.transform import Rotation
 
 from inflight.errors import MissionError
 from inflight.instruments import (
@@ -414,9 +414,9 @@ class Sensor:
         return self.role == "scalar"
 
     @property
-    def rotation(self) -> Rotation:
+    def rotation(self) -> scipy.spatial.transform.Rotation:
         """Rotation from sensor to spacecraft axes."""
-        return Rotation.from_quat(self.orientation)
+        return scipy.spatial.transform.Rotation.from_quat(self.orientation)
 
 
 def sensors_of(mission: Mission, comparison: str = "main") -> dict[str, Sensor]:

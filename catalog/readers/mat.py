@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
+import scipy
 
 from inflight.catalog.readers.source import Array, Source, Variable, read_errors, require_content
 from inflight.errors import ReadError
@@ -26,7 +26,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             )
     with read_errors(path):
         arrays: dict[str, Array] = {}
-        for name, value in loadmat(path).items():
+        for name, value in scipy.io.loadmat(path).items():
             if not name.startswith("__"):
                 _collect(name, value, arrays)
     yield Source(path, tuple(arrays), lambda name: Variable(arrays[name]), tuple(files.drop))

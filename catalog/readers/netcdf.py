@@ -13,7 +13,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import netcdf_file
+import scipy
 
 from inflight.catalog.readers.source import Array, Source, Variable, read_errors, require_content
 from inflight.catalog.readers.times import from_cf, is_cf_unit
@@ -27,7 +27,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     with path.open("rb") as stream:
         classic = stream.read(3) == b"CDF"
     with read_errors(path):
-        handle: Any = netcdf_file(path, "r", mmap=False) if classic else h5py.File(path, "r")
+        handle: Any = scipy.io.netcdf_file(path, "r", mmap=False) if classic else h5py.File(path, "r")
     arrays: dict[str, Any] = {}
 
     def collect(name: str, item: Any) -> None:

@@ -17,8 +17,8 @@ from typing import cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import interpolate, linalg, special
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
@@ -207,7 +207,7 @@ def _low_pass(place: Int64, residual: Floats, use: np.ndarray, period: float) ->
     smooth = whittaker(total, weight, period / bins, bins)
     centre = np.arange(count) * bins + 0.5 * (bins - 1)
     steps = (place - place[0]).astype(np.float64)
-    slow = smooth[cell] if bins == 1 else np.asarray(interpolate.CubicSpline(centre, smooth)(steps))
+    slow = smooth[cell] if bins == 1 else np.asarray(scipy.interpolate.CubicSpline(centre, smooth)(steps))
     white = float(np.std((residual - slow)[use]))
     ends = np.minimum(steps, steps[-1] - steps) / bins
     gain = edge_gain(round(period / bins))
@@ -229,7 +229,7 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
     """
     order, size = CLOSURE_SETTINGS.order, weight.size
     stiffness = full / (2.0 * np.sin(np.pi / period)) ** (2 * order)
-    stencil = (-1.0) ** np.arange(order + 1) * special.binom(order, np.arange(order + 1))
+    stencil = (-1.0) ** np.arange(order + 1) * scipy.special.binom(order, np.arange(order + 1))
     band = np.zeros((order + 1, size))
     rows = size - order
     for i in range(order + 1):
@@ -237,7 +237,7 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
             # Row i - j below the diagonal, column j of every difference that reaches it.
             band[i - j, j : j + rows] += stiffness * stencil[i] * stencil[j]
     band[0] += weight
-    return np.asarray(linalg.solveh_banded(band, total, lower=True))
+    return np.asarray(scipy.linalg.solveh_banded(band, total, lower=True))
 
 
 @lru_cache(maxsize=8)

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Term, within_span
@@ -305,7 +305,8 @@ def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) 
         return []
     size = _second_differences(residual[place], stamps[place])
     local = np.stack(
-        [median_filter(row, size=BURST_SETTINGS.around, mode="nearest") for row in size.T], axis=1
+        [scipy.ndimage.median_filter(row, size=BURST_SETTINGS.around, mode="nearest") for row in size.T],
+        axis=1,
     )
     usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
     times = (local / usual).max(axis=1)
@@ -505,13 +506,13 @@ def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_
 
     On a slope every sample is the median of its neighbours: there the noise is that of second differences.
     """
-    off = np.abs(row - median_filter(row, size=BIN_SETTINGS.neighbours, mode="nearest"))
+    off = np.abs(row - scipy.ndimage.median_filter(row, size=BIN_SETTINGS.neighbours, mode="nearest"))
     second = np.zeros(row.size)
     second[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
     sigma = np.full(row.size, 1e-6)
     for size in (off, second):
         usual = np.median(size[known]) if known.any() else 1.0
-        around = median_filter(size, size=min(BIN_SETTINGS.around, row.size), mode="nearest")
+        around = scipy.ndimage.median_filter(size, size=min(BIN_SETTINGS.around, row.size), mode="nearest")
         sigma = np.maximum(sigma, MAD_TO_SIGMA * np.maximum(usual, around))
     return np.asarray(off > BIN_SETTINGS.spike * sigma)
 

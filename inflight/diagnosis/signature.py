@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import label
+import scipy
 
 from inflight.arrays import Floats
 from inflight.diagnosis.residual import LAGS, DiagnosisData, Structure
@@ -227,7 +227,7 @@ def _band(series: Series, residual: Floats, missing: float) -> tuple[float, floa
     padded = np.pad(density, rule.smooth // 2, mode="edge")
     power = np.convolve(padded, np.ones(rule.smooth) / rule.smooth, mode="valid")
     usual = float(np.median(power))
-    bands, count = label(power > rule.above * usual)
+    bands, count = scipy.ndimage.label(power > rule.above * usual)
     excess = (power - usual) * frequency[1]
     held = np.array([excess[bands == one].sum() for one in range(1, count + 1)])
     # The slow end is structure, and has its own words.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT, UNKNOWN, Correction, no_correction
@@ -200,7 +200,9 @@ class _StateChain:
     def __init__(self, segments: Segments, training: Training) -> None:
         self.segments, self.training = segments, training
         self.steady = np.flatnonzero(~segments.transient)
-        self.limit = float(stats.chi2.isf(ASSIGNMENT_SETTINGS.false_unknown / max(self.steady.size, 1), 3))
+        self.limit = float(
+            scipy.stats.chi2.isf(ASSIGNMENT_SETTINGS.false_unknown / max(self.steady.size, 1), 3)
+        )
         observed, unknown = training.observed, ASSIGNMENT_SETTINGS.unknown_prior
         predicted = ASSIGNMENT_SETTINGS.predicted_prior if not observed.all() else 0.0
         share = np.where(observed, (1.0 - predicted) / observed.sum(), predicted / max((~observed).sum(), 1))

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.readings import trimmed_covariance, white_covariance
@@ -118,7 +118,7 @@ class HeavyTailSettings:
     @property
     def median_limit(self) -> float:
         """Squared difference of medians, in errors, at `median_chance`: chi-square of three axes."""
-        return float(stats.chi2.isf(self.median_chance, 3))
+        return float(scipy.stats.chi2.isf(self.median_chance, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +215,7 @@ def find_jumps(values: Floats) -> tuple[Rows, StepNoise]:
         covariance, freedom, drift, block = measured
         noises.append((length, covariance, freedom))
         # Hotelling's: the noise is itself measured, from fewer and fewer stretches.
-        limit = 3.0 * (freedom - 1.0) / (freedom - 3.0) * stats.f.isf(chance, 3, freedom - 3.0)
+        limit = 3.0 * (freedom - 1.0) / (freedom - 3.0) * scipy.stats.f.isf(chance, 3, freedom - 3.0)
         at, distance = _over_limit(
             sums,
             level,
@@ -406,7 +406,7 @@ def find_spikes(values: Floats) -> npt.NDArray[np.bool_]:
         return found
     whiten = np.linalg.inv(np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))).T
     unit = np.ascontiguousarray(values @ whiten)
-    limit = float(stats.chi2.isf(CHANGE_POINT_SETTINGS.false_alarms / len(values), 3))
+    limit = float(scipy.stats.chi2.isf(CHANGE_POINT_SETTINGS.false_alarms / len(values), 3))
     return _stand_out(unit, _local_levels(unit), CHANGE_POINT_SETTINGS.level_samples, limit, found)
 
 

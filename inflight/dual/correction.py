@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import ndimage
 
 from inflight.arrays import Floats
 from inflight.dual.readings import Readings
@@ -205,8 +205,8 @@ def slow_part(values: Floats, width: int) -> Floats:
     A mean of means, whose response is nowhere negative: no frequency is left with more than it had.
     """
     around = width | 1
-    once = ndimage.uniform_filter1d(values, around, axis=0, mode="nearest")
-    return np.asarray(ndimage.uniform_filter1d(once, around, axis=0, mode="nearest"))
+    once = scipy.ndimage.uniform_filter1d(values, around, axis=0, mode="nearest")
+    return np.asarray(scipy.ndimage.uniform_filter1d(once, around, axis=0, mode="nearest"))
 
 
 def slow_part_of(correction: Correction, readings: Readings, seconds: float) -> Floats:

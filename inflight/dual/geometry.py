@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dipole import unit_dipole
@@ -122,7 +121,7 @@ def matrices_of_any_boom() -> Floats:
     """
     random = np.random.default_rng(3)
     drawn = []
-    for rotation in Rotation.random(GEOMETRY_SETTINGS.draws, rng=random):
+    for rotation in scipy.spatial.transform.Rotation.random(GEOMETRY_SETTINGS.draws, rng=random):
         ratio = random.uniform(*GEOMETRY_SETTINGS.ratios)
         sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
         inside = dipole_matrix(
@@ -217,7 +216,7 @@ def fit_place(body: Body, regression: WhitenedRows) -> tuple[Floats, Floats]:
         return np.concatenate([rows.ravel(), (place - body.centre) / spread])
 
     starts = body.centre + spread * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    fits = [least_squares(residuals, start, x_scale=spread) for start in starts]
+    fits = [scipy.optimize.least_squares(residuals, start, x_scale=spread) for start in starts]
     best = min(fits, key=lambda one: float(one.cost))
     if not np.all(np.isfinite(best.x)):
         raise CalibrationError("no place of a dipole fits", remedy="use another form")

@@ -23,8 +23,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import ndimage
 
 from inflight.arrays import Floats
 from inflight.dual.correction import UNKNOWN, Correction
@@ -424,12 +424,14 @@ def wiener_shrink(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     kept, variance = np.zeros_like(series), np.zeros(len(series))
     while 2 * width + 1 <= max(len(series) // SHRINK_SETTINGS.slowest, 1):
         wider = 2 * width + 1
-        slower = ndimage.uniform_filter1d(series, wider, axis=0, mode="nearest")
+        slower = scipy.ndimage.uniform_filter1d(series, wider, axis=0, mode="nearest")
         band = smooth - slower
         level = 1.0 / width - 1.0 / wider
         power = np.mean((band @ whiten.T) ** 2, axis=1)
         around = (
-            ndimage.uniform_filter1d(power, min(SHRINK_SETTINGS.stretch * wider, len(series)), mode="nearest")
+            scipy.ndimage.uniform_filter1d(
+                power, min(SHRINK_SETTINGS.stretch * wider, len(series)), mode="nearest"
+            )
             / level
         )
         share = np.clip(1.0 - SHRINK_SETTINGS.least_power / np.maximum(around, 1e-12), 0.0, 1.0)

@@ -31,7 +31,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.correction import (
@@ -483,7 +483,9 @@ class SlopePosterior:
     def rejected(self) -> bool:
         """Whether no draw of the prior agrees with the observation (chi-square test)."""
         count = self.observation.scale.size
-        return bool(count) and float(chi2.sf(self.misfit.min(), count)) < HELD_OUT_SETTINGS.rejected
+        return (
+            bool(count) and float(scipy.stats.chi2.sf(self.misfit.min(), count)) < HELD_OUT_SETTINGS.rejected
+        )
 
     @cached_property
     def effective_draws(self) -> float:

@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.optimize import minimize
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.readings import Cells
@@ -238,7 +237,9 @@ def _most_likely_leak(cells: Cells, floor: Floats, prior: tuple[Floats, Floats],
 
     limits = [(-most, most) for most in (MIXING_SETTINGS.prior_sigmas * spread / unit).tolist()]
     zero = np.zeros(start.size)
-    best = minimize(cost, zero, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
+    best = scipy.optimize.minimize(
+        cost, zero, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}
+    ).x
     return np.asarray((start + best * unit)[9:].reshape(3, 3))
 
 
@@ -446,7 +447,9 @@ def second_moments(cells: Cells, mixing: Mixing, noise: DifferenceNoise) -> Seco
     smooth = variance.copy()
     for scale in np.unique(cells.scale):
         here = np.flatnonzero(cells.scale == scale)
-        around = ndimage.uniform_filter1d(variance[here], MIXING_SETTINGS.neighbours, axis=0, mode="nearest")
+        around = scipy.ndimage.uniform_filter1d(
+            variance[here], MIXING_SETTINGS.neighbours, axis=0, mode="nearest"
+        )
         smooth[here] = 0.5 * variance[here] + 0.5 * around
     weight = cells.count[:, None] / smooth
     blocks = MIXING_SETTINGS.blocks

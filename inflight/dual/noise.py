@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.readings import Cells, robust_covariance
@@ -154,8 +154,8 @@ def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
     most = NOISE_FLOOR_SETTINGS.most_segments
     if starts.size > most:
         starts = starts[np.linspace(0, starts.size - 1, most).astype(np.int64)]
-    window = signal.windows.hann(length, sym=False)
-    segments = signal.detrend(series[starts[:, None] + np.arange(length)], axis=1)
+    window = scipy.signal.windows.hann(length, sym=False)
+    segments = scipy.signal.detrend(series[starts[:, None] + np.arange(length)], axis=1)
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
     unit = np.sqrt(2.0 / np.sum(window**2))
     spectrum = (

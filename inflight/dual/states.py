@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT
@@ -228,7 +228,7 @@ class _Clustering:
         self.segments, self.rate, self.scatter, self.given = segments, rate, scatter, given
         self.steady = np.flatnonzero(~segments.transient)
         self.spread = scatter**2 * np.eye(3)
-        self.limit = float(stats.chi2.isf(STATE_SETTINGS.false_states / max(self.steady.size, 1), 3))
+        self.limit = float(scipy.stats.chi2.isf(STATE_SETTINGS.false_states / max(self.steady.size, 1), 3))
         self.centre, self.covariance = np.empty((0, 3)), np.empty((0, 3, 3))
         count = len(segments)
         self.label = np.full(count, TRANSIENT, dtype=np.int64)
@@ -479,7 +479,7 @@ class Change:
 
 def chi2_limit(tests: int) -> float:
     """Return the squared distance that one of so many right changes exceeds once in a thousand times."""
-    return float(stats.chi2.isf(UNIT_SETTINGS.missed / max(tests, 1), 3))
+    return float(scipy.stats.chi2.isf(UNIT_SETTINGS.missed / max(tests, 1), 3))
 
 
 def squared_distance(vector: Floats, covariance: Floats) -> float:

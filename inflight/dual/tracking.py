@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.segments import DriftRate
@@ -103,7 +103,7 @@ def continue_training(earlier: Training, later: Training) -> ContinuedTraining:
         common = np.linalg.solve(weight.sum(axis=0), np.einsum("pij,pj->i", weight, own - old))
     change = own - (old + common)
     distance = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
-    aged = np.asarray(distance > stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(matched), 1), 3))
+    aged = np.asarray(distance > scipy.stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(matched), 1), 3))
     reference = -1 if later.reference < 0 else int(number[later.number == later.reference][0])
     training = replace(later, number=number, reference=reference, next_number=next_number)
     training = _with_units(earlier, training, matched)
@@ -225,7 +225,7 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     apart = later.centre[None] - earlier.centre[:, None]
     scatter = (earlier.scatter**2 + later.scatter**2) * np.eye(3)
     spread = earlier.centre_covariance[:, None] + later.centre_covariance[None] + scatter
-    limit = stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(later), 1), 3)
+    limit = scipy.stats.chi2.isf(CONTINUATION_SETTINGS.missed / max(len(later), 1), 3)
     rows, columns = np.flatnonzero(earlier.observed), np.flatnonzero(later.observed)
     between, width = apart[np.ix_(rows, columns)], spread[np.ix_(rows, columns)]
     tried: list[tuple[float, float, Floats, Floats]] = []

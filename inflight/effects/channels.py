@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
 from inflight.effects.base import (
@@ -247,7 +247,7 @@ def knots_of(effect: Effect, key: str) -> Floats:
 def spline_basis(values: Floats, knots: Floats) -> Floats:
     """Return natural cubic splines that are 1 at one knot and 0 at the others; (time, knot)."""
     held = np.clip(values, knots[0], knots[-1])
-    return np.asarray(CubicSpline(knots, np.eye(knots.size), bc_type="natural")(held))
+    return np.asarray(scipy.interpolate.CubicSpline(knots, np.eye(knots.size), bc_type="natural")(held))
 
 
 def weighted_vectors(basis: Floats, vectors: Floats) -> Floats:

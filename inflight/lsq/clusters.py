@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import t as student_t
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -147,7 +147,7 @@ def solve_clusters(
 
 def student_sigma(clusters: int) -> float:
     """Return how many estimated standard deviations of so many clusters hold 68 %, as one true one does."""
-    return float(student_t.ppf(_ONE_SIGMA, clusters - 1))
+    return float(scipy.stats.t.ppf(_ONE_SIGMA, clusters - 1))
 
 
 def mean_of_clusters(value: Floats, weight: Floats, cluster: npt.NDArray[np.int64]) -> tuple[float, float]:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtr, stdtrit
+import scipy
 
 from inflight.arrays import Floats
 from inflight.lsq.solver import eigen_of_symmetric, posterior_covariance
@@ -309,7 +309,7 @@ def sigma_of_mean(series: Floats) -> float:
 
 
 #: Probability beyond which a t of three lies when there are many blocks: few are held to the same.
-_BEYOND = float(ndtr(-3.0))
+_BEYOND = float(scipy.special.ndtr(-3.0))
 
 
 def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Floats:
@@ -347,7 +347,7 @@ def expected_gain_t(gained: Floats, expected: Floats, active: npt.NDArray[np.boo
         Blocks with information.
     """
     t, freedom = _expected_gain(gained, expected, active)
-    few = np.where(freedom > 0.1, -3.0 / stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
+    few = np.where(freedom > 0.1, -3.0 / scipy.special.stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
     return np.asarray(few * t)
 
 
@@ -360,7 +360,7 @@ def expected_gain_p(gained: Floats, expected: Floats, active: npt.NDArray[np.boo
         As in `expected_gain_t`.
     """
     t, freedom = _expected_gain(gained, expected, active)
-    return np.where(freedom > 0.1, stdtr(np.maximum(freedom, 0.1), -t), 1.0)
+    return np.where(freedom > 0.1, scipy.special.stdtr(np.maximum(freedom, 0.1), -t), 1.0)
 
 
 def _expected_gain(gained: Floats, expected: Floats, active: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -377,9 +377,9 @@ def measure_event_steps(
     # Student's distribution with the 99 % quantile of the contrasts.
     ratio = float(np.quantile(np.abs(standardised), 0.99) / np.median(np.abs(standardised)))
     freedoms = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0, 1000.0])
-    expected = stats.t.ppf(0.995, freedoms) / stats.t.ppf(0.75, freedoms)
+    expected = scipy.stats.t.ppf(0.995, freedoms) / scipy.stats.t.ppf(0.75, freedoms)
     freedom = float(np.interp(-ratio, -expected, freedoms))
-    chance = 2.0 * stats.t.sf(np.abs(size / error), freedom)
+    chance = 2.0 * scipy.stats.t.sf(np.abs(size / error), freedom)
     return EventSteps(events, size, error, chance, holm(chance), widened, unit)
 
 
@@ -601,7 +601,7 @@ def find_clock_faults(
             f"{known.size} days have a time shift, {BEHAVIOUR_SETTINGS.fewest_days} are needed",
             remedy="use a longer span",
         )
-    limit = float(stats.norm.isf(0.5 * BEHAVIOUR_SETTINGS.clock_false_alarm / (known.size * longest)))
+    limit = float(scipy.stats.norm.isf(0.5 * BEHAVIOUR_SETTINGS.clock_false_alarm / (known.size * longest)))
     t, y, own = mjd[known], shift[known], sigma[known]
     free = np.ones(t.size, dtype=bool)
     faults: list[ClockFault] = []

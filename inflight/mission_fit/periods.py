@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -299,7 +299,7 @@ class _Noise:
         if like is not None:
             known = np.log(np.maximum([like.white, like.red, like.correlation_days], 1e-300))
             start = np.clip(known, *np.transpose(bounds))
-        found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
+        found = scipy.optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
         return cls(*(float(one) for one in np.exp(found.x)))
 
     def power(self, frequency: Floats) -> Floats:
@@ -380,7 +380,7 @@ def _refine_frequency(waves: _Waves, y: Floats, frequency: float) -> float:
 
     step = float(waves.frequency[0]) / 2
     bounds = (max(frequency - step, step / 2), frequency + step)
-    return float(optimize.minimize_scalar(square, bounds=bounds, method="bounded").x)
+    return float(scipy.optimize.minimize_scalar(square, bounds=bounds, method="bounded").x)
 
 
 def _line_and_waves(waves: _Waves, frequencies: Sequence[float]) -> Floats:

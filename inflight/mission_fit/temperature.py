@@ -22,8 +22,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.calibration import (
@@ -344,7 +344,7 @@ def _follows_temperature(gram: Floats, value: Floats, fit: ClusteredFit) -> bool
     for axis in range(3):
         weights[axis, [axis, axis + 3]] = 1.0, total[axis, axis + 3] / max(total[axis, axis], 1e-300)
     sigma = np.sqrt(np.diag(weights @ fit.covariance @ weights.T))
-    chance = 2.0 * stats.t.sf(np.abs(weights @ value) / np.maximum(sigma, 1e-300), fit.clusters - 1)
+    chance = 2.0 * scipy.stats.t.sf(np.abs(weights @ value) / np.maximum(sigma, 1e-300), fit.clusters - 1)
     return bool(3.0 * chance.min() < TEMPERATURE_SETTINGS.false_alarm)
 
 

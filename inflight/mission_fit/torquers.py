@@ -31,8 +31,8 @@ from itertools import pairwise, product
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.effects import AXES
@@ -411,8 +411,8 @@ def band_spectra(
     count = round(length / cadence)
     total, segments = np.zeros((2, count // 2 + 1)), 0
     for part in _stretches(stamps, np.isfinite(both).all(axis=0), cadence, np.inf, length):
-        frequency, power = signal.welch(
-            both[:, part], 1.0 / cadence, "hann", count, count // 2, detrend=signal.detrend, axis=1
+        frequency, power = scipy.signal.welch(
+            both[:, part], 1.0 / cadence, "hann", count, count // 2, detrend=scipy.signal.detrend, axis=1
         )
         pieces = (part.stop - part.start - count // 2) // (count - count // 2)
         total, segments = total + pieces * power, segments + pieces

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
@@ -170,7 +170,7 @@ class _Profile:
         """Return the distance of the least sum of squares."""
         at = int(np.argmin([self.total(distance) for distance in grid]))
         bounds = np.log(grid[max(at - 1, 0)]), np.log(grid[min(at + 1, grid.size - 1)])
-        found = optimize.minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             lambda log: self.total(float(np.exp(log))),
             bounds=bounds,
             method="bounded",
@@ -191,7 +191,7 @@ class _Profile:
     def _crossing(self, inner: float, side: Floats, limit: float, otherwise: float) -> float:
         for distance in side:
             if self.total(distance) > limit:
-                edge = optimize.brentq(lambda d: self.total(d) - limit, inner, distance, xtol=1e-3)
+                edge = scipy.optimize.brentq(lambda d: self.total(d) - limit, inner, distance, xtol=1e-3)
                 return float(edge)
             inner = float(distance)
         return otherwise

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.linalg import block_diag
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
@@ -267,7 +267,14 @@ class Expansion:
             functions[name] = basis @ inverse
             parts.append(inverse)
             units.append((np.ones(trend.count) if trend.at else np.eye(trend.count)[0])[:, None])
-        return cls(trends, tuple(columns), functions, block_diag(*parts), bases, block_diag(*units))
+        return cls(
+            trends,
+            tuple(columns),
+            functions,
+            scipy.linalg.block_diag(*parts),
+            bases,
+            scipy.linalg.block_diag(*units),
+        )
 
     @property
     def functions_each(self) -> float:

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.linalg import polar
-from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.effects import AXES
@@ -96,8 +95,8 @@ class Relation:
         """
         matrix = np.eye(3) + _columns(np.eye(3) * _STRENGTH)[:, :, :9] @ self.fit.value[:9] / _STRENGTH
         # Row k of the product above is what the matrix makes of the k-th axis: its column.
-        rotation, stretch = polar(matrix.T, side="left")
-        angles = Rotation.from_matrix(rotation).as_rotvec(degrees=True)
+        rotation, stretch = scipy.linalg.polar(matrix.T, side="left")
+        angles = scipy.spatial.transform.Rotation.from_matrix(rotation).as_rotvec(degrees=True)
         symmetric = (stretch - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         value = np.concatenate([angles, symmetric, self.fit.value[9:]])
         covariance = self.fit.covariance * np.outer(_SCALE, _SCALE)

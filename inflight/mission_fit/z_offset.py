@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -318,7 +318,7 @@ def offsets_from_spread(
     root = np.sqrt(np.maximum(excess / a, 0.0))
     sigma_size = np.sqrt(root**2 + sigma_excess / a) - root
     slope, sigma_slope = statistics["slope"].values, np.sqrt(covariance[:, 2, 2])
-    wrong = stats.norm.sf(np.abs(slope) / np.maximum(sigma_slope, 1e-30))
+    wrong = scipy.stats.norm.sf(np.abs(slope) / np.maximum(sigma_slope, 1e-30))
     value = np.where(seen, np.sign(slope) * size, 0.0)
     # The truth is on the other side with the chance of a wrong sign, twice the size away.
     both = np.sqrt(sigma_size**2 + 4.0 * np.nan_to_num(size) ** 2 * wrong)

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.effects import field_direction
@@ -235,11 +235,11 @@ def filter_rows(
     finite = np.asarray(np.isfinite(wide).all(axis=1))
     usable = finite if good is None else finite & good
     if band.high_hz >= 0.5 / step_s:
-        sections = signal.butter(
+        sections = scipy.signal.butter(
             BAND_FILTER_SETTINGS.order, band.low_hz, "highpass", fs=1.0 / step_s, output="sos"
         )
     else:
-        sections = signal.butter(
+        sections = scipy.signal.butter(
             BAND_FILTER_SETTINGS.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos"
         )
     shortest = int(BAND_FILTER_SETTINGS.shortest_periods / (band.low_hz * step_s))
@@ -248,7 +248,7 @@ def filter_rows(
     for first, last in edges.reshape(-1, 2).tolist():
         if last - first > shortest:
             # Odd reflection about the ends is linear in the values, too.
-            out[first:last] = signal.sosfiltfilt(sections, wide[first:last], axis=0, padlen=shortest)
+            out[first:last] = scipy.signal.sosfiltfilt(sections, wide[first:last], axis=0, padlen=shortest)
     return out.reshape(values.shape)
 
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
 from inflight.effects import Parameter, did_you_mean
@@ -118,7 +118,7 @@ class TimeDependence:
             unit = np.eye(knots.size)
             if self.interpolation == "linear" or knots.size == 2:
                 return np.stack([np.interp(x, knots, row) for row in unit], axis=-1)
-            return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
+            return np.asarray(scipy.interpolate.CubicSpline(knots, unit, bc_type="natural")(x))
         return np.ones((*t.shape, 1))
 
     def as_yaml(self) -> dict[str, Any]:

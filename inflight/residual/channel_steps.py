@@ -16,8 +16,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.ndimage import maximum_filter1d, median_filter
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
@@ -289,7 +289,7 @@ def find_steps(
     change, apart = _own_change(seconds, values, lag, longest)
     # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
     usual = robust_sigma(change, floor=float(np.sqrt(2.0)) * noise)
-    near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
+    near = scipy.ndimage.maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
     fast = (np.abs(change) > np.maximum(significance * usual, STEP_SETTINGS.rest * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)
     channel = _Readings(seconds, values, noise, longest, window)
@@ -319,7 +319,7 @@ def _own_change(seconds: Floats, values: Floats, lag: int, longest: float) -> tu
     apart = seconds[lag:] - seconds[:-lag]
     change = values[lag:] - values[:-lag]
     size = 2 * int(np.ceil(longest / float(np.median(np.diff(seconds))))) + 2 * lag - 1
-    slope = median_filter(change / apart, min(size, change.size), mode="nearest")
+    slope = scipy.ndimage.median_filter(change / apart, min(size, change.size), mode="nearest")
     return change - slope * apart, apart
 
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal, stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.residual.spectrum import (
@@ -355,10 +355,12 @@ def _peaks(ratio: Floats, stretches: int, settings: LineSettings) -> list[int]:
     chance = settings.chance / ratio.shape[1]
     # A median lies below the mean of such a spectrum by its own ratio.
     shape = max(stretches, 1)
-    limit = max(stats.gamma.isf(chance, shape) / stats.gamma.ppf(0.5, shape), settings.least_ratio)
+    limit = max(
+        scipy.stats.gamma.isf(chance, shape) / scipy.stats.gamma.ppf(0.5, shape), settings.least_ratio
+    )
     found: set[int] = set()
     for row in ratio:
-        found |= set(signal.find_peaks(row, height=limit, distance=settings.spread)[0].tolist())
+        found |= set(scipy.signal.find_peaks(row, height=limit, distance=settings.spread)[0].tolist())
     return sorted(found)
 
 
@@ -521,7 +523,7 @@ def _line_equations(
 def _select_lines(gram: Floats, right: Floats, noise: Floats, chance: float) -> list[int]:
     """Return which lines are taken, one after the other: each explains most of what the others leave."""
     count = noise.size
-    limit = float(stats.chi2.isf(chance / count, 6))
+    limit = float(scipy.stats.chi2.isf(chance / count, 6))
     own = [gram[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(count)]
     taken: list[int] = []
     while len(taken) < count:

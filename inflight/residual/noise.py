@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.lsq import MAD_TO_SIGMA
@@ -212,8 +212,12 @@ def _segment_powers(values: Floats) -> Floats | None:
         long_enough = shortest or whole.size * stride >= NOISE_SETTINGS.enough * count
         if spans >= (NOISE_SETTINGS.fewest_segments if shortest else NOISE_SETTINGS.segments) and long_enough:
             parts = np.lib.stride_tricks.sliding_window_view(values, length)[whole]
-            _, power = signal.periodogram(
-                signal.detrend(parts, axis=1), window="hann", detrend=False, return_onesided=False, axis=1
+            _, power = scipy.signal.periodogram(
+                scipy.signal.detrend(parts, axis=1),
+                window="hann",
+                detrend=False,
+                return_onesided=False,
+                axis=1,
             )
             power = np.asarray(power[:, : length // 2 + 1])
             # Segments with a burst in them are left out.

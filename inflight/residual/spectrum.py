@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, signal
+import scipy
 
 from inflight.arrays import Floats
 
@@ -135,8 +135,8 @@ def density_with_gaps(
     if known.sum() < max(settings.least_samples, settings.least_part * known.size):
         return None
     series = np.array([_bridged(one, known, settings.bridge) for one in values])
-    levelled = signal.detrend(series, axis=1)
-    _, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
+    levelled = scipy.signal.detrend(series, axis=1)
+    _, power = scipy.signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
     return np.asarray(power / known.mean(), dtype=np.float64)
 
 
@@ -202,8 +202,8 @@ def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Float
     whole[known] = values
     if known.all():
         return whole
-    share = ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
-    around = ndimage.uniform_filter1d(whole, bridge, mode="constant")
+    share = scipy.ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
+    around = scipy.ndimage.uniform_filter1d(whole, bridge, mode="constant")
     near = share > 0.5 / bridge
     index = np.arange(known.size)
     smooth = np.interp(index, index[near], around[near] / share[near])
@@ -296,8 +296,8 @@ def mean_density(
 def background_of(density: Floats, settings: SpectrumSettings = SPECTRUM_SETTINGS) -> Floats:
     """Return the running median around each frequency; narrower towards the slow end."""
     filled = np.maximum(density, 1e-300)
-    wide = ndimage.median_filter(filled, settings.wide, mode="reflect")
-    near = ndimage.median_filter(filled, settings.near, mode="reflect")
+    wide = scipy.ndimage.median_filter(filled, settings.wide, mode="reflect")
+    near = scipy.ndimage.median_filter(filled, settings.near, mode="reflect")
     weight = np.clip(np.arange(density.size) / settings.wide, 0.0, 1.0)
     return np.asarray(near ** (1 - weight) * wide**weight)
 

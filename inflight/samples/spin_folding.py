@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.errors import SamplesError
@@ -425,7 +425,7 @@ class _Day:
         if there.sum() < 4:
             return np.full(values.shape, np.nan + 0j)
         knots = centre[there]
-        line = CubicSpline(knots, means[there], axis=0)
+        line = scipy.interpolate.CubicSpline(knots, means[there], axis=0)
         after = np.searchsorted(knots, phase)
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)

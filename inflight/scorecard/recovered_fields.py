@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
 from inflight.calibration import FILTER_PERIOD_S, distribute_residual
@@ -74,7 +74,7 @@ def fast_day(scene: SimulatedDays, mjd: int) -> FastDay:
     day = scene.day(mjd)
     slow = 30.0 * np.arange(len(day.direction))
     seconds = np.arange(0.0, slow[-1])
-    direction = CubicSpline(slow, day.direction)(seconds)
+    direction = scipy.interpolate.CubicSpline(slow, day.direction)(seconds)
     stamps = day.span[0] + (seconds * SECOND).astype(np.int64)
     return FastDay(
         stamps, seconds, direction / np.linalg.norm(direction, axis=1, keepdims=True), day.local_time

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations, block_equations, nine_columns
@@ -110,7 +110,7 @@ def _orbit_day(scene: SimulatedDays, mjd: int) -> OrbitDay:
         field,
         direction_of(field),
         strength,
-        np.asarray(CubicSpline(grid.seconds, strength)(grid.seconds, 1)),
+        np.asarray(scipy.interpolate.CubicSpline(grid.seconds, strength)(grid.seconds, 1)),
         sunlight(place.zenith, radius),
         radius - EARTH_RADIUS,
         float(node_local_time(grid.seconds[:1], parameters)[0]),

@@ -6,8 +6,8 @@ import json
 from functools import cached_property
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from inflight.simulate import fluxgate, overhauser
 from inflight.simulate.defects import apply_defects
@@ -234,10 +234,12 @@ class _Scene:
     def attitude(self) -> xr.Dataset:
         """Quaternion x, y, z, w that turns spacecraft axes into itrf, as the star camera gives it."""
         times = self._every(_ATTITUDE)
-        nodes = _continuous(Rotation.from_matrix(self.geometry.axes.swapaxes(1, 2)).as_quat())
-        turn = Rotation.from_quat(interpolate(nodes, self.wide, times))
+        nodes = _continuous(
+            scipy.spatial.transform.Rotation.from_matrix(self.geometry.axes.swapaxes(1, 2)).as_quat()
+        )
+        turn = scipy.spatial.transform.Rotation.from_quat(interpolate(nodes, self.wide, times))
         sigma = np.radians(self.parameters.attitude_noise / 3600.0)
-        noise = Rotation.from_rotvec(self._noise("attitude", (times.count, 3), sigma))
+        noise = scipy.spatial.transform.Rotation.from_rotvec(self._noise("attitude", (times.count, 3), sigma))
         return delivery(times.tt2000, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-7))
 
     def orbit(self) -> xr.Dataset:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from inflight.simulate.grid import Float, Grid
 from inflight.simulate.parameters import Parameters
@@ -79,7 +79,7 @@ def geometry(grid: Grid, parameters: Parameters, seed: int) -> Geometry:
     ahead, up, left = _orbit_axes(node, argument_of_latitude(seconds, parameters), parameters)
     radius = EARTH_RADIUS + parameters.altitude - parameters.altitude_decay * (mjd(seconds) - _LAUNCH_MJD)
     angles = np.radians(drift(seconds, seed, "attitude", parameters.attitude_rms, periods=(600.0, 20000.0)))
-    small = Rotation.from_euler("xyz", angles).as_matrix()
+    small = scipy.spatial.transform.Rotation.from_euler("xyz", angles).as_matrix()
     axes = small @ np.stack([ahead, -left, -up], axis=1)
     sun = sun_direction(days, sidereal)
     return Geometry(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from inflight.simulate.grid import Float
 from inflight.simulate.parameters import Parameters
@@ -84,4 +84,4 @@ def switched(seconds: Float, period: float, duty: float) -> Float:
 def relax(drive: Float, time_constant: float, cadence: float, start: float) -> Float:
     """Return the exact solution of ``dy/dt = (drive - y) / time_constant`` for a stepwise drive."""
     keep = float(np.exp(-cadence / time_constant))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], drive, zi=[keep * start])[0])
+    return np.asarray(scipy.signal.lfilter([1.0 - keep], [1.0, -keep], drive, zi=[keep * start])[0])

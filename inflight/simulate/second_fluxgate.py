@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Collection
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from inflight.simulate.dipole import extrapolate_dipole
 from inflight.simulate.grid import Float
@@ -64,7 +64,7 @@ def as_second(parameters: Parameters) -> Parameters:
 
 def in_second_axes(field: Float, parameters: Parameters) -> Float:
     """Return a field (time, 3) in spacecraft axes in the axes of the second fluxgate, nT."""
-    turn = Rotation.from_rotvec(parameters.second_rotation, degrees=True)
+    turn = scipy.spatial.transform.Rotation.from_rotvec(parameters.second_rotation, degrees=True)
     return np.asarray(turn.inv().apply(field))
 
 

@@ -33,8 +33,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
-from scipy.ndimage import median_filter
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
@@ -332,7 +331,9 @@ def _robust_weights(residual: Complexes, *, real: bool) -> tuple[Floats, Floats]
 
 def _median_around(values: Floats) -> Floats:
     return np.asarray(
-        median_filter(values, min(FARRELL_SETTINGS.around, 2 * (values.size // 2) - 1), mode="nearest")
+        scipy.ndimage.median_filter(
+            values, min(FARRELL_SETTINGS.around, 2 * (values.size // 2) - 1), mode="nearest"
+        )
     )
 
 
@@ -351,7 +352,7 @@ def instrument_noise(fits: SpinFits) -> Floats:
         own = rms[known[:, k], k]
         if own.size:
             usual = float(np.median(freedom[known[:, k], k]))
-            level = np.sqrt(stats.chi2.ppf(FARRELL_SETTINGS.quiet_percent / 100.0, usual) / usual)
+            level = np.sqrt(scipy.stats.chi2.ppf(FARRELL_SETTINGS.quiet_percent / 100.0, usual) / usual)
             out[k] = float(np.percentile(own, FARRELL_SETTINGS.quiet_percent)) / level
     return out
 
@@ -424,8 +425,8 @@ def noise_uncertainty(fits: SpinFits) -> Floats:
         freedom = (fits.count[:, k] - fits.value.shape[-1])[fits.determined[:, k]]
         usual = float(np.median(freedom)) if freedom.size else 0.0
         if usual > 0:
-            place = float(stats.chi2.ppf(part, usual))
-            spread = np.sqrt(part * (1.0 - part) / freedom.size) / stats.chi2.pdf(place, usual)
+            place = float(scipy.stats.chi2.ppf(part, usual))
+            spread = np.sqrt(part * (1.0 - part) / freedom.size) / scipy.stats.chi2.pdf(place, usual)
             out[k] = float(spread) / place
     return out
 
@@ -507,7 +508,7 @@ class Intercepts:
             # Where zero levels scatter by more than their errors, the rate's error grows with the scatter.
             freedom = days.size - 2
             excess = max(float(np.sum(residual**2 / own)) / freedom, 1.0)
-            wide = float(stats.t.ppf(0.8413, freedom))
+            wide = float(scipy.stats.t.ppf(0.8413, freedom))
             rate_sigma[k] = np.hypot(wide * np.sqrt(part**2 @ own * excess), part @ self.common[:, k])
         return ZeroDrift(
             levels=self,

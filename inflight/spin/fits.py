@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
@@ -294,7 +294,7 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
             out[:, k] = np.inf
             continue
         usual = float(np.median(freedom[own, k]))
-        level = np.sqrt(stats.chi2.ppf(SPIN_FIT_SETTINGS.quartile / 100.0, usual) / usual)
+        level = np.sqrt(scipy.stats.chi2.ppf(SPIN_FIT_SETTINGS.quartile / 100.0, usual) / usual)
         # Fits that are not known take their neighbours'; nobody uses them.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
         groups = max(filled.size // around, 1)

@@ -29,8 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
-from scipy.ndimage import median_filter, percentile_filter
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
@@ -175,7 +174,9 @@ def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[
         return np.ones(seconds.size, dtype=bool)
     ahead = seconds / period
     step = np.diff(ahead)
-    usual = percentile_filter(step, THINNING_SETTINGS.percentile, THINNING_SETTINGS.around, mode="nearest")
+    usual = scipy.ndimage.percentile_filter(
+        step, THINNING_SETTINGS.percentile, THINNING_SETTINGS.around, mode="nearest"
+    )
     usual = np.concatenate([usual[:1], usual])
     fine = usual < THINNING_SETTINGS.fine
     fine[0] = False
@@ -430,7 +431,7 @@ def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
     if not near.any() or is_finely_sampled(apart, turns, advance):
         return np.full(seconds.size, 1.0 / period)
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
-    rates = median_filter(
+    rates = scipy.ndimage.median_filter(
         advance[near] / apart[near], min(MARK_SETTINGS.around, int(near.sum())), mode="nearest"
     )
     return np.asarray(np.interp(seconds, middle, rates))
@@ -591,8 +592,8 @@ def _top_frequency(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: 
         )
     even = np.zeros(span, dtype=np.complex128)
     even[place] = plane
-    size = fft.next_fast_len(4 * span)
-    power = np.abs(fft.fft(even, size)) ** 2
+    size = scipy.fft.next_fast_len(4 * span)
+    power = np.abs(scipy.fft.fft(even, size)) ** 2
     # Negative frequencies, lowest first; those slower than two turns a record are the zero level's.
     falling = power[: size // 2 : -1]
     least = max(2 * size // span, 1)

@@ -21,7 +21,7 @@ from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -125,7 +125,7 @@ def decide_update(
 _TOGETHER = (("offset[1]", "elevation[1]"), ("offset[2]", "elevation[2]"))
 
 #: As rare by chance, of two numbers, as `UpdateSettings.significance` sigma of one.
-_RARE_CHI2 = float(stats.chi2.isf(2.0 * stats.norm.sf(UPDATE_SETTINGS.significance), 2))
+_RARE_CHI2 = float(scipy.stats.chi2.isf(2.0 * scipy.stats.norm.sf(UPDATE_SETTINGS.significance), 2))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -435,7 +435,7 @@ def compare_estimates(one: Estimate, other: Estimate) -> Agreement | None:
     covariance += SOLVER_SETTINGS.settled**2 * np.eye(len(apart))
     chi2 = float(apart @ np.linalg.solve(covariance, apart))
     axes = int(both.sum())
-    return Agreement(one.method, other.method, chi2, axes, float(stats.chi2.sf(chi2, axes)))
+    return Agreement(one.method, other.method, chi2, axes, float(scipy.stats.chi2.sf(chi2, axes)))
 
 
 def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:

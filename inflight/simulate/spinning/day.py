@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.signal import lfilter
 
 from inflight.simulate.defects import cut_gaps
 from inflight.simulate.grid import Float, Int64, Sampling
@@ -97,7 +97,7 @@ class _Scene:
         dark = ambient.in_shadow(ambient.position(seconds, self.parameters))
         target = np.where(dark, _COLD, _WARM) + 3.0 * np.sin(2.0 * np.pi * (seconds - self.first) / 30_000.0)
         keep = np.exp(-_SLOW / _RELAX)
-        warm, _ = lfilter([1.0 - keep], [1.0, -keep], target, zi=np.array([keep * target[0]]))
+        warm, _ = scipy.signal.lfilter([1.0 - keep], [1.0, -keep], target, zi=np.array([keep * target[0]]))
         return seconds, np.asarray(warm), dark
 
     @cached_property

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 import xarray as xr
-from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
@@ -143,7 +143,10 @@ def two_sensor_samples(
             wild = np.asarray((np.abs(values[role]) > TWO_SENSOR_SETTINGS.largest_reading).any(axis=1))
         flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
         values[role] = np.where(wild[:, None], np.nan, values[role])
-    turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
+    turns = {
+        role: scipy.spatial.transform.Rotation.from_quat(samples[role].attrs["orientation"])
+        for role in _ROLES
+    }
     for role, other in (_ROLES, _ROLES[::-1]):
         need = next(need for need in needs if need.name == role)
         flag |= saturation_flags(values[role], mission.instruments[need.instrument].channels[need.channel])
@@ -298,7 +301,9 @@ def window_readings(
             continue
         field = np.full((samples.sizes["time"], 3), np.nan)
         if monitor is not None:
-            turn = Rotation.from_quat(mission.instruments[monitor.instrument].orientation)
+            turn = scipy.spatial.transform.Rotation.from_quat(
+                mission.instruments[monitor.instrument].orientation
+            )
             field = np.asarray(turn.apply(np.asarray(samples[AMBIENT].values, dtype=np.float64)))
         ambient.append(field)
     if not parts:
