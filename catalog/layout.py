@@ -17,6 +17,10 @@ from inflight.time import SECOND, TT2000_FILL, day_bounds
 
 #: Row dimension of a segment -> the variable that dates its rows.
 ROW_TIMES: Final = {"time": "tt2000", "block": "start"}
+#: Attribute of a store's root group that describes its rows.
+LAYOUT_ATTRIBUTE: Final = "inflight"
+#: Bumped when stores of the past can no longer be read like new ones.
+LAYOUT_VERSION: Final = 1
 #: Attributes that give a variable its meaning: they may not change inside a segment.
 FIXED_ATTRIBUTES: Final = ("units", "frame", "resolution", "cadence_ns")
 

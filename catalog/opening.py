@@ -9,9 +9,8 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import dask.array as da
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -22,6 +21,9 @@ from inflight.catalog.spans import Span
 from inflight.catalog.stores import Store, open_store
 from inflight.errors import CatalogError
 from inflight.time import to_utc
+
+if TYPE_CHECKING:
+    import dask.array as da
 
 Array = npt.NDArray[Any]
 
@@ -195,6 +197,8 @@ def _lazy_array(
     name: str, tasks: list[tuple[Any, ...]], pieces: Sequence[_Piece], inner: tuple[int, ...], dtype: Any
 ) -> da.Array:
     """Make one chunk a day by hand: slicing and joining 3000 days takes dask a second a channel."""
+    import dask.array as da
+
     token = f"{name}-{hashlib.sha256(repr([task[1:] for task in tasks]).encode()).hexdigest()[:32]}"
     layer = {(token, index, *([0] * len(inner))): task for index, task in enumerate(tasks)}
     chunks = (tuple(piece.stop - piece.start for piece in pieces), *((size,) for size in inner))

@@ -157,7 +157,7 @@ class FileRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """One run; `state` is running, done or failed."""
+    """One run; `state` is running, done or failed; `report` is what it said of itself when it was done."""
 
     id: str
     kind: str
@@ -168,6 +168,7 @@ class RunRecord:
     settings: Mapping[str, Any]
     started: str
     ended: str | None
+    report: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

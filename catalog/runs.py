@@ -66,6 +66,11 @@ class Run:
 
     Leaving the block closes the run: ``done``, or ``failed`` with cause and message when it raised.
     Days that were attached and not published stay unseen; a later run may adopt them.
+
+    Attributes
+    ----------
+    report : mapping, optional
+        Plain fields that are kept with a run that is done.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Run:
         self.id = f"{now:%Y%m%dT%H%M%S}-{kind}-{uuid.uuid4().hex[:8]}"
         self.kind, self.context, self.workspace = kind, context, workspace
         self.settings: dict[str, Any] = plain_attributes(settings, f"run '{kind}'")
+        self.report: Mapping[str, Any] | None = None
         self._database = database
         self._started = now.isoformat(timespec="microseconds")
         self._intact_stores: set[str] = set()
@@ -106,7 +112,7 @@ class Run:
         shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
         try:
             with self._database.write() as session:
-                close_run(session, self.id, state, cause, message)
+                close_run(session, self.id, state, cause, message, None if error else self.report)
         except CatalogError as refused:
             if error is None:
                 raise
@@ -370,13 +376,20 @@ def failure_cause(error: BaseException) -> str:
     return "transient" if isinstance(error, passing) else "bug"
 
 
-def close_run(session: Session, run_id: str, state: str, cause: str, message: str) -> None:
+def close_run(
+    session: Session,
+    run_id: str,
+    state: str,
+    cause: str,
+    message: str,
+    report: Mapping[str, Any] | None = None,
+) -> None:
     """End a run; with a failure, also the days it had begun."""
     ended = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
     session.execute(
         update(RunRow)
         .where(RunRow.id == run_id)
-        .values(state=state, cause=cause, message=message, ended=ended)
+        .values(state=state, cause=cause, message=message, ended=ended, report=report)
     )
     if state == "failed":
         session.execute(

@@ -22,22 +22,31 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numcodecs.blosc
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-import zarr
-from zarr.codecs import BloscCodec
-from zarr.codecs.numcodecs import Delta
 
 from inflight.catalog.encoding import Encoding, choose_encoding
 from inflight.catalog.faultpoints import fault_point
-from inflight.catalog.layout import Layout, Variable, lay_out, plain_attributes, shared_attributes, variables
+from inflight.catalog.layout import (
+    LAYOUT_ATTRIBUTE,
+    LAYOUT_VERSION,
+    Layout,
+    Variable,
+    lay_out,
+    plain_attributes,
+    shared_attributes,
+    variables,
+)
 from inflight.catalog.manifest import flush_folder, folder_bytes, write_manifest
 from inflight.catalog.records import DayData, Segment
 from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
+
+if TYPE_CHECKING:
+    import zarr
 
 # The layout is ours on purpose: delta is the filter that makes the archive small, and consolidated
 # metadata is one read instead of one a variable. Releases are written without the filter.
@@ -46,10 +55,6 @@ warnings.filterwarnings(
     "ignore", message=".*Consolidated metadata is currently not part in the Zarr format 3.*"
 )
 
-#: Attribute of a store's root group that describes its rows.
-LAYOUT_ATTRIBUTE: Final = "inflight"
-#: Bumped when stores of the past can no longer be read like new ones.
-LAYOUT_VERSION: Final = 1
 #: Up to so many components of a packed variable get chunks of their own: differences along time pack
 #: a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
@@ -200,6 +205,8 @@ def _write_store(
     portable: bool,
 ) -> list[str]:
     """Write and read back all arrays; return notes about values that could not be packed."""
+    import zarr  # only who writes waits for it
+
     coordinates = [item.name for item in contents if item.coordinate]
     root = {
         **attributes,
@@ -240,6 +247,9 @@ def _write_array(
     blocks: Sequence[Array],
     portable: bool,
 ) -> None:
+    from zarr.codecs import BloscCodec
+    from zarr.codecs.numcodecs import Delta
+
     inner = blocks[0].shape[1:] if item.in_rows else ()
     components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
@@ -270,6 +280,8 @@ def _write_array(
 
 def _read_back(folder: Path, item: Variable, block: Array) -> None:
     """Compare the first day of an array on disk with what it was written from, as any Zarr reader has it."""
+    import zarr
+
     array = zarr.open_array(folder, mode="r")
     found = np.asarray(array[: block.shape[0]] if item.in_rows else array[...])
     if found.dtype != block.dtype or found.shape != block.shape or found.tobytes() != block.tobytes():
@@ -282,6 +294,8 @@ def _read_back(folder: Path, item: Variable, block: Array) -> None:
 
 
 def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:
+    import zarr
+
     group = zarr.open_group(folder, mode="r", use_consolidated=True)
     for item in contents:
         array = group[item.name]

@@ -23,8 +23,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.catalog.encoding import Encoding
+from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
 from inflight.catalog.manifest import stated_hashes
-from inflight.catalog.segments import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
 from inflight.errors import CatalogError, IntegrityError
 
 Array = npt.NDArray[Any]

@@ -62,6 +62,8 @@ def run_with_prefect(
 ) -> RunReport:
     """Run a flow in this process, recorded by the embedded Prefect server or by ``PREFECT_API_URL``'s.
 
+    A flow that has nothing to do is not started: its report is that of `report_if_idle`.
+
     Parameters
     ----------
     name : str
@@ -82,13 +84,22 @@ def run_with_prefect(
     InflightError
         What the step itself raised; the catalog has it, too.
     """
+    from inflight.flows.steps import report_if_idle
+
+    given = _given(workspace, parameters, workers)
+    try:
+        idle = report_if_idle(name, given)
+    except ValidationError as error:
+        raise as_settings_error(error) from None
+    if idle is not None:
+        return idle
     with prefect_settings(workspace.prefect_home), progress_to(progress):
         from prefect.exceptions import ParameterBindError, ParameterTypeError
 
         from inflight.flows import prefect_flows
 
         try:
-            return RunReport.from_json(getattr(prefect_flows, name)(**_given(workspace, parameters, workers)))
+            return RunReport.from_json(getattr(prefect_flows, name)(**given))
         except (ParameterBindError, ParameterTypeError) as error:
             raise SettingsError(
                 f"parameters of {name}: {error}", remedy=f"inflight {name} --help lists the options"

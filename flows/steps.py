@@ -21,18 +21,16 @@ workers : int or None
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflight.catalog import Catalog, Workspace
-from inflight.flows.cluster import dask_client, lazy_client
+from inflight.flows.cluster import lazy_client
 from inflight.flows.runner import runner
 from inflight.flows.span import DateOrNone, DaySpan, month_span
-from inflight.tasks import ReprocessSettings, RunReport, make_release
-from inflight.tasks import ingest as ingest_files
-from inflight.tasks import reprocess as reprocess_days
-from inflight.tasks.analysis import DiagnoseSettings, diagnose_span
+from inflight.tasks import ReprocessSettings, RunReport
+from inflight.tasks.analysis import DiagnoseSettings
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -59,7 +57,7 @@ def ingest(
         Only these; the other parameters are those of the module.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
-    with dask_client(workers) as client:
+    with lazy_client(workers) as client:
         return _ingest_span(place, data, instruments, span, client).as_json()
 
 
@@ -72,7 +70,7 @@ def reprocess(
 ) -> dict[str, Any]:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
-    with dask_client(workers) as client:
+    with lazy_client(workers) as client:
         return _reprocess_span(place, span, settings, client).as_json()
 
 
@@ -128,6 +126,8 @@ def diagnose(
     save : bool
         Save a version of the model for every effect that was found.
     """
+    from inflight.tasks.analysis import diagnose_span
+
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
 
     def search(client: Client) -> dict[str, Any]:
@@ -153,6 +153,8 @@ def release(
     destination : Path, optional
         Folder the release goes to; ``releases`` in the workspace when absent.
     """
+    from inflight.tasks import make_release
+
     place = Workspace.open(workspace)
     report: RunReport = runner().run("copy out", make_release, place, version, notes, destination)
     return report.as_json()
@@ -164,10 +166,84 @@ STEPS: dict[str, Callable[..., dict[str, Any]]] = {
 }
 
 
+def report_if_idle(name: str, parameters: Mapping[str, Any]) -> RunReport | None:
+    """Return the report of a step that has nothing to do; None when there is work, or only a run can tell.
+
+    Parameters
+    ----------
+    name : str
+        Of `STEPS`.
+    parameters : mapping
+        Of the step.
+
+    Raises
+    ------
+    InflightError
+        What the step itself would raise before it begins to work.
+    """
+    from pydantic import validate_call
+
+    check = _IDLE_CHECKS.get(name)
+    return None if check is None else validate_call(check)(**parameters)
+
+
+def _ingest_if_idle(
+    workspace: Path,
+    data: Path | None = None,
+    instruments: list[str] | None = None,
+    start: DateOrNone = None,
+    end: DateOrNone = None,
+    workers: int | None = None,
+) -> RunReport | None:
+    from inflight.tasks.archive import ingest_if_unchanged
+
+    del workers
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
+    return ingest_if_unchanged(
+        Catalog(place.root), place.mission(), data or place.data, instruments, *span.as_text()
+    )
+
+
+def _reprocess_if_idle(
+    workspace: Path,
+    start: DateOrNone = None,
+    end: DateOrNone = None,
+    settings: ReprocessSettings = DEFAULT_SETTINGS,
+    workers: int | None = None,
+) -> RunReport | None:
+    from inflight.tasks.pipelines import reprocess_if_unchanged
+
+    del workers
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
+    return reprocess_if_unchanged(Catalog(place.root), place.mission(), *span.as_text(), settings=settings)
+
+
+def _backfill_if_idle(
+    workspace: Path,
+    start: dt.date,
+    end: dt.date,
+    settings: ReprocessSettings = DEFAULT_SETTINGS,
+    data: Path | None = None,
+    workers: int | None = None,
+) -> RunReport | None:
+    ingested = _ingest_if_idle(workspace, data, None, start, end, workers)
+    report = ingested and _reprocess_if_idle(workspace, start, end, settings, workers)
+    return ingested.followed_by(report, "backfill") if ingested and report else None
+
+
+#: What tells that a step has nothing to do, by its name and with its parameters.
+_IDLE_CHECKS: dict[str, Callable[..., RunReport | None]] = {
+    "ingest": _ingest_if_idle,
+    "reprocess": _reprocess_if_idle,
+    "backfill": _backfill_if_idle,
+}
+
+
 def _ingest_span(
     place: Workspace, data: Path | None, instruments: list[str] | None, span: DaySpan, client: Client
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
+    from inflight.tasks import ingest as ingest_files
 
     def take_in(client: Client) -> RunReport:
         return ingest_files(
@@ -186,6 +262,8 @@ def _ingest_span(
 def _reprocess_span(
     place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client
 ) -> RunReport:
+    from inflight.tasks import reprocess as reprocess_days
+
     mapper = runner().mapper(client)
     return reprocess_days(
         Catalog(place.root), place.mission(), *span.as_text(), settings=settings, mapper=mapper
@@ -202,7 +280,7 @@ def _ingest_and_reprocess(
 ) -> dict[str, Any]:
     """Take in the first span and reprocess the second one; `command` names the report."""
     place, (delivered, reprocessed) = Workspace.open(workspace), spans
-    with dask_client(workers) as client:
+    with lazy_client(workers) as client:
         ingested = _ingest_span(place, data, None, delivered, client)
         report = _reprocess_span(place, reprocessed, settings, client)
     return ingested.followed_by(report, command).as_json()

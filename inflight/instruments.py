@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from inflight.expression import Expression
 from inflight.time import parse_duration, parse_utc, to_tt2000
-from inflight.units import parse_unit
+from inflight.units import require_unit
 
 Role = Literal["vector", "scalar", "housekeeping", "attitude", "orbit"]
 
@@ -39,7 +39,7 @@ Reader = Literal["cdf", "netcdf", "iaga2002", "table", "parquet", "npz", "mat"]
 
 
 def _unit(text: Any) -> str:
-    parse_unit(str(text))
+    require_unit(str(text))
     return str(text)
 
 

@@ -7,11 +7,14 @@ Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` a
 from __future__ import annotations
 
 import re
-from functools import lru_cache
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING
 
-import pint
+if TYPE_CHECKING:
+    import pint
 
-REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=None)
+#: Units that nearly every mission states: known without the registry, which takes a moment to load.
+COMMON_UNITS = frozenset({"1", "nT", "deg", "rad", "s", "m", "km", "A", "mA", "V", "K", "degC", "count"})
 
 _STRAY = re.compile(r"[^\w\s.*/^()%°·+-]")
 
@@ -36,6 +39,20 @@ _SPELLINGS = {
 }
 
 
+@cache
+def registry() -> pint.UnitRegistry[float]:
+    """Return the one registry of the project."""
+    import pint
+
+    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=None)
+
+
+def require_unit(text: str) -> None:
+    """Raise ValueError when a text names no unit."""
+    if text not in COMMON_UNITS:
+        parse_unit(text)
+
+
 @lru_cache(maxsize=256)
 def parse_unit(text: str) -> pint.Unit:
     """Return the pint unit of a text as found in a file or a YAML.
@@ -49,8 +66,10 @@ def parse_unit(text: str) -> pint.Unit:
     # pint passes over characters it cannot read.
     if stray := set(_STRAY.findall(plain)):
         raise ValueError(f"{text!r} is no known unit ({' '.join(sorted(stray))} has no meaning in a unit)")
+    import pint
+
     try:
-        return REGISTRY.Unit(_SPELLINGS.get(plain.lower(), plain))
+        return registry().Unit(_SPELLINGS.get(plain.lower(), plain))
     except (pint.PintError, AssertionError, ValueError, TypeError) as error:
         raise ValueError(f"{text!r} is no known unit ({error})") from None
 
@@ -64,13 +83,15 @@ def factor_and_offset(source: str, target: str) -> tuple[float, float]:
     ValueError
         When the units measure different things.
     """
+    if source == target and source in COMMON_UNITS:
+        return 1.0, 0.0
     start, goal = parse_unit(source), parse_unit(target)
     if start == goal:
         return 1.0, 0.0
     if start.dimensionality != goal.dimensionality:
         raise ValueError(f"unit {source!r} cannot become {target!r}")
-    zero = REGISTRY.Quantity(0.0, start).to(goal).magnitude
-    one = REGISTRY.Quantity(1.0, start).to(goal).magnitude
+    zero = registry().Quantity(0.0, start).to(goal).magnitude
+    one = registry().Quantity(1.0, start).to(goal).magnitude
     return float(one - zero), float(zero)
 
 
@@ -108,4 +129,4 @@ def _size(unit: str) -> float:
     plain = _OFFSET_UNIT.sub(r"delta_degree_\1", unit)
     if plain == "dimensionless":  # pint parses it to a unit without a name, which it then does not find
         return 1.0
-    return factor_and_offset(plain, str(REGISTRY.get_base_units(plain)[1]))[0]
+    return factor_and_offset(plain, str(registry().get_base_units(plain)[1]))[0]

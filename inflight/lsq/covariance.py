@@ -308,10 +308,6 @@ def sigma_of_mean(series: Floats) -> float:
     return float(np.sqrt(long_run_covariance(known[:, None])[0, 0]) / known.size)
 
 
-#: Probability beyond which a t of three lies when there are many blocks: few are held to the same.
-_BEYOND = float(scipy.special.ndtr(-3.0))
-
-
 def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Floats:
     """Return mean over standard error of series; (series,), errors with Bartlett's kernel over blocks.
 
@@ -347,7 +343,9 @@ def expected_gain_t(gained: Floats, expected: Floats, active: npt.NDArray[np.boo
         Blocks with information.
     """
     t, freedom = _expected_gain(gained, expected, active)
-    few = np.where(freedom > 0.1, -3.0 / scipy.special.stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
+    # A t of three as probable as with many blocks.
+    limit = scipy.special.stdtrit(np.maximum(freedom, 0.1), scipy.special.ndtr(-3.0))
+    few = np.where(freedom > 0.1, -3.0 / limit, 0.0)
     return np.asarray(few * t)
 
 

@@ -21,7 +21,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
@@ -160,6 +159,8 @@ def _resample_values(
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Resample values from stamps to targets by the method that fits name and cadence."""
+    from inflight.samples.interpolation import linear, sinc  # compiled: who only plans does not wait for it
+
     same = _slice_of(stamps, target)
     if same is not None:
         return values[same], "exact"
@@ -183,7 +184,7 @@ def _resample_values(
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
     if is_field and cadence <= base_step * (1 + ALIGNMENT_SETTINGS.same_cadence):
         cutoff = min(1.0, cadence / base_step)
-        found = _sinc(
+        found = sinc(
             stamps,
             wide,
             target,
@@ -193,7 +194,7 @@ def _resample_values(
             ALIGNMENT_SETTINGS.kaiser_beta,
         )
         return found.reshape(shape), "band_limited"
-    return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
+    return linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
 
 
 def _usual_step(stamps: Int64) -> int:
@@ -255,92 +256,6 @@ def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
         return None
     own = np.asarray(series["flag"].values, dtype=np.uint32)
     return own if own.any() else None
-
-
-@numba.njit(cache=True, nogil=True)
-def _linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Floats:  # pragma: no cover
-    out = np.full((target.size, values.shape[1]), np.nan)
-    j = 0
-    for i in range(target.size):
-        # Both increase: what is past for one target is past for the next.
-        while j < stamps.size and stamps[j] < target[i]:
-            j += 1
-        if j < stamps.size and stamps[j] == target[i]:
-            for column in range(values.shape[1]):
-                out[i, column] = values[j, column]
-        elif 0 < j < stamps.size and stamps[j] - stamps[j - 1] <= widest:
-            part = (target[i] - stamps[j - 1]) / (stamps[j] - stamps[j - 1])
-            for column in range(values.shape[1]):
-                before = values[j - 1, column]
-                out[i, column] = before + part * (values[j, column] - before)
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _bessel_i0(x: float) -> float:  # pragma: no cover
-    total, term, k = 1.0, 1.0, 1.0
-    while term > 1e-17 * total:
-        term *= (x / (2.0 * k)) ** 2
-        total += term
-        k += 1.0
-    return total
-
-
-@numba.njit(cache=True, nogil=True)
-def _whole(
-    stamps: Int64, first: int, last: int, target: int, half: float, cadence: float
-) -> bool:  # pragma: no cover
-    """Return True when no sample is missing under a window of half-width `half`, ns."""
-    edge = half - GAP * cadence
-    if target - stamps[first] < edge or stamps[last] - target < edge:
-        return False
-    for j in range(first, last):  # noqa: SIM110, numba knows no generator expressions
-        if stamps[j + 1] - stamps[j] > GAP * cadence:
-            return False
-    return True
-
-
-@numba.njit(cache=True, nogil=True)
-def _sinc(
-    stamps: Int64,
-    values: Floats,
-    target: Int64,
-    cadence: float,
-    cutoff: float,
-    lobes: float,
-    kaiser_beta: float,
-) -> Floats:  # pragma: no cover
-    """Windowed-sinc interpolation at each target.
-
-    Weights are normalised to keep a constant, and the line through the ends of the window is taken
-    off and put back, so that the main field's slope along the orbit leaves no error.
-    """
-    out = np.full((target.size, values.shape[1]), np.nan)
-    half = lobes / cutoff
-    peak = _bessel_i0(kaiser_beta)
-    middle = np.searchsorted(stamps, target)
-    for i in range(target.size):
-        first, last = middle[i], middle[i] - 1
-        while first > 0 and target[i] - stamps[first - 1] < half * cadence:
-            first -= 1
-        while last + 1 < stamps.size and stamps[last + 1] - target[i] < half * cadence:
-            last += 1
-        if last - first + 1 < int(2 * half) - 1 or not _whole(
-            stamps, first, last, target[i], half * cadence, cadence
-        ):
-            continue
-        total = 0.0
-        width = float(stamps[last] - stamps[first])
-        slope = (values[last] - values[first]) / width
-        sums = np.zeros(values.shape[1])
-        for j in range(first, last + 1):
-            x = (target[i] - stamps[j]) / cadence
-            window = _bessel_i0(kaiser_beta * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
-            weight = np.sinc(cutoff * x) * window
-            total += weight
-            sums += weight * (values[j] - values[first] - slope * float(stamps[j] - stamps[first]))
-        out[i] = sums / total + values[first] + slope * float(target[i] - stamps[first])
-    return out
 
 
 class PlainSamples(dict[str, xr.Variable]):

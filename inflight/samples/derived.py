@@ -20,10 +20,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.compiled import compiled
 from inflight.errors import ModelError
 from inflight.time import DAY, GAP, SECOND, parse_duration
 
@@ -273,7 +273,7 @@ def slow_response(values: Floats, step_s: float | Floats, lag_s: float) -> Float
     return np.asarray(found).reshape(values.shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Floats:  # pragma: no cover
     out = np.full_like(values, np.nan)
     for column in range(values.shape[1]):
@@ -321,7 +321,7 @@ def play(values: Floats, width: float) -> Floats:
     return np.asarray(_play(series, 0.5 * float(width))).reshape(values.shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _play(values: Floats, half: float) -> Floats:  # pragma: no cover
     out = np.full_like(values, np.nan)
     for column in range(values.shape[1]):

@@ -1,8 +1,9 @@
 from .comparing import compare, measure_comparison
 from .diagnosis import diagnose, examine
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
-from .gram_pass import DiagnoseSettings, block_grams
+from .gram_pass import block_grams
 from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench, require_sampled
+from .settings import DiagnoseSettings
 
 __all__ = [
     "DiagnoseSettings",

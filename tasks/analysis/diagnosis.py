@@ -33,7 +33,6 @@ from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
     PASS_SETTINGS,
-    DiagnoseSettings,
     Loaded,
     PassPlan,
     Survey,
@@ -46,6 +45,7 @@ from inflight.tasks.analysis.gram_pass import (
     stretches_between,
     survey,
 )
+from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     ArchiveIndex,
     ChannelReader,

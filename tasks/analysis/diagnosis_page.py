@@ -70,7 +70,7 @@ from inflight.figures import (
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import examine
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.arrays import Floats
 from inflight.calibration import (
@@ -54,6 +53,7 @@ from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding
 from inflight.spin import fit_folded_samples, spinning_sensor_of
+from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     ArchiveIndex,
     ChannelReader,
@@ -864,33 +864,3 @@ def stretches_between(found: JumpAttribution, plan: PassPlan) -> Stretches:
     regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
     middle = found.last + (found.first - found.last) // 2
     return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)
-
-
-class DiagnoseSettings(BaseModel):
-    """What a user may choose of a diagnosis.
-
-    Attributes
-    ----------
-    comparison : str
-        Entry of the mission's `comparisons`.
-    cadence_s : float, optional
-        Of the search; chosen from the span's length when absent.
-    interval_days : int
-        Days of a calibration interval: what the nine parameters are fitted to anew.
-    rounds : int
-        Additions at most; 0 only ranks.
-    draws, seed : int
-        Sign flips.
-    batch_blocks : int
-        Blocks a worker makes at once; it bounds the memory.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    comparison: str = "main"
-    cadence_s: float | None = Field(None, gt=0)
-    interval_days: int = Field(15, ge=1)
-    rounds: int = Field(8, ge=0, le=40)
-    draws: int = Field(2000, ge=100, le=100_000)
-    seed: int = Field(0, ge=0)
-    batch_blocks: int = Field(10, ge=1)

@@ -52,7 +52,8 @@ from inflight.tasks.analysis.diagnosis import (
     intervals_of,
     make_pass,
 )
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
+from inflight.tasks.analysis.gram_pass import PassPlan
+from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.models import (
     VersionedModel,
     current_model,

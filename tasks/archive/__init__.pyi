@@ -7,7 +7,7 @@ from .channels import (
     replacement_value,
     resolves_spin,
 )
-from .ingestion import ingest
+from .ingestion import ingest, ingest_if_unchanged
 from .inputs import (
     AMBIENT,
     INPUT_SETTINGS,
@@ -63,6 +63,7 @@ __all__ = [
     "flips_of",
     "geometry_channels",
     "ingest",
+    "ingest_if_unchanged",
     "load_samples",
     "needs_of",
     "orbit_of",

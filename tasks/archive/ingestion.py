@@ -102,12 +102,16 @@ class FileIndex:
 
 @dataclass(frozen=True)
 class Delivery:
-    """All files of one instrument, in order of time; old name -> new name of superseded versions."""
+    """All files of one instrument, in order of time; old name -> new name of superseded versions.
+
+    `unread` new files were left out: `survey` was told not to read any.
+    """
 
     instrument: str
     key: str
     files: tuple[FileIndex, ...]
     superseded: dict[str, str]
+    unread: int = 0
 
     def by_day(self) -> dict[str, list[FileIndex]]:
         """Return the files of each day: by their rows, or by their name where they cannot be read."""
@@ -139,6 +143,7 @@ def survey(
     *,
     span: tuple[int | None, int | None] = (None, None),
     client: Any = None,
+    read_new: bool = True,
 ) -> Delivery:
     """Find and index an instrument's files.
 
@@ -156,6 +161,8 @@ def survey(
         TT2000 bounds (or None) outside which new files are not opened.
     client : distributed.Client, optional
         Reads files in parallel.
+    read_new : bool
+        Read files that are not on record; they are only counted otherwise.
     """
     files, instrument = mission.files(name), mission.instruments[name]
     key = content_key(files, instrument)
@@ -167,10 +174,10 @@ def survey(
     listed, also = newest_versions([*present, *gone])
     known = {file.name: _recorded_index(file, data, records.get(file.name), key) for file in listed}
     new = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
-    jobs = [(data / file.name, file, files, instrument) for file in new]
+    jobs = [(data / file.name, file, files, instrument) for file in (new if read_new else [])]
     found = {index.name: index for index in iter_results(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
-    return Delivery(name, key, tuple(indexed), superseded | also)
+    return Delivery(name, key, tuple(indexed), superseded | also, len(new) - len(jobs))
 
 
 def _recorded_index(file: Delivered, data: Path, record: FileRecord | None, key: str) -> FileIndex | None:
@@ -443,12 +450,7 @@ def ingest(
     StorageError
         When the disk refuses a write; nothing is published then.
     """
-    names, folder = list(mission.instruments if instruments is None else instruments), Path(data).resolve()
-    if unknown := [name for name in names if name not in mission.instruments]:
-        raise MissionError(
-            f"the mission has no instrument {', '.join(unknown)}",
-            remedy=f"choose from {', '.join(mission.instruments)}",
-        )
+    names, folder = _named_instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
     report_progress = progress or (lambda stage, done, total: None)
     plans = []
@@ -474,6 +476,37 @@ def ingest(
             _record(cat, run, plan)
         published = run.publish()
     return _report(run.id, plans, published)
+
+
+def ingest_if_unchanged(
+    cat: Catalog,
+    mission: Mission,
+    data: Path | str,
+    instruments: Sequence[str] | None = None,
+    start: str | np.datetime64 | None = None,
+    end: str | np.datetime64 | None = None,
+) -> RunReport | None:
+    """Return the report of an ingest that has nothing to do; None when there is work. No file is opened.
+
+    Parameters and errors are those of `ingest`.
+    """
+    span, plans = (_bound(start), _bound(end)), []
+    for name in _named_instruments(mission, instruments):
+        delivery = survey(cat, mission, name, Path(data).resolve(), span=span, read_new=False)
+        plans.append(_plan(cat, delivery, span))
+        if delivery.unread or plans[-1].has_work:
+            return None
+    return _report("", plans, [])
+
+
+def _named_instruments(mission: Mission, instruments: Sequence[str] | None) -> list[str]:
+    names = list(mission.instruments if instruments is None else instruments)
+    if unknown := [name for name in names if name not in mission.instruments]:
+        raise MissionError(
+            f"the mission has no instrument {', '.join(unknown)}",
+            remedy=f"choose from {', '.join(mission.instruments)}",
+        )
+    return names
 
 
 def _bound(day: str | np.datetime64 | None) -> int | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from inflight.catalog import Catalog
 from inflight.errors import MissionError
-from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
-from inflight.tasks.pipelines.base import Pipeline, Report, ReprocessSettings, run_plan
+from inflight.tasks.pipelines.base import Pipeline, ReprocessSettings, report_if_unchanged, run_plan
 from inflight.tasks.pipelines.intercalibration import RelationPipeline
 from inflight.tasks.pipelines.mission_fit import MissionPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
@@ -18,6 +17,10 @@ from inflight.tasks.pipelines.spin import SpinPipeline
 from inflight.tasks.pipelines.two_sensor import StatesPipeline
 from inflight.tasks.report import Progress, RunReport
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import Report
 
 #: In order: the first that handles a comparison calibrates it.
 PIPELINES: tuple[Pipeline, ...] = (
@@ -112,7 +115,24 @@ def reprocess(
     settings = settings or ReprocessSettings()
     pipeline = pipeline_of(mission, settings.comparison, settings)
     planned = pipeline.make_plan(cat, mission, settings, (start, end))
-    return run_plan(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
+    unchanged = report_if_unchanged(pipeline, cat, planned)
+    return unchanged or run_plan(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
+
+
+def reprocess_if_unchanged(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: ReprocessSettings | None = None,
+) -> RunReport | None:
+    """Return the report of a reprocessing that has nothing to do; None when there is work.
+
+    Parameters and errors are those of `reprocess`.
+    """
+    settings = settings or ReprocessSettings()
+    pipeline = pipeline_of(mission, settings.comparison, settings)
+    return report_if_unchanged(pipeline, cat, pipeline.make_plan(cat, mission, settings, (start, end)))
 
 
 def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Section]:

@@ -279,7 +279,7 @@ def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch):
         array = honest(*arguments, **options)
         return np.asarray(array[...]) if array.ndim != 1 else np.zeros(array.shape, array.dtype)
 
-    monkeypatch.setattr(segments.zarr, "open_array", disturbed)
+    monkeypatch.setattr(zarr, "open_array", disturbed)
     with pytest.raises(IntegrityError, match="reads back differently"):
         write_segment(tmp_path, "run", "l1/fgm", [DayData(DAYS[0], samples(DAYS[0]))])
     assert not (tmp_path / "stores").exists()

@@ -23,6 +23,7 @@ from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_da
 from .parts import Part, TablesReport, TextLine, page_sections, with_error
 from .pipeline import Pipeline, Versions
 from .planning import (
+    ALL_DAYS_STATISTICS,
     ONE_DAY,
     Plan,
     ReprocessSettings,
@@ -39,10 +40,11 @@ from .publication import (
     reuse_interrupted_days,
     rounded,
 )
-from .reprocessing import product_key, residual_of_days, run_plan
+from .reprocessing import product_key, report_if_unchanged, residual_of_days, run_plan
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
+    "ALL_DAYS_STATISTICS",
     "ONE_DAY",
     "Batch",
     "CompareReport",
@@ -85,6 +87,7 @@ __all__ = [
     "published_products",
     "record_failure",
     "register_outcome",
+    "report_if_unchanged",
     "residual_of_days",
     "reuse_interrupted_days",
     "rounded",

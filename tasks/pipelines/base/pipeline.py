@@ -20,21 +20,23 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
-from inflight.figures import Section
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
 from inflight.tasks.pipelines.base.publication import Reprocessing, TableStager, TablesToPublish
 from inflight.tasks.pipelines.base.tables import content_keys
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
 
 
 @dataclass(frozen=True, kw_only=True)

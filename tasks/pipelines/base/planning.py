@@ -269,6 +269,10 @@ def plan_archive_days(
     return replace(planned, no_work=no_work, recorded=recorded)
 
 
+#: Name of the statistics of days that one fit of all days needs; those of tables of days are ``base``.
+ALL_DAYS_STATISTICS = "chain"
+
+
 def equations_of(comparison: str, statistics: str = "base") -> str:
     """Return the dataset of the days' statistics of a comparison, by the name a pipeline gives them."""
     return f"equations/{comparison}/{statistics}"

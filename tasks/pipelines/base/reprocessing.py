@@ -1,11 +1,14 @@
 """A reprocessing, step by step: statistics of days, tables, products, and the report of the run.
 
 In go a pipeline and a `Plan`, out comes a published run with its `RunReport`. `run_plan` does the same for
-every pipeline. All batches of a stage are independent; the `Mapper` says where they run.
+every pipeline. All batches of a stage are independent; the `Mapper` says where they run. When nothing has
+changed since the last run of the same plan, `report_if_unchanged` says so without making anything.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -55,7 +58,66 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
         )
         pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
-    return _report(pipeline, work, solved, made)
+        report = _report(pipeline, work, solved, made)
+        if not work.failed:
+            run.report = {
+                "plan": _hash_of_plan(pipeline, plan),
+                "made": _hash_of_outputs(cat, plan),
+                "report": report.as_json(),
+            }
+    return report
+
+
+def report_if_unchanged(pipeline: Pipeline, cat: Catalog, plan: Plan) -> RunReport | None:
+    """Return the report of a plan that has nothing to do; None when a run may make something.
+
+    It has nothing to do when the last run of the comparison had the same plan and all its days, and all that
+    it made is published as it left it.
+    """
+    comparison = plan.settings.comparison
+    runs = [
+        run
+        for run in cat.runs("reprocess")
+        if run.state == "done" and run.settings.get("comparison") == comparison
+    ]
+    last = runs[-1].report if runs else None
+    if (
+        not last
+        or last["plan"] != _hash_of_plan(pipeline, plan)
+        or last["made"] != _hash_of_outputs(cat, plan)
+    ):
+        return None
+    found = RunReport.from_json(last["report"])
+    days = {**found.days, "done": 0, "unchanged": found.days["done"] + found.days["unchanged"]}
+    return replace(found, run="", days=days)
+
+
+def _hash_of_plan(pipeline: Pipeline, plan: Plan) -> str:
+    """Return a hash of all that a run is made from: days with their inputs, settings, model, algorithms."""
+    versions = [pipeline.versions.statistics, pipeline.versions.tables, pipeline.versions.products]
+    days = [[str(day), key] for day, key in plan.keys.items()]
+    missing = [[str(day), reason] for day, reason in plan.no_work.items()]
+    return _hash([pipeline.tag, versions, plan.context, plan.recorded, days, missing])
+
+
+def _hash_of_outputs(cat: Catalog, plan: Plan) -> str:
+    """Return a hash of what is published of a plan's days, and of the tables of its comparison."""
+    days = [
+        [day.id, day.key]
+        for name in (plan.product, plan.equations)
+        for day in cat.days(name, states=("published",))
+        if day.day in plan.keys
+    ]
+    tables = [
+        [record.id, record.key, record.damaged, record.certified]
+        for record in cat.tables()
+        if record.name.startswith(f"{plan.settings.comparison}-")
+    ]
+    return _hash([days, tables])
+
+
+def _hash(content: Sequence[Any]) -> str:
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
 
 
 @dataclass

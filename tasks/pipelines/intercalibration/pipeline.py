@@ -6,14 +6,13 @@ import hashlib
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
-from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.models import current_model
@@ -21,18 +20,19 @@ from inflight.tasks.pipelines.base import (
     Batch,
     Pipeline,
     Plan,
-    Report,
     Reprocessing,
     ReprocessSettings,
-    TablesReport,
     TablesToPublish,
-    TextLine,
     Versions,
     equations_of,
     plan_days,
 )
 from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, RELATIONS, Pair
 from inflight.time import DayLike, is_within
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import Report, TextLine
 
 #: Days that the command line lists, the newest.
 _LISTED = 15
@@ -140,6 +140,7 @@ class RelationPipeline(Pipeline):
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return how both sensors stand to each other, and which of the three disagrees."""
+        from inflight.tasks.pipelines.base import TablesReport
         from inflight.tasks.pipelines.intercalibration.report import relation_report
 
         fields = relation_report(cat, mission, comparison, output)
@@ -154,6 +155,8 @@ class RelationPipeline(Pipeline):
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     """Return how two vector sensors stand to each other, and which of the three disagrees."""
+    from inflight.tasks.pipelines.base import TextLine
+
     sections = fields["sections"]
     first, last = fields["span"]
     items = {name: section.get("items", []) for name, section in sections.items()}

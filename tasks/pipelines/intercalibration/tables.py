@@ -16,14 +16,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.flags import UNUSABLE, Flag
-from inflight.mission_fit import (
-    CLUSTER_S,
-    relation_grams,
-    relation_of,
-    three_cornered_hat,
-    three_cornered_hat_sums,
-)
-from inflight.spin import fit_spins, measure_boom_bending
+from inflight.mission_fit import CLUSTER_S
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
 #: Clusters of a day at most: two orbits each, and one cut at either end.
@@ -32,6 +25,8 @@ _MOST_CLUSTERS = int(DAY / SECOND / CLUSTER_S) + 2
 
 def relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the relation of all days together."""
+    from inflight.mission_fit import relation_of
+
     return relation_of(*_grams(read)).table()
 
 
@@ -49,6 +44,8 @@ def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr
     CalibrationError
         When a day has too few samples of both.
     """
+    from inflight.mission_fit import relation_grams, relation_of, three_cornered_hat_sums
+
     both = _good_samples(products, UNUSABLE)
     fields = [np.asarray(one["field_spacecraft"].values, dtype=np.float64) for one in both]
     main, other = (np.asarray(one["residual"].values, dtype=np.float64) for one in both)
@@ -95,6 +92,8 @@ def _grams(read: Sequence[xr.Dataset]) -> tuple[Floats, Floats]:
 
 def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the relation of each day by itself; dims interval, parameter: `value`, `sigma`, `units`."""
+    from inflight.mission_fit import relation_of
+
     tables = [relation_of(*_grams([day])).table() for day in read]
     each = ("interval", "parameter")
     return xr.Dataset(
@@ -112,6 +111,8 @@ def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 def corner_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the variance of each of the three sensors' own error, nT^2; see `three_cornered_hat`."""
+    from inflight.mission_fit import three_cornered_hat
+
     closure = float(np.sqrt(np.mean(np.concatenate([day["closure"].values for day in read]) ** 2)))
     moments = np.concatenate([day["moments"].values[0] for day in read])
     return three_cornered_hat(moments[moments[:, 0] > 0], closure=closure).table()
@@ -137,6 +138,8 @@ def bending_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.
     CalibrationError
         When fewer than ten turns have both.
     """
+    from inflight.spin import fit_spins, measure_boom_bending
+
     inboard, outboard = _good_samples(products, UNUSABLE | Flag.NO_PHASE | Flag.PHASE_JUMP)
     stamps = np.asarray(inboard["tt2000"].values, dtype=np.int64)
     phase = unwrap_phase(np.asarray(inboard["spin_phase"].values, dtype=np.float64), stamps)

@@ -35,7 +35,14 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
-from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, newest_tables, product_of
+from inflight.tasks.pipelines.base import (
+    ALL_DAYS_STATISTICS,
+    Plan,
+    equations_of,
+    newest_record,
+    newest_tables,
+    product_of,
+)
 from inflight.tasks.pipelines.mission_fit.day import equations_of_days, unpack_part
 from inflight.tasks.pipelines.mission_fit.tables import (
     AUXILIARY_TABLES,
@@ -52,9 +59,6 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     torquer_mean,
 )
 from inflight.time import day_bounds, to_tt2000
-
-#: Name of the dataset of the days' statistics.
-STATISTICS = "chain"
 
 #: Attributes of tables: what all tables of one run share; and, of ``trend``, what could not be made and why.
 FIT_KEY, SKIPPED = "made_from", "left_out"
@@ -270,7 +274,7 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
         raise CatalogError(f"no fit of all days is published for comparison '{comparison}'", remedy=_REMEDY)
     days = [
         day
-        for day in cat.days(equations_of(comparison, STATISTICS), states=("published",))
+        for day in cat.days(equations_of(comparison, ALL_DAYS_STATISTICS), states=("published",))
         if newest.start <= day_bounds(day.day)[0] < newest.end
     ]
     days.sort(key=lambda day: day.day)

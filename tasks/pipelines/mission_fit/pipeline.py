@@ -10,36 +10,34 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import InflightError
-from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
+    ALL_DAYS_STATISTICS,
     Batch,
-    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
-    Report,
     Reprocessing,
     ReprocessSettings,
     TablesToPublish,
     Versions,
     content_keys,
     newest_record,
-    page_sections,
     residual_of_days,
 )
-from inflight.tasks.pipelines.mission_fit.day import AuxiliaryChannels, mission_statistics, unify_variables
-from inflight.tasks.pipelines.mission_fit.fit import STATISTICS, fit_mission_tables, save_fitted
-from inflight.tasks.pipelines.mission_fit.tables import spread_offsets
-from inflight.tasks.pipelines.scalar import ScalarPipeline, level2_day
+from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.report import Progress
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import CompareResult, Report
 
 
 class MissionPipeline(Pipeline):
@@ -52,7 +50,7 @@ class MissionPipeline(Pipeline):
 
     tag = "mission"
     versions = Versions(statistics=3, tables=5, products=4)
-    statistics = STATISTICS
+    statistics = ALL_DAYS_STATISTICS
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison whose days are to be fitted at once."""
@@ -60,18 +58,26 @@ class MissionPipeline(Pipeline):
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
         """Return currents, torquers and the sensor's temperatures."""
+        from inflight.tasks.pipelines.mission_fit.day import AuxiliaryChannels
+
         return AuxiliaryChannels.of(mission, comparison).names
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's wide equations with their parts; see `mission_statistics`."""
+        from inflight.tasks.pipelines.mission_fit.day import mission_statistics
+
         return mission_statistics(batch, day)
 
     def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return days with the same variables; of a part a day lacks, no row counts."""
+        from inflight.tasks.pipelines.mission_fit.day import unify_variables
+
         return unify_variables(days)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Fit all days, stage the tables that their parts allow, and save the fitted model."""
+        from inflight.tasks.pipelines.mission_fit.fit import fit_mission_tables, save_fitted
+
         plan, stager = work.plan, self.table_stager(work, days)
         result = fit_mission_tables(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
         for name in result.tables:
@@ -96,6 +102,8 @@ class MissionPipeline(Pipeline):
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's calibrated field; its report holds the spread of the residual, too."""
+        from inflight.tasks.pipelines.scalar import level2_day
+
         return level2_day(batch, day, batch.settings.distribute)
 
     def finish(
@@ -106,6 +114,8 @@ class MissionPipeline(Pipeline):
         reports: Mapping[np.datetime64, Mapping[str, Any]],
     ) -> None:
         """Stage the table of daily offsets from the spread of the products' residuals."""
+        from inflight.tasks.pipelines.mission_fit.tables import spread_offsets
+
         try:
             table = spread_offsets(reports)
         except InflightError as error:
@@ -147,6 +157,8 @@ class MissionPipeline(Pipeline):
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report` when a whole-mission fit was ever published; else none."""
+        from inflight.tasks.pipelines.base import page_sections
+
         if newest_record(cat, f"{comparison}-continuous") is None:
             return []
         from inflight.tasks.pipelines.mission_fit.report import mission_fit_report

@@ -5,23 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
-from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
-    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
-    Report,
     Reprocessing,
     ReprocessSettings,
     TablesToPublish,
@@ -30,15 +27,11 @@ from inflight.tasks.pipelines.base import (
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.pipelines.scalar.day import calibrate_day
-from inflight.tasks.pipelines.scalar.product import level2_day
-from inflight.tasks.pipelines.scalar.tables import (
-    daily_table,
-    load_equations,
-    relinearise_at,
-    window_table,
-)
 from inflight.tasks.report import Progress
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import CompareResult, Report
 
 
 class ScalarPipeline(Pipeline):
@@ -58,12 +51,16 @@ class ScalarPipeline(Pipeline):
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's normal equations and its own fit; see `calibrate_day`."""
+        from inflight.tasks.pipelines.scalar.day import calibrate_day
+
         return calibrate_day(batch, day)
 
     def linearise_at(
         self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
     ) -> list[float] | None:
         """Return the solution of all days, when the equations' linearisation error there is too large."""
+        from inflight.tasks.pipelines.scalar.tables import load_equations, relinearise_at
+
         equations = load_equations(cat, list(days.values()))
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
         value = relinearise_at(equations, plan.model, strength, last)
@@ -71,6 +68,8 @@ class ScalarPipeline(Pipeline):
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
+        from inflight.tasks.pipelines.scalar.tables import daily_table, load_equations, window_table
+
         plan, stager = work.plan, self.table_stager(work, days)
         equations, model = load_equations(work.cat, list(days.values())), plan.model
         edges = {
@@ -86,6 +85,8 @@ class ScalarPipeline(Pipeline):
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's calibrated field; see `level2_day`."""
+        from inflight.tasks.pipelines.scalar.product import level2_day
+
         return level2_day(batch, day)
 
     def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:

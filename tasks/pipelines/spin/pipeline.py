@@ -9,47 +9,35 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, MissionError
-from inflight.figures import Section
 from inflight.mission import Mission
-from inflight.tasks.archive import flips_of, split_at_flips
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
-    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
-    Report,
     Reprocessing,
     ReprocessSettings,
-    TablesReport,
     TablesToPublish,
-    TextLine,
     Versions,
     month_edges,
     newest_table,
-    page_sections,
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.pipelines.spin.day import pad_days, spin_day
-from inflight.tasks.pipelines.spin.product import spin_product
-from inflight.tasks.pipelines.spin.tables import (
-    TABLES,
-    SpinResults,
-    flipper_table,
-    spin_table,
-    zero_level_table,
-)
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import CompareResult, Report, TextLine
 
 #: Replaced parameters that the command line lists, the newest.
 _LISTED = 15
@@ -86,10 +74,14 @@ class SpinPipeline(Pipeline):
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's estimates; see `spin_day`."""
+        from inflight.tasks.pipelines.spin.day import spin_day
+
         return spin_day(batch, day)
 
     def unify_variables(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
         """Return days padded with empty sub-intervals and means; see `pad_days`."""
+        from inflight.tasks.pipelines.spin.day import pad_days
+
         return pad_days(days)
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
@@ -98,6 +90,9 @@ class SpinPipeline(Pipeline):
         The offset along the spin axis needs many hours of solar wind: days and months use that of their
         calendar month, windows and the span those of the windows. No window holds two positions of a flipper.
         """
+        from inflight.tasks.archive import flips_of, split_at_flips
+        from inflight.tasks.pipelines.spin.tables import flipper_table, spin_table, zero_level_table
+
         if not any(day.report["used"] for day in days.values()):
             earliest = days[min(days)]
             raise CalibrationError(
@@ -128,6 +123,8 @@ class SpinPipeline(Pipeline):
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's despun field; see `spin_product`."""
+        from inflight.tasks.pipelines.spin.product import spin_product
+
         return spin_product(batch, day)
 
     def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
@@ -154,6 +151,7 @@ class SpinPipeline(Pipeline):
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
     ) -> Report:
         """Return the twelve parameters, where each came from, and what each day decided."""
+        from inflight.tasks.pipelines.base import TablesReport
         from inflight.tasks.pipelines.spin.report import spin_report
 
         fields = spin_report(cat, mission, comparison, output)
@@ -161,6 +159,9 @@ class SpinPipeline(Pipeline):
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report`, when all of its tables are published."""
+        from inflight.tasks.pipelines.base import page_sections
+        from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
+
         if any(newest_table(cat, f"{comparison}-{name}") is None for name in TABLES):
             return []
         from inflight.tasks.pipelines.spin.report import spin_table_parts
@@ -170,6 +171,8 @@ class SpinPipeline(Pipeline):
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     """Return the twelve parameters with their origin, what days replaced, zero levels, and the phase."""
+    from inflight.tasks.pipelines.base import TextLine
+
     sections = fields["sections"]
     first, last = fields["span"]
     lines = [

@@ -8,21 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError, MissionError
-from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
-    CompareResult,
     Pipeline,
     Plan,
     ProductBatch,
-    Report,
     Reprocessing,
     ReprocessSettings,
     TablesToPublish,
@@ -30,26 +27,12 @@ from inflight.tasks.pipelines.base import (
     Versions,
     product_key,
 )
-from inflight.tasks.pipelines.two_sensor.day import states_day
-from inflight.tasks.pipelines.two_sensor.tables import (
-    TablesBefore,
-    constant_changes,
-    constant_sentences,
-    continued_key,
-    describe_constant,
-    named_units,
-)
-from inflight.tasks.pipelines.two_sensor.windows import (
-    StoredTables,
-    combine_steps,
-    solve_windows,
-    table_name,
-    window_key,
-    window_verdicts,
-    windows,
-)
 from inflight.tasks.report import Progress
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    from inflight.figures import Section
+    from inflight.tasks.pipelines.base import CompareResult, Report
 
 
 class StatesPipeline(Pipeline):
@@ -89,6 +72,9 @@ class StatesPipeline(Pipeline):
 
         A window that is to be fitted changes those behind it: they are continued anew.
         """
+        from inflight.tasks.pipelines.two_sensor.tables import TablesBefore, continued_key
+        from inflight.tasks.pipelines.two_sensor.windows import StoredTables, table_name, window_key, windows
+
         name = table_name(plan)
         stored = StoredTables.of(cat, name)
         current = {day.day: day.key for day in cat.days(plan.product, states=("published",))}
@@ -110,14 +96,20 @@ class StatesPipeline(Pipeline):
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Fit each window of days, and continue the tables in order; see `solve_windows`."""
+        from inflight.tasks.pipelines.two_sensor.windows import solve_windows
+
         return solve_windows(work, self.versions.tables)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's corrected field; see `states_day`."""
+        from inflight.tasks.pipelines.two_sensor.day import states_day
+
         return states_day(batch, day)
 
     def outputs(self, plan: Plan, solved: TablesToPublish | None, made: int) -> list[str]:
         """Return the products and the table of states, where any day has a product."""
+        from inflight.tasks.pipelines.two_sensor.windows import table_name
+
         return [plan.product, f"tables/{table_name(plan)}"] if made else []
 
     def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:
@@ -126,6 +118,9 @@ class StatesPipeline(Pipeline):
         ``residual`` is the step of the outboard field where the spacecraft switches, rms of a component, as
         measured and corrected, and ``floor_nT`` that of the corrected field where nothing switches.
         """
+        from inflight.tasks.pipelines.two_sensor.tables import constant_changes, describe_constant
+        from inflight.tasks.pipelines.two_sensor.windows import combine_steps, window_verdicts
+
         tables = solved.used if solved else {}
         plan, published = work.plan, work.cat.days(work.plan.product, states=("published",))
         return {
@@ -138,6 +133,8 @@ class StatesPipeline(Pipeline):
 
     def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
         """Yield which windows are not corrected and why, and where the field may step."""
+        from inflight.tasks.pipelines.two_sensor.tables import constant_sentences
+
         for one in fields.get("windows", []):
             if one["applied"] != "yes":
                 yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
@@ -180,4 +177,6 @@ class StatesPipeline(Pipeline):
         end: DayLike | None = None,
     ) -> list[dict[str, Any]] | None:
         """Return the units that switch, and the channels behind them; see `named_units`."""
+        from inflight.tasks.pipelines.two_sensor.tables import named_units
+
         return named_units(cat, mission, comparison, start, end)
