@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, cached_property, lru_cache
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -46,7 +46,15 @@ from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, 
 from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import GramBlocks, hac_t, inverse_square_root, jackknife, prewhiten, solve_scaled
+from inflight.lsq import (
+    LEAST_KEPT,
+    GramBlocks,
+    hac_t,
+    inverse_square_root,
+    jackknife,
+    prewhiten,
+    solve_scaled,
+)
 from inflight.mission import sensors_of
 from inflight.model import make_effect
 from inflight.samples import DerivedChannel, parse_channel
@@ -73,6 +81,10 @@ class LagSettings:
         for two hours.
     tried : int
         Lags of the first grid; finer ones follow around its best.
+    fewest, close, around : int, int, float
+        Where the bank has so many lags, their Gram blocks say about which lag is best, and only so many are
+        tried first, from one part in `around` of it to `around` times it: wider than the bank's combinations
+        are wrong.
     bracket : tuple of float
         Range of the finer grids, as parts of the best lag: one step of the first grid to both sides.
     spread : float
@@ -91,6 +103,9 @@ class LagSettings:
     shortest: float = 0.5
     longest: float = 8000.0
     tried: int = 12
+    fewest: int = 3
+    close: int = 5
+    around: float = 2.0
     bracket: tuple[float, float] = (0.7, 1.43)
     spread: float = 0.9
     near: float = 0.02
@@ -208,7 +223,7 @@ def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     def loss(lag: float) -> Floats:
         return trials.loss([term(lag)])
 
-    best, sigma = _best_lag(search, data, loss)
+    best, sigma = _best_lag(search, data, loss, _lag_of_bank(search, option))
     if float(hac_t((loss(0.0) - loss(best))[:, None])[0]) < search.rules.t:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
         return search, plain[0] if plain else option
@@ -217,12 +232,45 @@ def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     return _with_term(search, data, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
 
 
+def bank_of(search: Search, option: Option) -> dict[float, Index]:
+    """Return the columns (of the raw form) of every lag that an option's mechanism has; lag in s."""
+    form = search.forms["raw"]
+    return {
+        other.lag_s: form.index(other.columns)
+        for other in search.options
+        if other.mechanism == option.mechanism and len(other.columns) == len(option.columns)
+    }
+
+
+def _lag_of_bank(search: Search, option: Option) -> float | None:
+    """Return about which lag explains most, by the Gram blocks alone; None when the bank is too small."""
+    bank = bank_of(search, option)
+    if len(bank) < LAG_SETTINGS.fewest:
+        return None
+    return _peak(*scan_lags(search.forms["raw"].total, search.present("raw", option), bank, search.y()))
+
+
 def _best_lag(
-    search: Search, data: DiagnosisData, loss: Callable[[float], Floats]
+    search: Search, data: DiagnosisData, loss: Callable[[float], Floats], about: float | None = None
 ) -> tuple[float, float | None]:
-    """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
-    lags = np.geomspace(LAG_SETTINGS.shortest * data.series.step_s, LAG_SETTINGS.longest, LAG_SETTINGS.tried)
-    best = _minimise(lags, loss, LAG_SETTINGS.bracket)
+    """Return the lag that leaves least, s, and its error by leaving out folds of blocks.
+
+    Parameters
+    ----------
+    about : float, optional
+        About which lag that is; all lags are tried when it is absent, or when the best is not around it.
+    """
+    low, high, loss = LAG_SETTINGS.shortest * data.series.step_s, LAG_SETTINGS.longest, cache(loss)
+    grid, parts = np.geomspace(low, high, LAG_SETTINGS.tried), _FINER
+    if about is not None:
+        middle = max(about, low)
+        close = middle * np.geomspace(1.0 / LAG_SETTINGS.around, LAG_SETTINGS.around, LAG_SETTINGS.close)
+        close = np.append(low, close[close > low]) if about <= low else close[close <= high]
+        at = int(np.argmin([loss(float(lag)).sum() for lag in close]))
+        # No lag is below the shortest: the least may lie there.
+        if (0 if about <= low else 1) <= at < close.size - 1:
+            grid, parts = close, _FINER[1:]
+    best = _minimise(grid, loss, LAG_SETTINGS.bracket, parts)
     near = best * np.array([LAG_SETTINGS.spread, 1.0, 1.0 / LAG_SETTINGS.spread])
     each = np.stack([loss(float(one)) for one in near])
     total = each.sum(axis=1)
@@ -319,10 +367,19 @@ def _with_width(search: Search, data: DiagnosisData, option: Option) -> Refined:
     return replace(search, options=(*search.options[:-1], whole)), whole
 
 
-def _minimise(grid: Floats, loss: Callable[[float], Floats], around: tuple[float, float]) -> float:
-    """Return where the loss is least: on the whole grid, then twice on finer ones around it; four digits."""
+#: Finer grids after the first one, as powers of their range; 0 ends.
+_FINER: tuple[float, ...] = (1.0, 0.25, 0.0)
+
+
+def _minimise(
+    grid: Floats,
+    loss: Callable[[float], Floats],
+    around: tuple[float, float],
+    parts: Sequence[float] = _FINER,
+) -> float:
+    """Return where the loss is least: on the whole grid, then on finer ones around it; four digits."""
     best = 0.0
-    for part in (1.0, 0.25, 0.0):
+    for part in parts:
         sums = np.array([loss(float(one)).sum() for one in grid])
         at = int(np.argmin(sums))
         best = float(grid[at])
@@ -391,21 +448,23 @@ class FormTrials:
         self.basis = [np.linalg.qr(base[group])[0] for group in self.groups] if base.shape[1] else []
         self.y = self._marginalised((self.rows.residual.reshape(-1) * self.root)[:, None])[:, 0]
         self.model = self._marginalised(self._flat(kept, self.rows))
+        self.rest = self._without_model(self.y[:, None])[:, 0]
         self._known: dict[str, Floats] = {}
 
     def loss(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of squares that the terms together leave in each block; (block,) nT^2."""
-        parts = [self.model]
+        parts = []
         for term in terms:
             columns = self._known.get(term.key)
             if columns is None:
-                columns = self._marginalised(self._flat([term], self._rows([term])))
+                flat = self._marginalised(self._flat([term], self._rows([term])))
+                columns = self._without_model(flat)
             if term.key in self.terms:
                 self._known[term.key] = columns
             parts.append(columns)
         columns = np.concatenate(parts, axis=1)
-        value = solve_scaled(columns.T @ columns, columns.T @ self.y)
-        rest = self.y - columns @ value
+        value = solve_scaled(columns.T @ columns, columns.T @ self.rest)
+        rest = self.rest - columns @ value
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
 
     def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
@@ -426,14 +485,22 @@ class FormTrials:
                 ],
                 axis=1,
             )
-        own = self._marginalised(flat)
-        if self.model.shape[1]:
-            inner = self.model.T @ self.model
-            own -= self.model @ solve_scaled(inner, self.model.T @ own)
-            before = self.y - self.model @ solve_scaled(inner, self.model.T @ self.y)
-        else:
-            before = self.y
-        return before, before - own @ solve_scaled(own.T @ own, own.T @ before)
+        own = self._without_model(self._marginalised(flat))
+        return self.rest, self.rest - own @ solve_scaled(own.T @ own, own.T @ self.rest)
+
+    def _without_model(self, values: Floats) -> Floats:
+        """Return what the rest of the model leaves of columns (row, column)."""
+        if not self.model.shape[1]:
+            return values
+        left = values - self.model @ (self._inverse @ (self.model.T @ values))
+        # What is left of a combination of the model's columns is rounding.
+        left[:, np.sum(left**2, axis=0) <= LEAST_KEPT * np.sum(values**2, axis=0)] = 0.0
+        return np.asarray(left)
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        inner = self.model.T @ self.model
+        return solve_scaled(inner, np.eye(len(inner)))
 
     def _rows(self, terms: Sequence[Term]) -> DesignRows:
         channels = {name for term in terms for name in term.entry.effect.channels if name}
@@ -832,6 +899,34 @@ class LagProfile:
         }
 
 
+def scan_lags(
+    gram: Floats, present: ModelColumns, bank: Mapping[float, Index], y: int
+) -> tuple[Floats, Floats]:
+    """Return lags (lag,), s, and the sum of squares each explains by combinations of the bank (lag,), nT^2.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (column, column)
+        The calibration marginalised.
+    bank : mapping of float to ndarray
+        Lag in seconds -> its columns, the same number for each.
+    """
+    lags = np.array(sorted(bank))
+    largest = float(lags[-1])
+    smallest = float(lags[lags > 0][0]) if np.any(lags > 0) else 1.0
+    lowest, highest = smallest * LAG_SETTINGS.lower, LAG_SETTINGS.upper * largest
+    grid = np.concatenate([[0.0], np.geomspace(lowest, highest, LAG_SETTINGS.profile)])
+    columns = np.concatenate([bank[lag] for lag in lags])
+    size = len(bank[lags[0]])
+    mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
+    remaining = project_out(gram, present)
+    own = remaining[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
+    cross = remaining[columns, y].reshape(lags.size, size)
+    matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
+    half = inverse_square_root(matrices)
+    return grid, np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
+
+
 def profile_lag(
     grams: GramBlocks,
     present: ModelColumns,
@@ -848,30 +943,9 @@ def profile_lag(
     folds : sequence of ndarray
         Blocks left out together for the error.
     """
-    lags = np.array(sorted(bank))
-    largest = float(lags[-1])
-    smallest = float(lags[lags > 0][0]) if np.any(lags > 0) else 1.0
-    grid = np.concatenate(
-        [
-            [0.0],
-            np.geomspace(smallest * LAG_SETTINGS.lower, LAG_SETTINGS.upper * largest, LAG_SETTINGS.profile),
-        ]
-    )
-    columns = np.concatenate([bank[lag] for lag in lags])
-    size = len(bank[lags[0]])
-    mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
-
-    def explained(gram: Floats) -> Floats:
-        remaining = project_out(gram, present)
-        own = remaining[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
-        cross = remaining[columns, y].reshape(lags.size, size)
-        matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
-        half = inverse_square_root(matrices)
-        return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
-
     total = grams.total
-    whole = explained(total)
-    others = [_peak(grid, explained(total - held)) for held in grams.sums(folds)]
+    grid, whole = scan_lags(total, present, bank, y)
+    others = [_peak(*scan_lags(total - held, present, bank, y)) for held in grams.sums(folds)]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
     base = float(project_out(total, present)[y, y])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -211,7 +212,15 @@ class Series:
 
     def rows(self, matrices: dict[str, Floats], more: dict[str, xr.Variable]) -> DesignRows:
         """Return the series as rows, so that columns can be made from it."""
-        data = dict(more) | {"tt2000": xr.Variable("time", self.tt2000)}
+        residual = self["residual"].reshape(len(self.values), -1)
+        directions = {name: self.direction(name) for name in self.features.sensors}
+        samples = xr.Dataset({**self._variables, **more})
+        return DesignRows(samples, residual, directions, matrices, self["weight"], self.row_filter)
+
+    @cached_property
+    def _variables(self) -> dict[str, xr.Variable]:
+        """Channels, geometry and readings, as effects take them."""
+        data = {"tt2000": xr.Variable("time", self.tt2000)}
         for name in (*self.channels, *_ROLES, "field"):
             if name in self.features.names:
                 # A missing reading is stored as 0: a rate of change across it would be enormous.
@@ -219,6 +228,4 @@ class Series:
                 unit = self.features.units[self.features.names.index(name)]
                 data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
-        residual = self["residual"].reshape(len(self.values), -1)
-        directions = {name: self.direction(name) for name in self.features.sensors}
-        return DesignRows(xr.Dataset(data), residual, directions, matrices, self["weight"], self.row_filter)
+        return data

@@ -16,7 +16,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import LagProfile, add_interactions, profile_lag
+from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, add_interactions, bank_of, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
     Structure,
@@ -279,13 +279,8 @@ def column_unit(mission: Mission, term: Term, column: str) -> str:
 
 def lag_profile(search: Search, option: Option) -> LagProfile | None:
     """Return how well each lag would do in an option's place; None when its mechanism has no lags."""
-    form = search.forms["raw"]
-    bank = {
-        other.lag_s: form.index(other.columns)
-        for other in search.options
-        if other.mechanism == option.mechanism and len(other.columns) == len(option.columns)
-    }
-    if len(bank) < 3 or option.change is not None:
+    form, bank = search.forms["raw"], bank_of(search, option)
+    if len(bank) < LAG_SETTINGS.fewest or option.change is not None:
         return None
     return profile_lag(form, search.present("raw", option), bank, search.y(), make_folds(len(form)))
 

@@ -19,6 +19,7 @@ from .covariance import (
     with_variance_floor,
 )
 from .gram_blocks import (
+    LEAST_KEPT,
     RESIDUAL,
     BlockSums,
     GramArrays,
@@ -51,6 +52,7 @@ from .solver import (
 __all__ = [
     "BIWEIGHT_RMS_FACTOR",
     "BIWEIGHT_WIDTH",
+    "LEAST_KEPT",
     "MAD_TO_SIGMA",
     "RESIDUAL",
     "SOLVER_SETTINGS",

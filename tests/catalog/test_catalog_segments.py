@@ -271,7 +271,6 @@ def test_the_manifest_finds_changed_missing_and_added_files(tmp_path):
 
 
 def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch):
-    from inflight.catalog import segments
 
     honest = zarr.open_array
 
