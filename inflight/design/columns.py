@@ -67,6 +67,16 @@ class DesignRows:
     weight: Floats
     row_filter: RowFilter | None = None
 
+    def part(self, rows: slice) -> DesignRows:
+        """Return some consecutive rows."""
+        return replace(
+            self,
+            samples=self.samples.isel(time=rows),
+            residual=self.residual[rows],
+            directions={name: one[rows] for name, one in self.directions.items()},
+            weight=self.weight[rows],
+        )
+
 
 def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     """Return the matrix of every sensor that has an equation, row by row; (9,) each."""

@@ -22,7 +22,7 @@ well each lag explains the residual.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from itertools import combinations, pairwise
@@ -43,6 +43,7 @@ from inflight.diagnosis.residual import (
 )
 from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out
 from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, Search
+from inflight.diagnosis.series import Series
 from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
@@ -166,21 +167,43 @@ class InteractionSettings:
         A factor that varies by less than this part of its size is a constant; assumed.
     own_t : float
         A channel is strong when its own effect reaches this t; assumed.
-    most_rows : int
-        Rows of the series at most: of longer records a user asks for a product by name; a bound on time.
     """
 
     channels: int = 8
     pairs: int = 60
     steady: float = 1e-3
     own_t: float = 1.0
-    most_rows: int = 400_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignSettings:
+    """How columns are made of the coarse series: bounds on memory and time, assumed.
+
+    Attributes
+    ----------
+    kept, part : int
+        Numbers that all columns of the series may hold to be kept for later, and those that are made at once
+        where they may not.
+    before_days : int
+        Slow responses begin so long before a part: many times the longest lag.
+    margin : int
+        Rows around a part that rates of change need.
+    most_rows : int
+        Rows of the series at most: in longer records the best of the bank's forms stands.
+    """
+
+    kept: int = 100_000_000
+    part: int = 10_000_000
+    before_days: int = 3
+    margin: int = 4
+    most_rows: int = 450_000
 
 
 LAG_SETTINGS = LagSettings()
 WIDTH_SETTINGS = WidthSettings()
 CHANGE_TIME_SETTINGS = ChangeTimeSettings()
 INTERACTION_SETTINGS = InteractionSettings()
+DESIGN_SETTINGS = DesignSettings()
 
 #: Angles: a field may follow them, but no product with them means anything.
 ANGLES = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
@@ -196,7 +219,7 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     series; the model still holds the option itself (see `Search.exchange`).
     """
     if not can_add_columns(search, data):
-        return search, option
+        return _with_lag(search, data, option) if _has_bank(search, option) else (search, option)
     if option.change is not None:
         return refine_change_time(search, data, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
@@ -242,11 +265,19 @@ def bank_of(search: Search, option: Option) -> dict[float, Index]:
     }
 
 
+def _has_bank(search: Search, option: Option) -> bool:
+    """Return True for an effect of one slow channel whose mechanism has enough lags to combine."""
+    is_slow = option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1
+    if option.change is not None or not is_slow or set(option.channels) & search.library.unlagged:
+        return False
+    return len(bank_of(search, option)) >= LAG_SETTINGS.fewest
+
+
 def _lag_of_bank(search: Search, option: Option) -> float | None:
     """Return about which lag explains most, by the Gram blocks alone; None when the bank is too small."""
-    bank = bank_of(search, option)
-    if len(bank) < LAG_SETTINGS.fewest:
+    if not _has_bank(search, option):
         return None
+    bank = bank_of(search, option)
     return _peak(*scan_lags(search.forms["raw"].total, search.present("raw", option), bank, search.y()))
 
 
@@ -407,7 +438,8 @@ def _with_term(
         option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag, lag_sigma_s=sigma
     )
     if term.key not in search.library.terms:
-        search = join_terms(search, data, [term])
+        joins = can_add_columns(search, data)
+        search = join_terms(search, data, [term]) if joins else _join_combination(search, option, term, lag)
     return search.with_options([made]), made
 
 
@@ -718,8 +750,9 @@ def add_interactions(
 
 
 def can_add_columns(search: Search, data: DiagnosisData) -> bool:
-    """Return True when columns can still be made: of long records the days' own equations are gone."""
-    return search.shared.within is None and len(data.series.tt2000) <= INTERACTION_SETTINGS.most_rows
+    """Return True when columns can be made of the series: its rows are those of the Gram blocks."""
+    rows, found = data.series.tt2000.size, data.series
+    return rows <= DESIGN_SETTINGS.most_rows and found.step_s < 1.5 * data.cadence_s
 
 
 def _channel_pairs(
@@ -773,68 +806,168 @@ def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
 
 def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:
     """Return the state with the columns of new terms in its Gram blocks."""
-    # The design matrix of all terms is cached: a further column costs its own making only.
-    series, known = data.series, search.design_cache
-    new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known.names)]
-    channels = {name for term in new for name in term.entry.effect.channels if name}
-    rows = series.rows(data.sensor_matrices, derived_channels(series, channels, search.library.placebos))
-    made = [design_matrix([term], rows).astype(np.float32) for term in new]
-    names = (*known.names, *(name for term in new for name in term.columns))
-    cache = CachedDesign(names, (*known.pieces, *made))
-    raw, white = _borders(search, data, terms, cache)
-    return replace(search.join(terms, raw, white), design_cache=cache)
+    names, cache, parts = _library_columns(search, data, terms)
+    sums = _BorderSums.of(search, names, terms)
+    for part, columns in parts:
+        sums.add(data, part, columns)
+    return replace(search.join(terms, *sums.borders(search)), design_cache=cache)
 
 
-def _borders(
-    search: Search, data: DiagnosisData, terms: Sequence[Term], cache: CachedDesign
-) -> tuple[Border, Border]:
-    """Return the terms' products with all columns, raw and prewhitened."""
-    series, names = data.series, list(cache.names)
-    fresh = [name for term in terms for name in term.columns]
-    places = [names.index(name) for name in fresh]
-    residual = series["residual"].reshape(len(series.tt2000), -1, 1)
-    grams = [np.zeros((len(search.raw), len(names) + 1, len(fresh))) for _ in range(2)]
-    day = (series.tt2000 - series.tt2000[0]) // DAY
-    edges = [0, *(np.flatnonzero(np.diff(day)) + 1).tolist(), len(day)]
-    for part in [slice(a, b) for a, b in pairwise(edges) if b > a]:
-        weight, stamps, block = series["weight"][part], series.tt2000[part], series.block[part]
-        used = np.where((weight > 0)[:, None, None], np.nan_to_num(residual[part]), 0.0)
-        columns = np.concatenate([*(piece[part] for piece in cache.pieces), used], axis=2)
-        white = prewhiten(columns, weight, stamps, data.correlation_time_s)
-        for gram, values in zip(grams, (columns, white), strict=True):
-            scaled = values * np.sqrt(weight)[:, None, None]
-            for number in np.unique(block):
-                flat = scaled[block == number].reshape(-1, values.shape[2])
-                gram[number] += flat.T @ flat[:, places]
-    changes = {
-        name: source
-        for option in search.accepted
-        if option.change
-        for name, source in option.change.functions.items()
-    }
-    return (
-        _border(search.raw, grams[0], names, terms, changes),
-        _border(search.white, grams[1], names, terms, changes),
+def _join_combination(search: Search, option: Option, term: Term, lag: float) -> Search:
+    """Return the state with a response of another lag, as a combination of the bank's; see `lag_weights`."""
+    names = search.forms["raw"].names
+    bank = {one: [names[place] for place in places] for one, places in bank_of(search, option).items()}
+    lags = tuple(sorted(bank))
+    weights = lag_weights(lag, lags)
+
+    def border(grams: GramBlocks) -> Border:
+        rows = sum(weight * grams.rows(bank[one]) for weight, one in zip(weights, lags, strict=True))
+        across = np.asarray(rows).transpose(0, 2, 1)
+        inner = sum(
+            weight * across[:, grams.index(bank[one])] for weight, one in zip(weights, lags, strict=True)
+        )
+        return across, np.asarray(inner)
+
+    within = search.shared.within
+    return search.join(
+        [term], border(search.raw), border(search.white), None if within is None else border(within)
     )
 
 
-def _border(
-    grams: GramBlocks,
-    gram: Floats,
-    names: Sequence[str],
-    terms: Sequence[Term],
-    changes: dict[str, tuple[str, Floats]],
-) -> Border:
-    """Return the fresh columns' products with those of the Gram blocks, changes in time among them."""
-    fresh = [name for term in terms for name in term.columns]
-    places = {name: place for place, name in enumerate([*names, "residual"])}
-    across = np.zeros((len(grams), len(grams.names), len(fresh)))
-    for place, name in enumerate(grams.names):
-        source, factor = changes.get(name, (name, None))
-        if source in places:
-            piece = gram[:, places[source]]
-            across[:, place] = piece if factor is None else piece * np.asarray(factor)[:, None]
-    return across, gram[:, [places[name] for name in fresh]]
+def _library_columns(
+    search: Search, data: DiagnosisData, terms: Sequence[Term]
+) -> tuple[list[str], CachedDesign, Iterator[tuple[slice, Floats]]]:
+    """Return the names of all columns, those to be kept, and all columns of some days at a time.
+
+    Where the columns of the whole series are few enough they are kept: a further one costs its own making
+    only. Else they are made again, some days at a time.
+    """
+    series, known = data.series, search.design_cache
+    every = [*search.library.all_terms, *terms]
+    days = _days_of(series)
+    size = sum(len(term.columns) for term in every) * series.features.rows
+    if series.row_filter is None and size * len(series.tt2000) > DESIGN_SETTINGS.kept:
+        names = [name for term in every for name in term.columns]
+        usual = len(series.tt2000) / len(days)
+        count = max(1, int(DESIGN_SETTINGS.part / (size * usual)))
+        spans = [slice(days[at].start, days[at : at + count][-1].stop) for at in range(0, len(days), count)]
+        return names, CachedDesign(), ((span, _columns_of_part(search, data, every, span)) for span in spans)
+    new = [term for term in every if not set(term.columns) <= set(known.names)]
+    rows = series.rows(
+        data.sensor_matrices, derived_channels(series, _channels_of(new), search.library.placebos)
+    )
+    made = [design_matrix([term], rows).astype(np.float32) for term in new]
+    names = [*known.names, *(name for term in new for name in term.columns)]
+    pieces = (*known.pieces, *made)
+    parts = ((day, np.concatenate([piece[day] for piece in pieces], axis=2)) for day in days)
+    return names, CachedDesign(tuple(names), pieces), parts
+
+
+def _days_of(series: Series) -> list[slice]:
+    """Return the rows of each day."""
+    day = (series.tt2000 - series.tt2000[0]) // DAY
+    edges = [0, *(np.flatnonzero(np.diff(day)) + 1).tolist(), len(day)]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def _channels_of(terms: Sequence[Term]) -> set[str]:
+    return {name for term in terms for name in term.entry.effect.channels if name}
+
+
+def _columns_of_part(search: Search, data: DiagnosisData, terms: Sequence[Term], part: slice) -> Floats:
+    """Return the columns of a part of the series; slow responses begin some days before it."""
+    series = data.series
+    begin = int(np.searchsorted(series.tt2000, series.tt2000[part.start] - DESIGN_SETTINGS.before_days * DAY))
+    wide = slice(begin, min(part.stop + DESIGN_SETTINGS.margin, len(series.tt2000)))
+    derived = derived_channels(series, _channels_of(terms), search.library.placebos, wide)
+    rows = series.part(wide).rows(data.sensor_matrices, derived)
+    first = max(part.start - begin - DESIGN_SETTINGS.margin, 0)
+    found = design_matrix(terms, rows.part(slice(first, None)))
+    return found[part.start - begin - first :][: part.stop - part.start]
+
+
+@dataclass
+class _BorderSums:
+    """Products of the fresh columns with all columns, raw, prewhitened, and calibrated anew each day.
+
+    Attributes
+    ----------
+    names : sequence of str
+        All columns.
+    terms : sequence of Term
+        Whose columns are fresh.
+    fresh, base : ndarray of int
+        Places of the fresh ones and of the calibration's own.
+    raw, white : ndarray, shape (block, column + 1, fresh column)
+        The residual last.
+    within : ndarray, optional
+        The same of the within-day form, where blocks are longer than a day.
+    """
+
+    names: Sequence[str]
+    terms: Sequence[Term]
+    fresh: Index
+    base: Index
+    raw: Floats
+    white: Floats
+    within: Floats | None
+
+    @classmethod
+    def of(cls, search: Search, names: Sequence[str], terms: Sequence[Term]) -> _BorderSums:
+        places = {name: place for place, name in enumerate(names)}
+        fresh = np.array([places[name] for term in terms for name in term.columns], dtype=np.int64)
+        base = np.array([places[name] for name in search.base()[0]], dtype=np.int64)
+        shape = (len(search.raw), len(names) + 1, fresh.size)
+        within = None if search.shared.within is None else np.zeros(shape)
+        return cls(names, terms, fresh, base, np.zeros(shape), np.zeros(shape), within)
+
+    def add(self, data: DiagnosisData, part: slice, columns: Floats) -> None:
+        """Add the rows of some days."""
+        series = data.series.part(part)
+        residual = series["residual"].reshape(len(series.tt2000), -1, 1)
+        used = np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(residual), 0.0)
+        every = np.concatenate([columns, used], axis=2)
+        for day in _days_of(series):
+            values, weight, stamps = every[day], series["weight"][day], series.tt2000[day]
+            white = prewhiten(values, weight, stamps, data.correlation_time_s)
+            root = np.sqrt(weight)[:, None, None]
+            for number in np.unique(series.block[day]):
+                inside = series.block[day] == number
+                flat, filtered = (
+                    (one[inside] * root[inside]).reshape(-1, one.shape[2]) for one in (values, white)
+                )
+                self.raw[number] += flat.T @ flat[:, self.fresh]
+                self.white[number] += filtered.T @ filtered[:, self.fresh]
+                if self.within is not None:
+                    own = flat[:, self.base]
+                    left = flat[:, self.fresh] - own @ solve_scaled(own.T @ own, own.T @ flat[:, self.fresh])
+                    self.within[number] += flat.T @ left
+
+    def borders(self, search: Search) -> tuple[Border, Border, Border | None]:
+        """Return the borders of the raw, prewhitened and within-day Gram blocks."""
+        changes = {
+            name: source
+            for option in search.accepted
+            if option.change
+            for name, source in option.change.functions.items()
+        }
+        apart = search.shared.within
+        return (
+            self._border(search.raw, self.raw, changes),
+            self._border(search.white, self.white, changes),
+            None if apart is None or self.within is None else self._border(apart, self.within, changes),
+        )
+
+    def _border(self, grams: GramBlocks, gram: Floats, changes: Mapping[str, tuple[str, Floats]]) -> Border:
+        """Return the fresh columns' products with those of Gram blocks, changes in time among them."""
+        places = {name: place for place, name in enumerate([*self.names, "residual"])}
+        across = np.zeros((len(grams), len(grams.names), self.fresh.size))
+        for place, name in enumerate(grams.names):
+            source, factor = changes.get(name, (name, None))
+            if source in places:
+                piece = gram[:, places[source]]
+                across[:, place] = piece if factor is None else piece * np.asarray(factor)[:, None]
+        return across, gram[:, self.fresh]
 
 
 # Lags of the bank.

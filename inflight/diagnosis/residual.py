@@ -238,9 +238,15 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
 
 def derived_channels(
-    series: Series, names: set[str], shifts: Mapping[str, float] | None = None
+    series: Series,
+    names: set[str],
+    shifts: Mapping[str, float] | None = None,
+    rows: slice = slice(None),
 ) -> dict[str, xr.Variable]:
-    """Return derived channels on the series' own rows; placebos shifted by `shifts`, seconds."""
+    """Return derived channels on the series' own rows, or on a part of them.
+
+    Placebos are shifted by `shifts`, seconds, in the whole series; slow responses begin with the part.
+    """
     out: dict[str, xr.Variable] = {}
     known = set(series.channels)
     units = dict(zip(series.features.names, series.features.units, strict=True))
@@ -253,8 +259,9 @@ def derived_channels(
             if part.placebo:
                 shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0)
                 values = np.roll(values, round(shift / series.step_s), axis=0)
+            values = values[rows]
             if part.lag_s or part.width:
-                values = part.of(values, np.diff(series.tt2000) / SECOND)
+                values = part.of(values, np.diff(series.tt2000[rows]) / SECOND)
             factors.append(values)
         made = channel_product(factors)
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)

@@ -13,7 +13,7 @@ is near it. A change is therefore judged with intervals whose edges keep away fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -239,7 +239,8 @@ class SharedGrams:
     precision : ndarray, shape (column,)
         Prior precision of these, scaled.
     within : GramBlocks, optional
-        The within-day form of blocks longer than a day, marginalised when they were made.
+        The within-day form of blocks longer than a day, marginalised when they were made. Columns that are
+        added to the others are added to it, too.
     intervals : sequence of sequence of int
         Calibration intervals the forms were made for.
     forms : dict of str to GramBlocks
@@ -277,12 +278,16 @@ class SharedGrams:
         """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
         if set(functions) & set(self.raw.names):
             # Columns of a change that was dropped lack the products with what joined since.
-            kept = [name for name in self.raw.names if name not in functions][: -len(self.raw.residuals)]
-            self.raw, self.white = self.raw.select(kept), self.white.select(kept)
+            self.raw, self.white = _without(self.raw, functions), _without(self.white, functions)
+            self.within = self.within and _without(self.within, functions)
+        scale = self.raw.scale[self.raw.index([source for source, _ in functions.values()])]
         self.raw, self.white = self.raw.expand(functions), self.white.expand(functions)
+        self.within = self.within and _expand_within(self.within, functions, scale)
         self.forms.clear()
 
-    def join(self, names: Sequence[str], scale: Floats, raw: Border, white: Border) -> None:
+    def join(
+        self, names: Sequence[str], scale: Floats, raw: Border, white: Border, within: Border | None = None
+    ) -> None:
         """Add columns to the Gram blocks and to the forms there are, one after the other.
 
         Parameters
@@ -292,13 +297,44 @@ class SharedGrams:
             Physical size of one unit of each new column.
         raw, white : (across, inner)
             Products of the new columns with those there are, and with each other (`GramBlocks.bordered`).
+        within : (across, inner), optional
+            The same of the within-day form, where blocks are longer than a day.
         """
+        if self.within is not None:
+            if within is None:
+                raise ValueError("blocks longer than a day need the within-day products of new columns")
+            self.within = self.within.bordered(names, scale, *within)
         for form, (source, groups) in self._sources().items():
+            if form == "within" and self.within is not None:
+                self.forms[form] = self.within
+                continue
             border = white if form == "white" else raw
             rest = source.marginalised_border(self.base, groups, self.precision, *border)
             self.forms[form] = self.forms[form].bordered(names, scale, *rest)
         self.raw = self.raw.bordered(names, scale, *raw)
         self.white = self.white.bordered(names, scale, *white)
+
+
+def _without(grams: GramBlocks, names: Collection[str]) -> GramBlocks:
+    """Return the blocks without some columns."""
+    return grams.select([name for name in grams.names if name not in names][: -len(grams.residuals)])
+
+
+def _expand_within(
+    grams: GramBlocks, functions: Mapping[str, tuple[str, Floats]], scale: Floats
+) -> GramBlocks:
+    """Return the within-day form with columns added that are others times a function of the block.
+
+    Days are calibrated anew in it: nothing is left of a column of the calibration times a constant.
+    """
+    places = [place for place, (source, _) in enumerate(functions.values()) if source not in grams.names]
+    lost = [name for name, (source, _) in functions.items() if source not in grams.names]
+    kept = {name: found for name, found in functions.items() if name not in lost}
+    grams = grams.expand(kept) if kept else grams
+    if not lost:
+        return grams
+    across = np.zeros((len(grams), len(grams.names), len(lost)))
+    return grams.bordered(lost, scale[places], across, np.zeros((len(grams), len(lost), len(lost))))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -740,12 +776,12 @@ class Search:
         """Return the state with more options to choose from."""
         return replace(self, options=(*self.options, *options))
 
-    def join(self, terms: Sequence[Term], raw: Border, white: Border) -> Search:
+    def join(self, terms: Sequence[Term], raw: Border, white: Border, within: Border | None = None) -> Search:
         """Return the state with the columns of new terms in its Gram blocks; see `SharedGrams.join`."""
         names = [name for term in terms for name in term.columns]
         scale = np.array([one for term in terms for one in term.scale])
         self.shared.forms_for(self.intervals)
-        self.shared.join(names, scale, raw, white)
+        self.shared.join(names, scale, raw, white, within)
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
         return replace(self, library=library)
 

@@ -183,6 +183,16 @@ class Series:
         values[rows, self.features.place("weight")] = 0.0
         return replace(self, values=values)
 
+    def part(self, rows: slice) -> Series:
+        """Return some consecutive rows."""
+        return replace(
+            self,
+            tt2000=self.tt2000[rows],
+            values=self.values[rows],
+            block=self.block[rows],
+            missing={name: lost[rows] for name, lost in self.missing.items()},
+        )
+
     def __getitem__(self, name: str) -> Floats:
         """Return a feature; (sample,) or (sample, component)."""
         place = self.features.place(name)

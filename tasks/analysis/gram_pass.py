@@ -127,7 +127,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-GRAM_VERSION = 14
+GRAM_VERSION = 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,9 +138,9 @@ class PassSettings:
     ----------
     geometry_gaps : float
         Days lose the bins without geometry when these are at most this part of them; assumed.
-    series_s, long_days : float, int
-        Rows of the series are at least so far apart, s, in records of more than so many days: a bound on
-        memory.
+    series_rows : int
+        Rows of the series at most: a bound on memory. Up to so many it has those of the Gram blocks, so that
+        columns can be made of it.
     placebos : int
         Channels that get a placebo (MISSING_EFFECT 2.1: about 20).
     surveyed_days, surveyed_samples : int
@@ -164,8 +164,7 @@ class PassSettings:
     """
 
     geometry_gaps: float = 0.3
-    series_s: float = 60.0
-    long_days: int = 100
+    series_rows: int = 450_000
     placebos: int = 16
     surveyed_days: int = 12
     surveyed_samples: int = 20_000
@@ -173,7 +172,13 @@ class PassSettings:
     most_blocks: int = 200
     correlation_time_s: float = 600.0
     correlation_spans: float = 50.0
-    cadences: tuple[tuple[float, float], ...] = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
+    cadences: tuple[tuple[float, float], ...] = (
+        (2.0, 10.0),
+        (20.0, 10.0),
+        (70.0, 20.0),
+        (150.0, 30.0),
+        (np.inf, 60.0),
+    )
     steady: float = 1e-9
     rows: int = 5000
     short_days: int = 3
@@ -249,8 +254,7 @@ class PassPlan:
         """Bins that become one row of the series."""
         if self.folding is not None:
             return 1
-        spacing_s = PASS_SETTINGS.series_s if len(self.days) > PASS_SETTINGS.long_days else 0.0
-        return max(1, round(spacing_s * SECOND / self.cadence_ns))
+        return max(1, -(-(self.span[1] - self.span[0]) // (self.cadence_ns * PASS_SETTINGS.series_rows)))
 
     @property
     def folding(self) -> Folding | None:

@@ -1,0 +1,30 @@
+"""A search over hundreds of days: blocks of several days take the same steps as those of hours."""
+
+import numpy as np
+import pytest
+from long_mission import DRIFT, HEATER, HEATER_LAG_S, STEP_S, make_long_workspace
+
+from inflight.catalog import Workspace
+from inflight.tasks.analysis import diagnose
+
+
+@pytest.fixture(scope="module", params=[261, pytest.param(1000, marks=pytest.mark.slow)])
+def found(request, tmp_path_factory):
+    root = tmp_path_factory.mktemp("long") / "mission"
+    return diagnose(make_long_workspace(root, request.param), Workspace.open(root).mission())
+
+
+def test_a_slow_field_and_an_ageing_sensor_are_told_and_nothing_else(found):
+    names = [one["name"].split("@")[0] for one in found.as_json()["effects"]]
+    assert names == ["channel_field(heater_current)", "scale_drift"]
+
+
+def test_the_lag_and_the_sizes_come_back(found):
+    heater, drift = found.as_json()["effects"]
+    # The channel is known at the end of each step only: on average it is half a step late.
+    assert heater["lag_s"] == pytest.approx(HEATER_LAG_S - STEP_S / 2, rel=0.05)
+    told = np.array([one["value"] for one in heater["coefficients"]])
+    assert told == pytest.approx(HEATER, abs=2e-5)
+    told = np.array([one["value"] for one in drift["coefficients"]])
+    # A reading that grows is calibrated by a factor that falls.
+    assert told == pytest.approx(-DRIFT, rel=0.15)
