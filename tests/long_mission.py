@@ -1,8 +1,8 @@
 """A mission of hundreds of days, written into its archive directly, a sample every eight minutes.
 
-A rotating vector magnetometer beside an absolute one, a heater that switches and a panel whose current follows
-the orbit. Not in the model are the heater's field, which follows its current slowly, and scale factors that
-drift.
+A rotating vector magnetometer beside an absolute one, a heater that switches and a panel whose current
+follows the orbit. Not in the model are the heater's field, which follows its current slowly, and the drift of
+the scale factors.
 """
 
 from pathlib import Path

@@ -106,8 +106,13 @@ def term_columns(term: Term, rows: DesignRows) -> Floats:
     values = {name: np.array(value) for name, value in entry.values(times).items()}
     out = []
     for name in term.parameters:
+        step = kinds[name].step
+        if entry.is_additive and entry.effect.acts_along_axes():
+            series = -step * entry.effect.along_axes(rows.samples, name)
+            direction = rows.directions[entry.sensor.name]
+            out += [direction[:, :, index] * series[:, None] for index in range(kinds[name].size)]
+            continue
         for index in range(kinds[name].size):
-            step = kinds[name].step
             if entry.is_additive:
                 out.append(_additive(term, rows, values, name, index, step))
             else:

@@ -476,7 +476,9 @@ class FormTrials:
         self.block = np.repeat(self.series.block, self.rows.residual.shape[1])
         self.root = np.sqrt(np.repeat(self.rows.weight, self.rows.residual.shape[1]))
         base = self._flat(search.library.base, self.rows)
-        self.groups = [np.isin(self.block, np.asarray(group)) for group in search.intervals]
+        # Rows are in order of time, and so are the blocks of each interval.
+        edges = [np.searchsorted(self.block, [group[0], group[-1] + 1]) for group in search.intervals]
+        self.groups = [slice(int(first), int(last)) for first, last in edges]
         self.basis = [np.linalg.qr(base[group])[0] for group in self.groups] if base.shape[1] else []
         self.y = self._marginalised((self.rows.residual.reshape(-1) * self.root)[:, None])[:, 0]
         self.model = self._marginalised(self._flat(kept, self.rows))

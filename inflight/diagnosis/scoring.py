@@ -99,14 +99,13 @@ class Fits:
             return None
         first, second = self.candidates[one], self.candidates[other]
         columns = np.concatenate([self.present, first, second])
-        out = np.zeros(len(self.grams))
+        values = np.zeros((len(self.grams), columns.size))
         for fold, own, fitted in self.folds:
             own_one = own[:, first] @ fitted[one]
             own_other = own[:, second] @ fitted[other]
-            values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
-            blocks = self.grams.rows(columns, columns, fold)
-            out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
-        return np.maximum(out, 0.0)
+            values[fold] = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
+        rows = np.matmul(self.grams.rows(columns, columns), values[:, :, None])[:, :, 0]
+        return np.asarray(np.maximum(np.sum(rows * values, axis=1), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -450,13 +449,15 @@ def sign_flip_ratios(
     gram = project_out(grams.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
-    for place, columns in enumerate(candidates):
-        half = inverse_square_root(gram[np.ix_(columns, columns)][None])[0]
-        own = summed[:, columns] @ half
-        drawn = np.sum((signs @ own) ** 2, axis=1)
-        usual = max(float(drawn.mean()), 1e-300)
-        observed[place] = float(np.sum(own.sum(axis=0) ** 2)) / usual
-        flipped[:, place] = drawn / usual
+    for positions, columns in group_by_size(candidates):
+        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
+        # (unit, candidate, k): the statistics in directions that are independent of each other.
+        own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 0, 2)
+        drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape)
+        squares = np.sum(drawn**2, axis=2)
+        usual = np.maximum(squares.mean(axis=0), 1e-300)
+        observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=1) / usual
+        flipped[:, positions] = squares / usual
     return observed, flipped
 
 

@@ -353,6 +353,20 @@ class Effect:
         """Return what the cause adds at `sensor`; (time, axis) nT in the vector sensor's orthogonal axes."""
         raise NotImplementedError(f"{type(self).__name__} adds no field")
 
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return what multiplies each axis of a parameter in `field`; (time,).
+
+        To be defined beside `field`, where that is a sum of parameters (axis) times one series each: columns
+        are then made of the series, without a field for every axis.
+        """
+        raise NotImplementedError(f"the field of {type(self).__name__} is no series times a vector")
+
+    @classmethod
+    def acts_along_axes(cls) -> bool:
+        """Return True when `along_axes` is defined with the `field` in use."""
+        owner = next(kind for kind in cls.__mro__ if "field" in vars(kind))
+        return owner is not Effect and "along_axes" in vars(owner)
+
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the effect in it; (time, axis) or, for a scalar sensor, (time,) nT."""
         if self.follows_field and not sensor.is_scalar:

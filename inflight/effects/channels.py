@@ -52,7 +52,11 @@ class ChannelField(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * channel``; (time, axis) nT."""
-        return np.asarray(self.drive(samples, "coefficient")[:, None] * values["coefficient"])
+        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the channel, in units of the parameter; (time,)."""
+        return self.drive(samples, parameter)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -70,7 +74,11 @@ class ChannelPower(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * channel ** 2``; (time, axis) nT."""
-        return np.asarray(self.drive(samples, "coefficient")[:, None] * values["coefficient"])
+        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the channel, in units of the parameter; (time,)."""
+        return self.drive(samples, parameter)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -116,8 +124,11 @@ class ChannelRate(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * dc/dt``; (time, axis) nT."""
-        rate = time_derivative(self.drive(samples, "coefficient"), samples["tt2000"].values)
-        return np.asarray(rate[:, None] * values["coefficient"])
+        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the channel's rate of change; (time,)."""
+        return time_derivative(self.drive(samples, parameter), samples["tt2000"].values)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -151,9 +162,13 @@ class Hysteresis(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of both; (time, axis) nT."""
-        self.require_complete()
-        direct, play = self.drive(samples, "direct"), self.drive(samples, "play", 1)
+        direct, play = (self.along_axes(samples, name) for name in ("direct", "play"))
         return np.asarray(direct[:, None] * values["direct"] + play[:, None] * values["play"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the channel, or its play; (time,)."""
+        self.require_complete()
+        return self.drive(samples, parameter, ("direct", "play").index(parameter))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

@@ -32,7 +32,11 @@ class DayNight(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the field by day; (time, axis) nT."""
-        return np.asarray(self.series(samples)[:, None] * values["vector"])
+        return np.asarray(self.along_axes(samples, "vector")[:, None] * values["vector"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return whether the Sun shines; (time,)."""
+        return self.series(samples)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

@@ -544,6 +544,10 @@ class GramArrays:
         """
         places = self.index([column for column, _ in functions.values()])
         factors = np.stack([factor for _, factor in functions.values()], axis=1)
+        if self.reference is None and self.scatter is None:
+            across = self.gram[:, :, places] * factors[:, None, :]
+            inner = self.gram[:, places[:, None], places] * factors[:, :, None] * factors[:, None, :]
+            return self.bordered(tuple(functions), self.scale[places], across, inner)
         own = len(self.names) - len(self.residuals)
         origin = np.insert(np.arange(len(self.names)), own, places)
         weight = np.ones((len(self), origin.size))
@@ -674,13 +678,15 @@ class GramArrays:
         gone = self.index(names)
         kept = np.setdiff1d(np.arange(len(self.names)), gone)
         out = np.empty((len(self), kept.size, kept.size), dtype=dtype)
+        # Small matrices many at a time, large ones one by one: what lies between fits into the cache.
+        at_once = max(1, 100_000 // kept.size**2)
         for group in [[block] for block in range(len(self))] if groups is None else groups:
             total = self.gram[np.ix_(np.asarray(group), gone)].sum(axis=0)
             fitted = solve_scaled(total[:, gone], total[:, kept], cut, precision)
-            for place in group:
-                gram = self.gram[place]
-                cross = fitted.T @ (gram[np.ix_(gone, kept)] - 0.5 * gram[np.ix_(gone, gone)] @ fitted)
-                out[place] = gram[np.ix_(kept, kept)] - cross - cross.T
+            for some in np.array_split(np.asarray(group), -(-len(group) // at_once)):
+                rows = self.gram[np.ix_(some, gone)]
+                cross = fitted.T @ (rows[:, :, kept] - 0.5 * rows[:, :, gone] @ fitted)
+                out[some] = self.gram[np.ix_(some, kept, kept)] - cross - cross.swapaxes(1, 2)
         names_kept = tuple(self.names[index] for index in kept)
         dead = np.diagonal(out.sum(axis=0, dtype=np.float64)) <= least_kept * np.diagonal(self.total)[kept]
         dead &= ~np.array([_is_residual(name) for name in names_kept])
