@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import provenance
 from inflight.catalog.database import Database
@@ -22,6 +21,9 @@ from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_sp
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
 from inflight.catalog.validity import certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _FOLDERS = ("staging", "stores", "releases")
 

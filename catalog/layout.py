@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.catalog.records import DayData, SegmentRow, utc_day
 from inflight.errors import ContentError
 from inflight.time import SECOND, TT2000_FILL, day_bounds
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Row dimension of a segment -> the variable that dates its rows.
 ROW_TIMES: Final = {"time": "tt2000", "block": "start"}

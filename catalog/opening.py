@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.catalog.layout import FIXED_ATTRIBUTES, ROW_TIMES, shared_attributes
 from inflight.catalog.records import Day
@@ -24,6 +23,7 @@ from inflight.time import to_utc
 
 if TYPE_CHECKING:
     import dask.array as da
+    import xarray as xr
 
 Array = npt.NDArray[Any]
 
@@ -59,6 +59,8 @@ def open_days(
     workspace: Path, days: Sequence[Day], span: Span, variables: Iterable[str] | None
 ) -> xr.Dataset:
     """Open published days as one lazy Dataset; the parameters and errors are those of `Catalog.open`."""
+    import xarray as xr
+
     requested = None if variables is None else list(variables)
     opened_days = [_Piece(open_store(str(workspace / day.segment)), day, *day.rows) for day in days]
     pieces = [_cut(piece, span) for piece in opened_days]
@@ -151,6 +153,8 @@ def _names_to_read(stores: Sequence[Store], dataset: str, variables: Iterable[st
 
 
 def _variable(name: str, stores: Sequence[Store], pieces: Sequence[_Piece]) -> xr.Variable:
+    import xarray as xr
+
     holders = [store for store in stores if name in store.variables]
     like = holders[0].variables[name]
     attributes, _ = shared_attributes([store.variables[name].attributes for store in holders])

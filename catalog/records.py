@@ -11,12 +11,14 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import xarray as xr
 
 from inflight.errors import CatalogError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: The states a day goes through; the last three are ends.
 DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work")

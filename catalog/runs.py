@@ -16,10 +16,9 @@ import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
-import xarray as xr
 from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.orm import Session
 
@@ -54,6 +53,9 @@ from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import as_date
 from inflight.catalog.validity import Certification, certify_table
 from inflight.errors import CatalogError, InflightError, IntegrityError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: States a caller may record; the others follow from staging and publishing.
 _RECORDED = ("planned", "running", "failed", "no_work")

@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numcodecs.blosc
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.catalog.encoding import Encoding, choose_encoding
 from inflight.catalog.faultpoints import fault_point
@@ -46,6 +45,7 @@ from inflight.catalog.records import DayData, Segment
 from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
 
 if TYPE_CHECKING:
+    import xarray as xr
     import zarr
 
 # The layout is ours on purpose: delta is the filter that makes the archive small, and consolidated

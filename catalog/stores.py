@@ -15,17 +15,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numcodecs.blosc
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.catalog.encoding import Encoding
 from inflight.catalog.layout import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
 from inflight.catalog.manifest import stated_hashes
 from inflight.errors import CatalogError, IntegrityError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = npt.NDArray[Any]
 
@@ -108,6 +110,8 @@ class Store:
 
     def dataset_of_day(self, index: int, names: Sequence[str], start: int, stop: int) -> xr.Dataset:
         """Read rows ``[start, stop)`` of day `index` as a Dataset, with the attributes of that day."""
+        import xarray as xr
+
         data = {
             name: (
                 self.variables[name].dims,

@@ -18,18 +18,19 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
-from ppigrf.ppigrf import read_shc
 
 from inflight.arrays import Floats
 from inflight.errors import MissionError, SamplesError
 from inflight.time import SECOND, Int64, to_utc, usual_step
 from inflight.units import factor_and_offset
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _J2000_TIME = np.datetime64("2000-01-01T12:00:00", "ns")
 
@@ -338,6 +339,8 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
 
 
 def _as_variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
+    import xarray as xr
+
     return {
         name: xr.Variable(("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
         for name, values in found.items()
@@ -503,6 +506,8 @@ def dipole_axis(days: Floats) -> Floats:
 @lru_cache(maxsize=1)
 def _first_degree() -> tuple[Floats, Floats]:
     """Return epochs (days since 1970) and g11, h11, g10 (epoch, 3), nT."""
+    from ppigrf.ppigrf import read_shc
+
     g, h = read_shc()
     epochs = g.index.to_numpy().astype("datetime64[ns]").astype(np.float64) / 86_400e9
     terms = [g[(1, 1)], h[(1, 1)], g[(1, 0)]]

@@ -11,6 +11,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -316,9 +317,15 @@ class Mission(Strict):
                     yield name, channel_name, channel
 
 
+@lru_cache(maxsize=4)
+def _tree_of(text: str) -> Any:
+    """Return the nodes of a YAML text, which nobody changes: a command reads its mission several times."""
+    return YAML(typ="rt").load(text)
+
+
 def _load_yaml(text: str, source: str) -> Any:
     try:
-        tree = YAML(typ="rt").load(text)
+        tree = _tree_of(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f"line {mark.line + 1}: " if mark else ""

@@ -17,7 +17,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import ModelError, SamplesError
@@ -28,6 +27,8 @@ from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_
 from inflight.units import factor_and_offset, product_factor
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.mission import Mission
 
 

@@ -11,11 +11,10 @@ From the field: soft magnetic parts and eddy currents (Tolles and Lawson; Leliak
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import (
@@ -33,6 +32,9 @@ from inflight.effects.families import channels_of, channels_of_kind, options_of_
 from inflight.effects.sensors import ANGLES, VECTOR_ROLES
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MATRIX = tuple(f"{row}{column}" for row in AXES for column in AXES)
 

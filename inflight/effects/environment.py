@@ -7,16 +7,18 @@ phase, the Sun's phase, local time, or a fixed period.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.channels import weighted_vectors
 from inflight.effects.families import channels_of_kind, has_orbit, has_sun_direction, options_of_channels
 from inflight.mission import Mission, Sensor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class DayNight(Effect):

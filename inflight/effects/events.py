@@ -7,11 +7,10 @@ for a single change.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
@@ -27,6 +26,9 @@ from inflight.effects.sensors import (
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
 from inflight.time import to_utc
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class _Dated(Effect):

@@ -7,10 +7,9 @@ section 2.5). `correct` gives the reading of a perfect sensor, `disturb` the raw
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, field_strength, multiply, time_derivative
@@ -18,6 +17,9 @@ from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
 from inflight.time import SECOND, usual_step
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 ANGLES = ("xy", "xz", "yz")
 

@@ -7,11 +7,10 @@ direction, or by the local time of the orbit (Yin 2010, section 3.4.1).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
@@ -19,6 +18,9 @@ from inflight.effects.channels import MATRIX, weighted_vectors
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Days in which the local time falls by 24 h, and the hour at which the thesis' schedule begins.
 PANEL_CYCLE_DAYS, PANEL_CYCLE_START_H = 260.5, 9.0

@@ -6,15 +6,17 @@ Twelve parameters chosen so that the spin separates them: gains, sensor directio
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import Effect, Parameter, Values, multiply
 from inflight.mission import Sensor
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def sensor_axes(elevation: Floats, azimuth: Floats) -> Floats:

@@ -19,17 +19,20 @@ A field that is the same at both vector sensors looks like one of the scalar sen
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import AXES
 from inflight.errors import CalibrationError
 from inflight.lsq import SOLVER_SETTINGS, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +96,8 @@ class Relation:
         not rotated; `stretch` (1) the symmetric rest, `shift` in nT. The matrix is taken apart exactly: half
         a milliradian squared matters.
         """
+        import xarray as xr
+
         matrix = np.eye(3) + _columns(np.eye(3) * _STRENGTH)[:, :, :9] @ self.fit.value[:9] / _STRENGTH
         # Row k of the product above is what the matrix makes of the k-th axis: its column.
         rotation, stretch = scipy.linalg.polar(matrix.T, side="left")
@@ -244,6 +249,8 @@ class ThreeCornerVariances:
 
     def table(self) -> xr.Dataset:
         """Return `value`, `sigma`, `covariance`, `units` along sensor: first, second, scalar."""
+        import xarray as xr
+
         names = ["first", "second", "scalar"]
         return xr.Dataset(
             {

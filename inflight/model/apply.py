@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import VECTOR_ROLES, Effect, with_field
@@ -21,6 +20,9 @@ from inflight.errors import SamplesError
 from inflight.mission import Sensor
 from inflight.model.time_dependence import TimedValue
 from inflight.samples import PlainSamples
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: What a correction makes of the vector reading.
 _FIELD = ["field", "field_direction"]

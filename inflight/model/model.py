@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import xarray as xr
 from ruamel.yaml import YAML
 
 from inflight.arrays import Floats
@@ -38,6 +37,8 @@ from inflight.samples import PlainSamples
 from inflight.units import product_factor
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.mission import Mission
 
 

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import field_direction
@@ -35,6 +34,8 @@ from inflight.samples import Folding
 from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.mission import Mission
 
 

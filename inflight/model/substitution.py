@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import Effect, Values
@@ -24,6 +24,9 @@ from inflight.model.apply import ModelEffect
 from inflight.model.model import Model
 from inflight.samples import channel_product, parse_channel
 from inflight.time import GAP, SECOND, Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Rows = npt.NDArray[np.bool_]
 

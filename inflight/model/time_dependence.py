@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects import Parameter, did_you_mean
@@ -28,6 +27,8 @@ from inflight.errors import ModelError
 from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.mission import Event
 
 

@@ -13,16 +13,19 @@ levels that are straight lines before and after. A kink, where only the slope ch
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.lsq import MAD_TO_SIGMA, robust_sigma
 from inflight.time import SECOND, Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Changes between neighbours, and sizes, count from this many sigma on: with 86 400 readings a day
 #: and Gaussian noise one false alarm in 10^10 days.
@@ -221,6 +224,8 @@ class CurrentSteps:
 
     def table(self) -> xr.Dataset:
         """Return the steps with `value` (the change) and `sigma` along ``step``."""
+        import xarray as xr
+
         times = {
             name: ("step", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")
         }

@@ -19,16 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.time import GAP, Int64, in_leap_second, to_utc
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Roles that hold fields: they are interpolated band-limited, the rest linearly.
 FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
@@ -98,6 +100,8 @@ def align(
     SamplesError
         When stamps are not increasing or a channel lacks its stamps.
     """
+    import xarray as xr
+
     lags = lags or {}
     stamps = _stamps(base, channels[base]) if isinstance(base, str) else np.asarray(base, dtype=np.int64)
     flag = np.where(in_leap_second(stamps), np.uint32(Flag.LEAP_SECOND), np.uint32(0)).astype(np.uint32)
@@ -258,7 +262,7 @@ def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
     return own if own.any() else None
 
 
-class PlainSamples(dict[str, xr.Variable]):
+class PlainSamples(dict[str, "xr.Variable"]):
     """Variables by name, with as much of a Dataset's interface as effects and sensor chains use."""
 
     @classmethod
@@ -273,6 +277,8 @@ class PlainSamples(dict[str, xr.Variable]):
 
     def assign(self, variables: dict[str, Any] | None = None, **more: Any) -> PlainSamples:
         """Return the samples with some variables added: (dims, values, attributes) each."""
+        import xarray as xr
+
         added = (variables or {}) | more
         return PlainSamples(self | {name: xr.Variable(*one) for name, one in added.items()})
 

@@ -16,16 +16,19 @@ Fourier sums of the phase alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Complex = npt.NDArray[np.complex128]
 
@@ -277,6 +280,8 @@ def fold_spins(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> 
     SamplesError
         When the samples have no phase.
     """
+    import xarray as xr
+
     if "spin_phase" not in samples:
         raise SamplesError(
             "the samples have no spin phase",
@@ -308,6 +313,8 @@ def fold_series(
     span : tuple of int
         TT2000 bounds of the day.
     """
+    import xarray as xr
+
     day = _Day(stamps, phase, folding, span)
     series = xr.DataArray(values, dims=("time", "component")[: np.ndim(values)])
     return np.asarray(day.channel(series, day.known).values, dtype=np.float64)
@@ -458,6 +465,8 @@ class _Day:
 
     def channel(self, series: xr.DataArray, good: npt.NDArray[np.bool_]) -> xr.Variable:
         """Return a channel on the synthetic turns: its interval's mean, and what goes with the spin."""
+        import xarray as xr
+
         values = np.asarray(series.values, dtype=np.float64)
         flat = values.reshape(values.shape[0], -1)
         known = good & np.isfinite(flat).all(axis=1)
@@ -474,6 +483,8 @@ class _Day:
 
     def to_dataset(self, made: dict[str, xr.Variable], phase_attrs: dict[str, object]) -> xr.Dataset:
         """Return the folded samples with stamps, phases and flags."""
+        import xarray as xr
+
         count = self.intervals * self.folding.sectors
         step = self.folding.cadence_ns
         stamps = self.span[0] + step // 2 + step * np.arange(count, dtype=np.int64)

@@ -15,11 +15,10 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
@@ -53,6 +52,9 @@ from inflight.tasks.archive.inputs import (
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
 from inflight.units import parse_unit
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 class _Rows(NamedTuple):
     """Rows of one day of a channel, as plain arrays: xarray is slow for many small pieces."""
@@ -74,6 +76,8 @@ def channel_series(
     cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, margins: bool = True
 ) -> xr.DataArray | None:
     """Return a channel of a day, with margins of its neighbours where asked for; None without the day."""
+    import xarray as xr
+
     today = index.get(need, day)
     if today is None:
         return None
@@ -122,6 +126,8 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
 
 def _derived(series: xr.DataArray, part: ChannelFactor) -> xr.DataArray:
     """Return a slow response or a play of a channel, or of geometry from positions, at its own stamps."""
+    import xarray as xr
+
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
@@ -352,6 +358,8 @@ def spin_phase(
     SamplesError
         When the mission does not say how fast it spins.
     """
+    import xarray as xr
+
     entry = mission.comparisons[comparison]
     if entry.kind != "spin" or "spin" not in mission.periods:
         raise SamplesError(
@@ -543,6 +551,8 @@ def _present(
 
 def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
     """Add the products of channels; a factor that is missing makes a product of nothing but gaps."""
+    import xarray as xr
+
     for name in sorted({name for need in needs for name in need.products}):
         factors = [samples[part.name] for part in parse_channel(name).parts]
         values = channel_product([np.asarray(factor.values, dtype=np.float64) for factor in factors])
@@ -556,6 +566,8 @@ def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:
     """Return a channel of nothing but gaps, so that the samples show what is missing."""
+    import xarray as xr
+
     channel = mission.instruments[need.instrument].channels[need.channel]
     from_geometry = need.part is not None and need.part.channel in GEOMETRY
     width = 0 if from_geometry else len(channel.axis_names)

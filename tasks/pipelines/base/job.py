@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog, DayData, Segment, failure_cause, write_segment
@@ -21,6 +20,9 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
 from inflight.tasks.pipelines.base.planning import ReprocessSettings
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)

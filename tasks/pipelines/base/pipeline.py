@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
@@ -35,6 +34,8 @@ from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.figures import Section
     from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
 

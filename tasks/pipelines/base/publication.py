@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day, Run
 from inflight.errors import InflightError
@@ -19,6 +18,9 @@ from inflight.tasks.pipelines.base.job import Failure, Job, Outcome
 from inflight.tasks.pipelines.base.planning import Plan
 from inflight.tasks.report import problem
 from inflight.time import day_bounds
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: A table to certify: its id, the span it holds for in TT2000, and the context (None for any).
 Certificate = tuple[int, int, int, str | None]

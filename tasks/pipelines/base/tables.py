@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day, TableRecord
 from inflight.time import as_day
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: The first day of the grid of windows.
 GRID_ORIGIN = np.datetime64("2000-01-01", "D")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.errors import MissionError
 from inflight.mission import Mission
@@ -20,6 +19,9 @@ from inflight.tasks.pipelines.intercalibration.tables import (
     relation_day,
     relation_table,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Why two fluxgates have no product.
 NO_PRODUCT = (

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
@@ -31,6 +30,8 @@ from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, RELATIONS
 from inflight.time import DayLike, is_within
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import Report, TextLine
 

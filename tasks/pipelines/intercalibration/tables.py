@@ -9,15 +9,17 @@ which of the three sensors disagrees. Two spinning sensors: how the boom between
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission_fit import CLUSTER_S
 from inflight.time import DAY, SECOND, Int64, day_bounds
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Clusters of a day at most: two orbits each, and one cut at either end.
 _MOST_CLUSTERS = int(DAY / SECOND / CLUSTER_S) + 2
@@ -44,6 +46,8 @@ def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr
     CalibrationError
         When a day has too few samples of both.
     """
+    import xarray as xr
+
     from inflight.mission_fit import relation_grams, relation_of, three_cornered_hat_sums
 
     both = _good_samples(products, UNUSABLE)
@@ -68,6 +72,8 @@ def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr
 
 def _good_samples(products: Sequence[xr.Dataset], bad: int) -> tuple[xr.Dataset, ...]:
     """Return the samples that products share where none of them has one of the `bad` flags."""
+    import xarray as xr
+
     used = [product.isel(time=(product["flag"].values & np.uint32(bad)) == 0) for product in products]
     return tuple(xr.align(*used, join="inner"))
 
@@ -92,6 +98,8 @@ def _grams(read: Sequence[xr.Dataset]) -> tuple[Floats, Floats]:
 
 def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the relation of each day by itself; dims interval, parameter: `value`, `sigma`, `units`."""
+    import xarray as xr
+
     from inflight.mission_fit import relation_of
 
     tables = [relation_of(*_grams([day])).table() for day in read]
@@ -138,6 +146,8 @@ def bending_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.
     CalibrationError
         When fewer than ten turns have both.
     """
+    import xarray as xr
+
     from inflight.spin import fit_spins, measure_boom_bending
 
     inboard, outboard = _good_samples(products, UNUSABLE | Flag.NO_PHASE | Flag.PHASE_JUMP)
@@ -175,6 +185,8 @@ def bending_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
     The azimuths as mounted are those of the two pre-flight models: the bend is what is beyond them.
     """
+    import xarray as xr
+
     each = ("interval", "parameter")
     both = {name: np.concatenate([day[name].values for day in read]) for name in ("bend", "sigma", "fits")}
     return xr.Dataset(

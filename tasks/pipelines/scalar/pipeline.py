@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
@@ -30,6 +29,8 @@ from inflight.tasks.pipelines.base import (
 from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import CompareResult, Report
 

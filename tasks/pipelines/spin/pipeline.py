@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, MissionError
@@ -36,6 +35,8 @@ from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import CompareResult, Report, TextLine
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError, MissionError
@@ -31,6 +30,8 @@ from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import CompareResult, Report
 
@@ -72,6 +73,8 @@ class StatesPipeline(Pipeline):
 
         A window that is to be fitted changes those behind it: they are continued anew.
         """
+        import xarray as xr
+
         from inflight.tasks.pipelines.two_sensor.tables import TablesBefore, continued_key
         from inflight.tasks.pipelines.two_sensor.windows import StoredTables, table_name, window_key, windows
 
