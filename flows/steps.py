@@ -231,11 +231,32 @@ def _backfill_if_idle(
     return ingested.followed_by(report, "backfill") if ingested and report else None
 
 
+def _diagnose_if_idle(
+    workspace: Path,
+    start: DateOrNone = None,
+    end: DateOrNone = None,
+    settings: DiagnoseSettings = DIAGNOSE_SETTINGS,
+    save: bool = False,
+    workers: int | None = None,
+) -> RunReport | None:
+    """Raise what a diagnosis would raise for a span without days; a search is always work."""
+    from inflight.tasks.archive import ArchiveIndex, needs_of, require_days
+    from inflight.tasks.models import current_model
+
+    del save, workers
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
+    cat, mission = Catalog(place.root), place.mission()
+    needs = needs_of(mission, current_model(cat, mission, settings.comparison).model)
+    require_days(ArchiveIndex.of(cat, needs), needs, *span.as_text())
+    return None
+
+
 #: What tells that a step has nothing to do, by its name and with its parameters.
 _IDLE_CHECKS: dict[str, Callable[..., RunReport | None]] = {
     "ingest": _ingest_if_idle,
     "reprocess": _reprocess_if_idle,
     "backfill": _backfill_if_idle,
+    "diagnose": _diagnose_if_idle,
 }
 
 

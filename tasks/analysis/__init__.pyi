@@ -2,8 +2,8 @@ from .comparing import compare, measure_comparison
 from .diagnosis import diagnose, examine
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import block_grams
-from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench, require_sampled
-from .settings import DiagnoseSettings
+from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench
+from .settings import DiagnoseSettings, require_sampled
 
 __all__ = [
     "DiagnoseSettings",

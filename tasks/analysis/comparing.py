@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from inflight.catalog import Catalog
-from inflight.figures import html_page
 from inflight.mission import Mission
-from inflight.tasks.pipelines import CompareResult, Report, pipeline_of, published_products
 from inflight.tasks.report import Progress, write_page
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    from inflight.tasks.pipelines import CompareResult, Report
 
 
 def compare(
@@ -47,6 +48,8 @@ def compare(
     """
     found = measure_comparison(cat, mission, start, end, comparison, progress)
     if output is not None:
+        from inflight.figures import html_page
+
         write_page(output, html_page(found.title, found.sections(), mission.acknowledgement))
         found.report.path = output
     report: Report = found.report
@@ -62,6 +65,8 @@ def measure_comparison(
     progress: Progress | None = None,
 ) -> CompareResult[Any]:
     """Measure as `compare` does; return with the report what its figures are drawn from."""
+    from inflight.tasks.pipelines import pipeline_of, published_products
+
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = published_products(cat, comparison, span)
     tell = progress or (lambda stage, done, total: None)

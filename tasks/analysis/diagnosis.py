@@ -27,7 +27,6 @@ from inflight.diagnosis import (
 )
 from inflight.dual import JumpAttribution
 from inflight.effects import channels_of
-from inflight.errors import CatalogError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
@@ -54,12 +53,13 @@ from inflight.tasks.archive import (
     channel_needs,
     needs_of,
     position_channel,
+    require_days,
     resolves_spin,
 )
 from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states, spacecraft_units_of
 from inflight.tasks.report import Progress
-from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
+from inflight.time import DAY, SECOND, DayLike, day_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,12 +236,7 @@ def plan_pass(
     needs = tuple(needs_of(mission, used.model))
     channels = channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
-    days = [day for day in index.complete_days(needs) if is_within(day, start, end)]
-    if not days:
-        raise CatalogError(
-            "the archive has no day of the span on which every instrument measured",
-            remedy="ingest the files first; 'inflight catalog list' shows what is there",
-        )
+    days = require_days(index, needs, start, end)
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
     folding = folding_of(mission, settings.comparison)
     first, last = index.get(base, days[0]), index.get(base, days[-1])

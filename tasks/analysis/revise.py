@@ -41,10 +41,10 @@ from inflight.diagnosis import (
     values_of,
 )
 from inflight.effects import did_you_mean
-from inflight.errors import ModelError, SettingsError
+from inflight.errors import ModelError
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission
-from inflight.model import Model, ModelEffect, folding_of
+from inflight.model import Model, ModelEffect
 from inflight.tasks.analysis.diagnosis import (
     PassResult,
     begin_search,
@@ -53,7 +53,7 @@ from inflight.tasks.analysis.diagnosis import (
     make_pass,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
-from inflight.tasks.analysis.settings import DiagnoseSettings
+from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.models import (
     VersionedModel,
     current_model,
@@ -514,10 +514,6 @@ def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
     )
 
 
-#: Kinds of comparisons that have a residual at every sample.
-SAMPLED_KINDS = ("scalar", "dual", "platform")
-
-
 def diagnose_span(
     workspace: Workspace,
     start: str | None = None,
@@ -566,37 +562,6 @@ def diagnose_span(
         fields["units"] = units
     save_diagnosis(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
     return fields
-
-
-def require_sampled(mission: Mission, comparison: str) -> None:
-    """Refuse a comparison that the mission has not, or whose residual is not one a sample.
-
-    Raises
-    ------
-    SettingsError
-        Naming those that can be diagnosed.
-    """
-    channels = {channel.kind for _, _, channel in mission.channel_instruments()}
-    has_turns = bool({"sun_pulse", "spin_phase"} & channels)
-    usable = [
-        name
-        for name, entry in mission.comparisons.items()
-        if entry.kind in SAMPLED_KINDS or (has_turns and folding_of(mission, name) is not None)
-    ]
-    choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
-    if comparison not in mission.comparisons:
-        raise SettingsError(
-            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}"
-            f"{did_you_mean(comparison, mission.comparisons)}",
-            remedy=choice,
-        )
-    if comparison not in usable:
-        kind = mission.comparisons[comparison].kind
-        raise SettingsError(
-            f"--comparison: {comparison!r} is of kind '{kind}', and nothing tells how it is turned",
-            remedy="state 'spin' under periods and a channel of kind 'sun_pulse' or 'spin_phase'"
-            + (f", or {choice}" if usable else ""),
-        )
 
 
 def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:

@@ -1,8 +1,16 @@
-"""What a user may choose of a diagnosis, apart from what carries it out."""
+"""What a user may choose of a diagnosis, and of which comparisons one can be made."""
 
 from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from inflight.effects import did_you_mean
+from inflight.errors import SettingsError
+from inflight.mission import Mission
+from inflight.model import folding_of
+
+#: Kinds of comparisons that have a residual at every sample.
+SAMPLED_KINDS = ("scalar", "dual", "platform")
 
 
 class DiagnoseSettings(BaseModel):
@@ -33,3 +41,34 @@ class DiagnoseSettings(BaseModel):
     draws: int = Field(2000, ge=100, le=100_000)
     seed: int = Field(0, ge=0)
     batch_blocks: int = Field(10, ge=1)
+
+
+def require_sampled(mission: Mission, comparison: str) -> None:
+    """Refuse a comparison that the mission has not, or whose residual is not one a sample.
+
+    Raises
+    ------
+    SettingsError
+        Naming those that can be diagnosed.
+    """
+    channels = {channel.kind for _, _, channel in mission.channel_instruments()}
+    has_turns = bool({"sun_pulse", "spin_phase"} & channels)
+    usable = [
+        name
+        for name, entry in mission.comparisons.items()
+        if entry.kind in SAMPLED_KINDS or (has_turns and folding_of(mission, name) is not None)
+    ]
+    choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
+    if comparison not in mission.comparisons:
+        raise SettingsError(
+            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}"
+            f"{did_you_mean(comparison, mission.comparisons)}",
+            remedy=choice,
+        )
+    if comparison not in usable:
+        kind = mission.comparisons[comparison].kind
+        raise SettingsError(
+            f"--comparison: {comparison!r} is of kind '{kind}', and nothing tells how it is turned",
+            remedy="state 'spin' under periods and a channel of kind 'sun_pulse' or 'spin_phase'"
+            + (f", or {choice}" if usable else ""),
+        )

@@ -22,6 +22,7 @@ from .inputs import (
     needs_of,
     position_channel,
     replaceable_needs,
+    require_days,
 )
 from .samples import (
     SPIN_FAULTS,
@@ -72,6 +73,7 @@ __all__ = [
     "position_channel",
     "replaceable_needs",
     "replacement_value",
+    "require_days",
     "resolves_spin",
     "saturation_flags",
     "simulate",

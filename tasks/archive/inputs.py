@@ -14,12 +14,12 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day
 from inflight.effects import NO_CAUSE
-from inflight.errors import SamplesError
+from inflight.errors import CatalogError, SamplesError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.samples import FIELD_ROLES, ChannelFactor, base_channels, parse_channel
-from inflight.time import DAY, SECOND
+from inflight.time import DAY, SECOND, DayLike, is_within
 
 #: Name of the spin's phase in samples.
 SPIN_PHASE = "spin_phase"
@@ -123,6 +123,25 @@ def channels_by_name(mission: Mission) -> dict[str, tuple[str, str]]:
         (name if plain.count(name) == 1 else f"{instrument}.{name}"): (instrument, name)
         for instrument, name, _ in mission.channel_instruments()
     }
+
+
+def require_days(
+    index: ArchiveIndex, needs: Sequence[Need], start: DayLike | None, end: DayLike | None
+) -> list[np.datetime64]:
+    """Return the days of a half-open span of UTC days on which every instrument measured.
+
+    Raises
+    ------
+    CatalogError
+        When there is none.
+    """
+    days = [day for day in index.complete_days(needs) if is_within(day, start, end)]
+    if not days:
+        raise CatalogError(
+            "the archive has no day of the span on which every instrument measured",
+            remedy="ingest the files first; 'inflight catalog list' shows what is there",
+        )
+    return days
 
 
 def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[Need]:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
@@ -24,6 +23,9 @@ from inflight.mission import Mission
 from inflight.tasks.archive import channels_by_name, geometry_channels, position_channel
 from inflight.tasks.pipelines.base.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +271,8 @@ def geometry_means(
         By the names that people read; the Sun's direction as two angles, deg. NaN where the day has no
         positions; empty for a mission without.
     """
+    import xarray as xr
+
     position = position_channel(mission)
     if not position:
         return {}

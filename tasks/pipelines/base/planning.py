@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, idempotency_key
-from inflight.errors import CatalogError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import (
@@ -27,9 +26,10 @@ from inflight.tasks.archive import (
     geometry_channels,
     needs_of,
     replaceable_needs,
+    require_days,
 )
 from inflight.tasks.models import VersionedModel, current_model
-from inflight.time import DayLike, as_day, day_range, is_within
+from inflight.time import DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
 
@@ -240,12 +240,7 @@ def plan_archive_days(
     first = str(as_day(start) - before * ONE_DAY) if start is not None else None
     last = str(as_day(end) + after * ONE_DAY) if end is not None else None
     index = ArchiveIndex.of(cat, needs, slice(first, last))
-    complete = [day for day in index.complete_days(needs) if is_within(day, start, end)]
-    if not complete:
-        raise CatalogError(
-            "the archive has no day of the span on which every instrument measured",
-            remedy="ingest the files first; 'inflight catalog list' shows what is there",
-        )
+    complete = require_days(index, needs, start, end)
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
     planned = plan_days(
         cat,
