@@ -19,6 +19,7 @@ from pydantic import ValidationError, validate_call
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import SettingsError
 from inflight.flows.runner import PlainRunner, progress_to, using_runner
+from inflight.flows.server import embedded_server, is_own
 from inflight.flows.span import DaySpan
 from inflight.tasks import Progress, RunReport, as_settings_error
 from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
@@ -44,8 +45,6 @@ _QUIET = {
 #: server, stopped hard at the end of a command, would print the cancellation of its own housekeeping.
 _EMBEDDED = {
     "PREFECT_LOGGING_LEVEL": "CRITICAL",
-    "PREFECT_SERVER_ALLOW_EPHEMERAL_MODE": "true",
-    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",
     "PREFECT_SERVER_UI_ENABLED": "false",
     "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
     **{f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _IDLE_SERVICES},
@@ -169,7 +168,7 @@ def prefect_environment(home: Path) -> dict[str, str]:
         that server and the home is the user's own.
     """
     environment = dict(_QUIET)
-    if not os.environ.get("PREFECT_API_URL"):
+    if _is_embedded():
         environment |= _EMBEDDED | {"PREFECT_HOME": str(home.resolve())}
     return environment | {name: os.environ[name] for name in environment if name in os.environ}
 
@@ -182,22 +181,42 @@ def prefect_settings(home: Path) -> Iterator[None]:
 
     Raises
     ------
-    SettingsError
-        When Prefect was imported before with another home; its settings cannot change any more.
+    WorkerError
+        When the embedded server does not answer.
     """
-    environment = prefect_environment(home)
-    if "prefect" in sys.modules and "PREFECT_HOME" in environment:
-        from prefect.settings import get_current_settings
+    environment, before = prefect_environment(home), os.environ.get("PREFECT_API_URL")
+    server = None
+    if not _is_embedded():
+        os.environ.update(environment)
+    else:
+        server = embedded_server(Path(environment["PREFECT_HOME"]), environment)
+        # Prefect's own threads know the environment only.
+        os.environ.update(environment | {"PREFECT_API_URL": server.url})
+        if "prefect" in sys.modules:
+            from prefect.context import refresh_global_settings_context
 
-        present = str(get_current_settings().home)
-        if present != environment["PREFECT_HOME"] and not get_current_settings().api.url:
-            remedy = "start a new process for another workspace, or set PREFECT_HOME or PREFECT_API_URL first"
-            raise SettingsError(f"Prefect is already imported with home {present}", remedy=remedy)
-    os.environ.update(environment)
-    from prefect.settings import PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
+            refresh_global_settings_context()
+    from prefect.settings import PREFECT_API_URL, PREFECT_FLOWS_HEARTBEAT_FREQUENCY, temporary_settings
 
-    with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
-        yield
+    changed: dict[Any, Any] = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}
+    if server is not None:
+        server.wait()
+        changed[PREFECT_API_URL] = server.url
+    try:
+        with temporary_settings(changed):
+            yield
+    finally:
+        # A process that is started from here later names its own server.
+        if before is None:
+            os.environ.pop("PREFECT_API_URL", None)
+        else:
+            os.environ["PREFECT_API_URL"] = before
+
+
+def _is_embedded() -> bool:
+    """Return True when the environment names no server but one of this process."""
+    url = os.environ.get("PREFECT_API_URL", "")
+    return not url or is_own(url)
 
 
 def _given(workspace: Workspace, parameters: Mapping[str, Any], workers: int | None) -> dict[str, Any]:

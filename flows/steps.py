@@ -240,8 +240,8 @@ def _diagnose_if_idle(
     workers: int | None = None,
 ) -> RunReport | None:
     """Raise what a diagnosis would raise for a span without days; a search is always work."""
+    from inflight.tasks import current_model
     from inflight.tasks.archive import ArchiveIndex, needs_of, require_days
-    from inflight.tasks.models import current_model
 
     del save, workers
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)

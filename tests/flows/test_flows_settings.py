@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from inflight.errors import SettingsError
+from inflight.errors import WorkerError
 from inflight.flows import DaySpan, available_cores, dask_client
 from inflight.flows.launch import prefect_environment, prefect_settings
+from inflight.flows.server import EmbeddedServer, is_own
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):
@@ -32,13 +33,23 @@ def test_what_the_user_has_set_wins(monkeypatch, tmp_path):
     assert prefect_environment(tmp_path)["PREFECT_HOME"] == "/mine"
 
 
-def test_a_second_workspace_in_one_process_is_refused_clearly(monkeypatch, tmp_path):
-    import prefect  # noqa: F401  (its settings are read on import)
+def test_a_second_workspace_in_one_process_has_a_server_of_its_own(embedded, monkeypatch, tmp_path):
+    from prefect.settings import get_current_settings
 
-    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    first = get_current_settings().api.url
     monkeypatch.delenv("PREFECT_HOME", raising=False)
-    with pytest.raises(SettingsError, match="already imported"), prefect_settings(tmp_path):
-        pass
+    with prefect_settings(tmp_path):
+        second = get_current_settings().api.url
+        assert is_own(second)
+        assert second != first
+        assert (tmp_path / "prefect.db").exists()
+    assert get_current_settings().api.url == first
+
+
+def test_a_server_that_cannot_start_is_told_with_the_way_around_it(monkeypatch, tmp_path):
+    monkeypatch.setattr("inflight.flows.server.sys.executable", "/bin/false")
+    with pytest.raises(WorkerError, match="does not answer"):
+        EmbeddedServer(tmp_path, {"PREFECT_HOME": str(tmp_path)}).wait()
 
 
 def test_the_heartbeat_of_flow_runs_is_off_inside(embedded):

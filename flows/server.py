@@ -1,0 +1,144 @@
+"""The embedded Prefect server: a process of its own, started while the command gets ready, ended with it.
+
+Takes the Prefect home of a workspace and the environment of `inflight.flows.launch`; makes the address that
+flows report to. Prefect starts such a server by itself at the first flow, after it has imported the whole
+server into the caller as well; here both begin at once, and the caller imports the client only.
+
+A new home takes its database from a copy that was migrated once on this machine: migrating takes as long as
+all the rest of a start.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from inflight.errors import WorkerError
+
+#: How long a server may take to answer, and between two questions, s.
+_PATIENCE_S, _PAUSE_S = 120.0, 0.05
+
+#: Servers of this process, by their home.
+_running: dict[str, EmbeddedServer] = {}
+
+
+class EmbeddedServer:
+    """A server of this process.
+
+    Attributes
+    ----------
+    url : str
+        Its API.
+    """
+
+    def __init__(self, home: Path, environment: Mapping[str, str]) -> None:
+        port = _free_port()
+        self.url = f"http://127.0.0.1:{port}/api"
+        home.mkdir(parents=True, exist_ok=True)
+        _prepare_database(home, environment)
+        app = ["--factory", "prefect.server.api.server:create_app"]
+        where = ["--host", "127.0.0.1", "--port", str(port)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "uvicorn", *app, *where, "--log-level", "error", "--lifespan", "on"],
+            env=_server_environment(environment),
+            stdin=subprocess.DEVNULL,
+        )
+
+    def wait(self) -> None:
+        """Return when the server answers.
+
+        Raises
+        ------
+        WorkerError
+            When it ends, or does not answer in time.
+        """
+        until = time.monotonic() + _PATIENCE_S
+        while time.monotonic() < until and self._process.poll() is None:
+            with (
+                contextlib.suppress(urllib.error.URLError, ConnectionError, TimeoutError),
+                urllib.request.urlopen(f"{self.url}/health", timeout=5) as answer,
+            ):
+                if answer.status == 200:
+                    return
+            time.sleep(_PAUSE_S)
+        raise WorkerError(
+            "the embedded Prefect server does not answer",
+            remedy="run again with '--no-prefect', or name a server with PREFECT_API_URL",
+        )
+
+    def stop(self) -> None:
+        """End the server."""
+        self._process.terminate()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def embedded_server(home: Path, environment: Mapping[str, str]) -> EmbeddedServer:
+    """Return the server of a home, started at the first call; it ends with this process."""
+    key = str(home.resolve())
+    found = _running.get(key)
+    if found is None or found._process.poll() is not None:
+        found = _running[key] = EmbeddedServer(home, environment)
+        atexit.register(found.stop)
+    return found
+
+
+def is_own(url: str) -> bool:
+    """Return True for the address of a server that this process started."""
+    return any(server.url == url for server in _running.values())
+
+
+def _server_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    given = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
+    own = {"PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1"}
+    return {**given, **environment, **own}
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _prepare_database(home: Path, environment: Mapping[str, str]) -> None:
+    """Give a new home a copy of the migrated database; without one the server migrates its own."""
+    if (home / "prefect.db").exists():
+        return
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "inflight"
+    kept = cache / f"prefect-{version('prefect')}.db"
+    try:
+        if not kept.exists():
+            cache.mkdir(parents=True, exist_ok=True)
+            _migrate(kept, environment)
+        part = home / f"prefect.db.{os.getpid()}"
+        shutil.copyfile(kept, part)
+        part.rename(home / "prefect.db")
+    except (OSError, subprocess.CalledProcessError):
+        return
+
+
+def _migrate(kept: Path, environment: Mapping[str, str]) -> None:
+    """Make an empty database with all tables, visible when it is whole."""
+    with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
+        subprocess.run(
+            [sys.executable, "-m", "prefect", "server", "database", "upgrade", "-y"],
+            env=_server_environment(environment) | {"PREFECT_HOME": folder},
+            check=True,
+            capture_output=True,
+        )
+        (Path(folder) / "prefect.db").rename(kept)
