@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import DesignRows, Term, design_matrix, within_span
+from inflight.design import Term, design_matrix, within_span
 from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.residual import (
     DiagnosisData,
@@ -298,6 +298,8 @@ def _best_lag(
         close = middle * np.geomspace(1.0 / LAG_SETTINGS.around, LAG_SETTINGS.around, LAG_SETTINGS.close)
         close = np.append(low, close[close > low]) if about <= low else close[close <= high]
         at = int(np.argmin([loss(float(lag)).sum() for lag in close]))
+        if at == 0 and about <= low and loss(0.0).sum() <= loss(float(low)).sum():
+            return float(low), None
         # No lag is below the shortest: the least may lie there.
         if (0 if about <= low else 1) <= at < close.size - 1:
             grid, parts = close, _FINER[1:]
@@ -472,16 +474,16 @@ class FormTrials:
         others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
         kept = [*search.library.refined, *(self.terms[key] for key in keys)]
-        self.rows = self._rows([*search.library.base, *kept])
-        self.block = np.repeat(self.series.block, self.rows.residual.shape[1])
-        self.root = np.sqrt(np.repeat(self.rows.weight, self.rows.residual.shape[1]))
-        base = self._flat(search.library.base, self.rows)
+        residual = self.series["residual"].reshape(len(self.series.tt2000), -1)
+        self.block = np.repeat(self.series.block, residual.shape[1])
+        self.root = np.sqrt(np.repeat(self.series["weight"], residual.shape[1]))
+        base = self._kept_columns(search.library.base)
         # Rows are in order of time, and so are the blocks of each interval.
         edges = [np.searchsorted(self.block, [group[0], group[-1] + 1]) for group in search.intervals]
         self.groups = [slice(int(first), int(last)) for first, last in edges]
         self.basis = [np.linalg.qr(base[group])[0] for group in self.groups] if base.shape[1] else []
-        self.y = self._marginalised((self.rows.residual.reshape(-1) * self.root)[:, None])[:, 0]
-        self.model = self._marginalised(self._flat(kept, self.rows))
+        self.y = self._marginalised((residual.reshape(-1) * self.root)[:, None])[:, 0]
+        self.model = self._marginalised(self._kept_columns(kept))
         self.rest = self._without_model(self.y[:, None])[:, 0]
         self._known: dict[str, Floats] = {}
 
@@ -491,8 +493,7 @@ class FormTrials:
         for term in terms:
             columns = self._known.get(term.key)
             if columns is None:
-                flat = self._marginalised(self._flat([term], self._rows([term])))
-                columns = self._without_model(flat)
+                columns = self._without_model(self._marginalised(self._flat([term])))
             if term.key in self.terms:
                 self._known[term.key] = columns
             parts.append(columns)
@@ -509,7 +510,7 @@ class FormTrials:
         option : Option
             Of the library, or a change in time: then `terms` are those whose columns change.
         """
-        flat = self._flat(terms, self._rows(terms))
+        flat = self._flat(terms)
         if option.change is not None and option.change.functions:
             names = [name for term in terms for name in term.columns]
             flat = np.stack(
@@ -536,13 +537,18 @@ class FormTrials:
         inner = self.model.T @ self.model
         return solve_scaled(inner, np.eye(len(inner)))
 
-    def _rows(self, terms: Sequence[Term]) -> DesignRows:
-        channels = {name for term in terms for name in term.entry.effect.channels if name}
-        return self.series.rows(self.data.sensor_matrices, derived_channels(self.series, channels))
+    def _kept_columns(self, terms: Sequence[Term]) -> Floats:
+        """Return the columns of the model's terms, which further trials need again."""
+        kept = self.data.columns
+        for term in terms:
+            if term.key not in kept:
+                kept[term.key] = self._flat([term])
+        return np.concatenate([np.zeros((self.root.size, 0)), *(kept[term.key] for term in terms)], axis=1)
 
-    def _flat(self, terms: Sequence[Term], rows: DesignRows) -> Floats:
-        columns = design_matrix(terms, rows)
-        return np.asarray(columns.reshape(len(self.root), columns.shape[2]) * self.root[:, None])
+    def _flat(self, terms: Sequence[Term]) -> Floats:
+        derived = derived_channels(self.series, _channels_of(terms))
+        columns = design_matrix(terms, self.series.rows(self.data.sensor_matrices, derived))
+        return np.asarray(columns.reshape(self.root.size, columns.shape[2]) * self.root[:, None])
 
     def _marginalised(self, values: Floats) -> Floats:
         out = values.copy()

@@ -408,6 +408,8 @@ class DiagnosisData:
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
         Samples that the pass skipped.
+    columns : dict of str to ndarray, shape (row, column)
+        Columns of the series by term, weighted: those of the model are asked for again and again.
     gaps : UncorrectableRows, optional
         Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
     switched : JumpAttribution, optional
@@ -426,6 +428,7 @@ class DiagnosisData:
     run: str = ""
     correlation_time_s: float = 600.0
     outliers: OutlierReport = field(default_factory=OutlierReport)
+    columns: dict[str, Floats] = field(default_factory=dict, compare=False, repr=False)
     gaps: UncorrectableRows | None = None
     switched: JumpAttribution | None = None
 
@@ -445,8 +448,8 @@ def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:
     whole = data.series if data.gaps is None else data.gaps.series
     gaps = uncorrectable_rows(search, whole)
     if gaps is None:
-        return replace(data, series=whole, gaps=None)
-    return replace(data, series=whole.without(gaps.rows), gaps=gaps)
+        return replace(data, series=whole, gaps=None, columns={})
+    return replace(data, series=whole.without(gaps.rows), gaps=gaps, columns={})
 
 
 def _grams_of_sizes(search: Search, data: DiagnosisData) -> tuple[GramBlocks, ModelColumns, int]:

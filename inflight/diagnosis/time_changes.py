@@ -49,7 +49,7 @@ class ChangeSettings:
     edges: int = 48
     episodes: int = 3
     longest: int = 2
-    batch_columns: int = 36
+    batch_columns: int = 72
     rounding: float = 1e-12
 
 
