@@ -30,6 +30,7 @@ from .gram_blocks import (
     parts_of,
     prewhiten,
     shift_reference,
+    unpack,
 )
 from .robust import BIWEIGHT_RMS_FACTOR, BIWEIGHT_WIDTH, MAD_TO_SIGMA, biweight, biweight_slope, robust_sigma
 from .solver import (
@@ -106,6 +107,7 @@ __all__ = [
     "solve_clusters",
     "solve_scaled",
     "to_amperes",
+    "unpack",
     "window_means",
     "with_variance_floor",
 ]

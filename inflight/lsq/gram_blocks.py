@@ -13,8 +13,8 @@ these:
 - `BlockSums` sums blocks whose columns are multiplied by functions of time, without a matrix of
   the expanded columns for every block.
 - `gram_of` makes the matrices from rows, `prewhiten` the rows of a first-order autoregression.
-- `pack` and `unpack`, `GramArrays.as_dataset` and `GramArrays.of` are the packed triangles of a
-  store; `full_dataset` and `arrays_of` the whole matrices with their names.
+- `pack`, `unpack` and `GramArrays.as_dataset` are the packed triangles of a store; `full_dataset`
+  and `arrays_of` the whole matrices with their names.
 
 Marginalising is the theorem of Frisch, Waugh and Lovell; see `inflight.lsq.solver.marginalise`.
 """
@@ -827,20 +827,6 @@ class GramArrays:
                 "end": ("block", self.end, {"units": "ns", "scale": "TT2000"}),
                 "count": ("block", self.count),
             }
-        )
-
-    @classmethod
-    def of(
-        cls, dataset: xr.Dataset, names: Sequence[str], scale: Floats, variable: str = "gram"
-    ) -> GramArrays:
-        """Return the blocks that a Dataset of `as_dataset` holds."""
-        return GramArrays(
-            tuple(names),
-            unpack(dataset[variable].values),
-            dataset["start"].values,
-            dataset["end"].values,
-            dataset["count"].values,
-            scale,
         )
 
 

@@ -47,7 +47,7 @@ from inflight.dual import JumpAttribution, attribute_jumps
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten
+from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten, unpack
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
@@ -494,18 +494,33 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     names = (*plan.library.columns, "residual")
     scale = np.array([*plan.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
-    parts = [cat.read(day) for day in ordered]
-    raw = [GramArrays.of(part, names, scale) for part in parts]
-    white = [GramArrays.of(part, names, scale, "gram_white") for part in parts]
-    within = None
-    if plan.within_blocks:
-        base = {name for term in plan.library.base for name in term.columns}
-        kept = [place for place, name in enumerate(names) if name not in base]
-        left = tuple(names[place] for place in kept)
-        apart = [GramArrays.of(part, left, scale[kept], "gram_within") for part in parts]
-        within = apart[0].join(apart[1:])
-    packed = np.concatenate([part["series"].values for part in parts])
-    starts = np.concatenate([part["start"].values for part in parts])
+    base = {name for term in plan.library.base for name in term.columns}
+    kept = [place for place, name in enumerate(names) if name not in base]
+    places = {"gram": np.arange(len(names)), "gram_white": np.arange(len(names))}
+    places |= {"gram_within": np.array(kept, dtype=np.int64)} if plan.within_blocks else {}
+    blocks = sum(day.count for day in ordered)
+    # Matrices go to their places as they are read: of gigabytes there is one copy only.
+    grams = {name: np.empty((blocks, own.size, own.size)) for name, own in places.items()}
+    parts, at = [], 0
+    for day in ordered:
+        part = cat.read(day)
+        for name, out in grams.items():
+            out[at : at + day.count] = unpack(part[name].values)
+        parts.append(part[["start", "end", "count", "series"]])
+        at += day.count
+    along = {name: np.concatenate([part[name].values for part in parts]) for name in parts[0].data_vars}
+    found = {
+        name: GramArrays(
+            tuple(names[place] for place in own),
+            grams[name],
+            along["start"],
+            along["end"],
+            along["count"],
+            scale[own],
+        )
+        for name, own in places.items()
+    }
+    packed, starts = along["series"], along["start"]
     features = Features.of_json(parts[0]["series"].attrs["features"])
     filled = {need.name: replacement_value(plan.channel_summaries, need.name) for need in plan.channel_needs}
     series = Series.of(packed, starts, features, filled)
@@ -514,9 +529,9 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
         for name in ("count", "square", "inside", "spikes")
     }
     return Loaded(
-        raw=raw[0].join(raw[1:]),
-        white=white[0].join(white[1:]),
-        within=within,
+        raw=found["gram"],
+        white=found["gram_white"],
+        within=found.get("gram_within"),
         series=replace(series, row_filter=plan.row_filter),
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),
