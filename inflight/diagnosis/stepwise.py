@@ -352,8 +352,8 @@ def check_rivals(
 
 def select_effects(
     search: Search, data: DiagnosisData, shapes_first: bool = False
-) -> tuple[Search, ScoreTable]:
-    """Add and drop until nothing more is justified; return that state and the last table of scores.
+) -> tuple[Search, ScoreTable, ScoreTable]:
+    """Add and drop until nothing more is justified; return the state, the first and the last table of scores.
 
     Each round scores everything, adds the best option that passes `Rules` (asking the few-block test when
     none does), refines its form before the next one is sought, and drops what it made superfluous.
@@ -363,19 +363,21 @@ def select_effects(
     shapes_first : bool
         What explains most goes first, though it names no cause.
     """
+    first = None
     for _ in range(search.rules.rounds):
         table = search.table()
+        first = first or table.without_fits()
         found = best_passing(table, search, shapes_first)
         if found is None:
             table = few_block_test(search, data, table)
             found = best_passing(table, search, shapes_first)
-        if found is None:
-            return replace(search, ran_out=False), table.without_fits()
         # What was fitted to folds holds on to the Gram blocks, which grow when the option is refined.
         table = table.without_fits()
+        if found is None:
+            return replace(search, ran_out=False), first, table
         search = _one_round(search, data, table, *found)
-    search = replace(search, ran_out=True)
-    return search, search.table().without_fits()
+    last = search.table().without_fits()
+    return replace(search, ran_out=bool(search.rules.rounds)), first or last, last
 
 
 def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: Option, form: str) -> Search:
@@ -520,8 +522,12 @@ def _drop_superfluous(search: Search) -> Search:
     return search
 
 
-def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, list[RivalCheck]]:
+def exchange_and_check(
+    search: Search, data: DiagnosisData
+) -> tuple[Search, list[RivalCheck], ScoreTable | None]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
+
+    The scores of everything else, which come last, are None when the model holds nothing.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
@@ -541,10 +547,11 @@ def exchange_and_check(search: Search, data: DiagnosisData) -> tuple[Search, lis
     if slimmer is not search:
         search, tables = slimmer, {}
     last = search.table() if search.accepted else None
-    return search, [
+    checks = [
         check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
         for option in search.accepted
     ]
+    return search, checks, None if last is None else last.without_fits()
 
 
 def _better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:

@@ -109,12 +109,10 @@ def run_search(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
     search : Search
         The first state: nothing taken yet.
     """
-    first = search.table().without_fits()
-    search, last = run_rounds(search, data, first)
-    search, checks = exchange_and_check(search, data)
+    search, first, last = run_rounds(search, data)
+    search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
-    if checks:
-        last = search.table().without_fits()
+    last = after_checks or last
     effects = tuple(describe_effect(search, data, one) for one in checks)
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
@@ -169,19 +167,14 @@ def run_search(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
     return found, search
 
 
-def run_rounds(search: Search, data: DiagnosisData, first: ScoreTable) -> tuple[Search, ScoreTable]:
-    """Return the state after all rounds, and the last table.
+def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable, ScoreTable]:
+    """Return the state after all rounds, the first table and the last one.
 
     Interactions are tried when something is left, shapes first when named causes may be substitutes.
-
-    Parameters
-    ----------
-    first : ScoreTable
-        Of the first state: it says which channels are strong.
     """
+    search, first, last = select_effects(search, data)
     if not search.rules.rounds:
-        return search, first
-    search, last = select_effects(search, data)
+        return search, first, last
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
@@ -189,20 +182,20 @@ def run_rounds(search: Search, data: DiagnosisData, first: ScoreTable) -> tuple[
         options = search.options
         search = add_interactions(search, data, [first, last], remaining.is_sure)
         if search.options is not options:
-            search, last = select_effects(search, data)
+            search, _, last = select_effects(search, data)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]
     if shapes and len(search.accepted) > max(len(shapes), 2):
         search, last = _from_shapes(search, data, last)
-    return refine_all(search, data), last
+    return refine_all(search, data), first, last
 
 
 def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
     before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
-    other, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
+    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
     fewer = len(other.accepted) < len(search.accepted)
     if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
         return other, table
