@@ -22,5 +22,5 @@ def test_a_diagnosis_by_flow_is_that_of_the_plain_functions(embedded, tmp_path):
     assert found["residual"] == same["residual"]
     assert [name for name, done, total in told if done == total] == ["survey", "pass"]
     assert len(Catalog(first.root).days("equations/main/library", states=("published",))) == 4
-    with pytest.raises(SettingsError, match="diagnose"):
+    with pytest.raises(SettingsError, match="rounds"):
         run_with_prefect("diagnose", first, {"settings": {"rounds": -1}})

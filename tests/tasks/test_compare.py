@@ -225,7 +225,7 @@ def test_a_page_that_cannot_be_made_leaves_the_old_one(four_days, pages, monkeyp
     def refuse(*_arguments):
         raise OSError("no space left")
 
-    monkeypatch.setattr("inflight.tasks.analysis.comparing.html_page", refuse)
+    monkeypatch.setattr("inflight.figures.html_page", refuse)
     with pytest.raises(OSError, match="no space"):
         compare(*four_days, output=path)
     assert path.read_bytes() == before
