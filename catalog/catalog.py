@@ -16,7 +16,7 @@ from inflight.catalog.opening import open_days, read_one_day, read_table
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import freeze_release
-from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records
+from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records, run_report
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
 from inflight.catalog.validity import certify_table, table_records, valid_table
@@ -101,6 +101,11 @@ class Catalog:
         """Return all runs, or those of one kind, oldest first, with state, cause and message."""
         with self._database.read() as session:
             return run_records(session, kind)
+
+    def run_report(self, run: str) -> Mapping[str, Any] | None:
+        """Return the fields that a run kept when it was done (`Run.report`); None when there are none."""
+        with self._database.read() as session:
+            return run_report(session, run)
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; with an equal `key` there is no work to do."""

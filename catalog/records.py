@@ -159,7 +159,7 @@ class FileRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """One run; `state` is running, done or failed; `report` is what it said of itself when it was done."""
+    """One run; `state` is running, done or failed."""
 
     id: str
     kind: str
@@ -170,7 +170,6 @@ class RunRecord:
     settings: Mapping[str, Any]
     started: str
     ended: str | None
-    report: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

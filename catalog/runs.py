@@ -409,6 +409,11 @@ def run_records(session: Session, kind: str | None) -> list[RunRecord]:
     return [row.as_record(RunRecord) for row in session.scalars(query)]
 
 
+def run_report(session: Session, run_id: str) -> Mapping[str, Any] | None:
+    """Return what a run said of itself when it was done; None when it said nothing."""
+    return session.scalar(select(RunRow.report).where(RunRow.id == run_id))
+
+
 def close_dead_runs(workspace: Path, database: Database) -> list[str]:
     """Close runs whose process is gone and clear their staging folders; return their ids."""
     with database.read() as session:

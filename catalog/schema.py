@@ -70,8 +70,8 @@ class RunRow(Base):
     process: Mapped[str]
     started: Mapped[str]
     ended: Mapped[str | None]
-    #: What a run that was done says of itself; None of those that said nothing.
-    report: Mapped[dict[str, Any] | None] = mapped_column(JSON, default=None)
+    #: What a run that was done says of itself; None of those that said nothing. Read when it is asked for.
+    report: Mapped[dict[str, Any] | None] = mapped_column(JSON, default=None, deferred=True)
 
 
 class DatasetRow(Base):

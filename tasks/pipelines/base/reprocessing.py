@@ -80,7 +80,7 @@ def report_if_unchanged(pipeline: Pipeline, cat: Catalog, plan: Plan) -> RunRepo
         for run in cat.runs("reprocess")
         if run.state == "done" and run.settings.get("comparison") == comparison
     ]
-    last = runs[-1].report if runs else None
+    last = cat.run_report(runs[-1].id) if runs else None
     if (
         not last
         or last["plan"] != _hash_of_plan(pipeline, plan)

@@ -1,0 +1,85 @@
+"""A run that would change nothing is not made: its report is that of the last one."""
+
+import pytest
+from tiny_mission import deliver_tiny_day, make_tiny_workspace
+
+from inflight.catalog import Catalog, Workspace
+from inflight.flows import launch, run_with_prefect
+from inflight.tasks import ingest, reprocess
+from inflight.tasks.archive import ingest_if_unchanged
+from inflight.tasks.pipelines import ReprocessSettings
+
+
+@pytest.fixture
+def place(tmp_path):
+    workspace = Workspace.open(make_tiny_workspace(tmp_path / "tiny", 2))
+    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
+    return workspace
+
+
+@pytest.fixture
+def done(place):
+    return place, reprocess(Catalog(place.root), place.mission())
+
+
+def test_the_same_again_gives_the_same_report_and_no_run(done):
+    place, first = done
+    cat = Catalog(place.root)
+    runs = len(cat.runs())
+    again = reprocess(cat, place.mission())
+    assert again.run == ""
+    assert again.days == {**first.days, "done": 0, "unchanged": first.days["done"]}
+    assert (again.outputs, again.problems, again.extra) == (first.outputs, first.problems, first.extra)
+    assert len(cat.runs()) == runs
+
+
+def test_another_table_is_work_and_so_is_the_first_one_after_it(done):
+    place, _ = done
+    cat, daily = Catalog(place.root), ReprocessSettings(table="daily")
+    assert reprocess(cat, place.mission(), settings=daily).run
+    assert not reprocess(cat, place.mission(), settings=daily).run
+    assert reprocess(cat, place.mission()).run
+
+
+def test_a_new_day_is_work(done):
+    place, _ = done
+    deliver_tiny_day(place.data, "2024-03-03")
+    cat = Catalog(place.root)
+    assert ingest_if_unchanged(cat, place.mission(), place.data) is None
+    ingest(cat, place.mission(), place.data)
+    report = ingest_if_unchanged(cat, place.mission(), place.data)
+    assert report is not None
+    assert report.days["unchanged"] == 6
+    assert reprocess(cat, place.mission()).days["done"] >= 1
+
+
+def test_a_span_of_its_own_is_work_of_its_own(done):
+    place, _ = done
+    cat = Catalog(place.root)
+    assert reprocess(cat, place.mission(), "2024-03-01", "2024-03-02").run
+
+
+def test_a_product_that_is_gone_is_made_again(done):
+    place, _ = done
+    cat = Catalog(place.root)
+    store = place.root / next(day.segment for day in cat.days("l2/field", states=("published",)))
+    chunk = next(path for path in sorted(store.rglob("*")) if path.is_file() and "/c/" in path.as_posix())
+    chunk.write_bytes(b"")
+    cat.repair()
+    report = reprocess(Catalog(place.root), place.mission())
+    assert report.run
+    assert report.days["done"] == 2
+
+
+def test_no_server_is_started_for_it(done, monkeypatch):
+    place, first = done
+
+    def refuse(*arguments):
+        raise AssertionError("a server was asked for")
+
+    monkeypatch.setattr(launch, "prefect_settings", refuse)
+    assert run_with_prefect("reprocess", place, {}).days["unchanged"] == first.days["done"]
+    assert run_with_prefect("ingest", place, {}).days["unchanged"] == 4
+    span = {"start": "2024-03-01", "end": "2024-03-02"}
+    with pytest.raises(AssertionError, match="a server"):
+        run_with_prefect("backfill", place, span)
