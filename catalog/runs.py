@@ -415,23 +415,28 @@ def run_report(session: Session, run_id: str) -> Mapping[str, Any] | None:
 
 
 def close_dead_runs(workspace: Path, database: Database) -> list[str]:
-    """Close runs whose process is gone and clear their staging folders; return their ids."""
+    """Close runs whose process is gone and clear the staging folders of ended runs; return their ids.
+
+    A worker of a run that was interrupted may have staged something after the run had cleared its folder.
+    """
+    staging = workspace / "staging"
+    staged = [folder.name for folder in staging.iterdir()] if staging.is_dir() else []
     with database.read() as session:
+        ended = session.scalars(select(RunRow.id).where(RunRow.id.in_(staged), RunRow.state != "running"))
+        left = list(ended) if staged else []
         gone = [
             row.id
             for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
             # A process of another host may be alive.
             if row.host == socket.gethostname() and _process_start(row.pid) != row.process
         ]
-    if not gone:
-        return []
-    with database.write() as session:
-        for run_id in gone:
-            close_run(
-                session, run_id, "failed", "transient", "its process ended before the run did; run again"
-            )
-    for run_id in gone:
-        shutil.rmtree(workspace / "staging" / run_id, ignore_errors=True)
+    if gone:
+        with database.write() as session:
+            for run_id in gone:
+                message = "its process ended before the run did; run again"
+                close_run(session, run_id, "failed", "transient", message)
+    for run_id in (*gone, *left):
+        shutil.rmtree(staging / run_id, ignore_errors=True)
     return gone
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,12 @@ _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THR
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
 #: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead.
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "536870912", "MALLOC_MMAP_THRESHOLD_": "536870912"}
+
+
+def dask_setup(worker: Any) -> None:
+    """Let a worker ignore Ctrl-C, which is for the command: it ends the workers. Dask calls this in each."""
+    del worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def available_cores() -> int:
@@ -45,6 +52,7 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
     settings = {
         "distributed.nanny.pre-spawn-environ": _ONE_THREAD | _KEEP_MEMORY,
         "distributed.worker.memory.spill": False,
+        "distributed.worker.preload": [__name__],
     }
     address = os.environ.get(SCHEDULER_VARIABLE)
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:

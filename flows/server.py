@@ -54,6 +54,8 @@ class EmbeddedServer:
             [sys.executable, "-m", "uvicorn", *app, *where, "--log-level", "error", "--lifespan", "on"],
             env=_server_environment(environment),
             stdin=subprocess.DEVNULL,
+            # Ctrl-C is for the command: its flow tells the server that it was interrupted.
+            start_new_session=True,
         )
 
     def wait(self) -> None:
