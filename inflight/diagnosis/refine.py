@@ -540,10 +540,12 @@ class FormTrials:
     def _kept_columns(self, terms: Sequence[Term]) -> Floats:
         """Return the columns of the model's terms, which further trials need again."""
         kept = self.data.columns
-        for term in terms:
-            if term.key not in kept:
-                kept[term.key] = self._flat([term])
-        return np.concatenate([np.zeros((self.root.size, 0)), *(kept[term.key] for term in terms)], axis=1)
+        # The calibration's terms share one key: each is known by its columns.
+        keys = [" ".join(term.columns) for term in terms]
+        for key, term in zip(keys, terms, strict=True):
+            if key not in kept:
+                kept[key] = self._flat([term])
+        return np.concatenate([np.zeros((self.root.size, 0)), *(kept[key] for key in keys)], axis=1)
 
     def _flat(self, terms: Sequence[Term]) -> Floats:
         derived = derived_channels(self.series, _channels_of(terms))
