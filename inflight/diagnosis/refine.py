@@ -192,7 +192,7 @@ class DesignSettings:
         Rows of the series at most: in longer records the best of the bank's forms stands.
     """
 
-    kept: int = 100_000_000
+    kept: int = 20_000_000
     part: int = 10_000_000
     before_days: int = 3
     margin: int = 4
