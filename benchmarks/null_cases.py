@@ -66,7 +66,6 @@ def replace_residual(search: Search, residual: int) -> Search:
         search.requested_intervals,
         search.shared.days,
         search.rules,
-        search.shared.within,
         time_variable=search.time_variable,
         residual=residual,
     )
@@ -112,7 +111,7 @@ def score_many(
     gained, promised = np.zeros((2, len(evidence), len(candidates), y.size))
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         train = total - held
-        blocks = _turned(evidence.gram[fold], present, train)
+        blocks = _turned(evidence.rows(np.arange(len(evidence.names)), blocks=fold), present, train)
         train = project_out(train, present)
         loss0[fold] = blocks[:, y, y]
         for positions, columns in group_by_size(candidates):

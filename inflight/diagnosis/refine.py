@@ -829,18 +829,8 @@ def _join_combination(search: Search, option: Option, term: Term, lag: float) ->
     bank = {one: [names[place] for place in places] for one, places in bank_of(search, option).items()}
     lags = tuple(sorted(bank))
     weights = lag_weights(lag, lags)
-
-    def border(grams: GramBlocks) -> Border:
-        rows = sum(weight * grams.rows(bank[one]) for weight, one in zip(weights, lags, strict=True))
-        across = np.asarray(rows).transpose(0, 2, 1)
-        inner = sum(
-            weight * across[:, grams.index(bank[one])] for weight, one in zip(weights, lags, strict=True)
-        )
-        return across, np.asarray(inner)
-
-    within = search.shared.within
-    return search.join(
-        [term], border(search.raw), border(search.white), None if within is None else border(within)
+    return search.join_combination(
+        term, [(weight, bank[one]) for weight, one in zip(weights, lags, strict=True)]
     )
 
 
@@ -898,7 +888,7 @@ def _columns_of_part(search: Search, data: DiagnosisData, terms: Sequence[Term],
 
 @dataclass
 class _BorderSums:
-    """Products of the fresh columns with all columns, raw, prewhitened, and calibrated anew each day.
+    """Products of the fresh columns with all columns, raw and prewhitened.
 
     Attributes
     ----------
@@ -910,8 +900,10 @@ class _BorderSums:
         Places of the fresh ones and of the calibration's own.
     raw, white : ndarray, shape (block, column + 1, fresh column)
         The residual last.
-    within : ndarray, optional
-        The same of the within-day form, where blocks are longer than a day.
+    given : ndarray, shape (block, fit, base, fresh column)
+        Products with the calibration's columns, for each fit of a block.
+    begins : ndarray of int64, shape (block, fit)
+        First instant of each fit, TT2000.
     """
 
     names: Sequence[str]
@@ -920,16 +912,17 @@ class _BorderSums:
     base: Index
     raw: Floats
     white: Floats
-    within: Floats | None
+    given: Floats
+    begins: Int64
 
     @classmethod
     def of(cls, search: Search, names: Sequence[str], terms: Sequence[Term]) -> _BorderSums:
         places = {name: place for place, name in enumerate(names)}
         fresh = np.array([places[name] for term in terms for name in term.columns], dtype=np.int64)
         base = np.array([places[name] for name in search.base()[0]], dtype=np.int64)
-        shape = (len(search.raw), len(names) + 1, fresh.size)
-        within = None if search.shared.within is None else np.zeros(shape)
-        return cls(names, terms, fresh, base, np.zeros(shape), np.zeros(shape), within)
+        shape, begins = (len(search.raw), len(names) + 1, fresh.size), search.raw.begins
+        given = np.zeros((*begins.shape, base.size, fresh.size))
+        return cls(names, terms, fresh, base, np.zeros(shape), np.zeros(shape), given, begins)
 
     def add(self, data: DiagnosisData, part: slice, columns: Floats) -> None:
         """Add the rows of some days."""
@@ -946,27 +939,22 @@ class _BorderSums:
                 flat, filtered = (
                     (one[inside] * root[inside]).reshape(-1, one.shape[2]) for one in (values, white)
                 )
-                self.raw[number] += flat.T @ flat[:, self.fresh]
+                products = flat.T @ flat[:, self.fresh]
+                self.raw[number] += products
                 self.white[number] += filtered.T @ filtered[:, self.fresh]
-                if self.within is not None:
-                    own = flat[:, self.base]
-                    left = flat[:, self.fresh] - own @ solve_scaled(own.T @ own, own.T @ flat[:, self.fresh])
-                    self.within[number] += flat.T @ left
+                fit = int(np.searchsorted(self.begins[number], stamps[inside][-1], side="right")) - 1
+                self.given[number, max(fit, 0)] += products[self.base]
 
-    def borders(self, search: Search) -> tuple[Border, Border, Border | None]:
-        """Return the borders of the raw, prewhitened and within-day Gram blocks."""
+    def borders(self, search: Search) -> tuple[Border, Border]:
+        """Return the borders of the raw and the prewhitened Gram blocks."""
         changes = {
             name: source
             for option in search.accepted
             if option.change
             for name, source in option.change.functions.items()
         }
-        apart = search.shared.within
-        return (
-            self._border(search.raw, self.raw, changes),
-            self._border(search.white, self.white, changes),
-            None if apart is None or self.within is None else self._border(apart, self.within, changes),
-        )
+        raw = self._border(search.raw, self.raw, changes)
+        return raw._replace(given=self.given), self._border(search.white, self.white, changes)
 
     def _border(self, grams: GramBlocks, gram: Floats, changes: Mapping[str, tuple[str, Floats]]) -> Border:
         """Return the fresh columns' products with those of Gram blocks, changes in time among them."""
@@ -977,7 +965,7 @@ class _BorderSums:
             if source in places:
                 piece = gram[:, places[source]]
                 across[:, place] = piece if factor is None else piece * np.asarray(factor)[:, None]
-        return across, gram[:, self.fresh]
+        return Border(across, gram[:, self.fresh])
 
 
 # Lags of the bank.

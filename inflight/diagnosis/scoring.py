@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +81,11 @@ class Fits:
     candidates: list[Index]
     folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
 
+    @cached_property
+    def _own(self) -> Floats:
+        """Products of the model's columns; (block, present, present)."""
+        return self.grams.rows(self.present, self.present)
+
     def begin_fold(self, fold: Index, own: Floats) -> None:
         """Begin a fold with its blocks, and the projection (present, column) that the other blocks give."""
         self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
@@ -98,14 +104,19 @@ class Fits:
         if max(one, other) >= len(self.candidates):
             return None
         first, second = self.candidates[one], self.candidates[other]
-        columns = np.concatenate([self.present, first, second])
-        values = np.zeros((len(self.grams), columns.size))
+        both = np.concatenate([first, second])
+        values = np.zeros((len(self.grams), both.size))
+        model = np.zeros((len(self.grams), self.present.size))
         for fold, own, fitted in self.folds:
-            own_one = own[:, first] @ fitted[one]
-            own_other = own[:, second] @ fitted[other]
-            values[fold] = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
-        rows = np.matmul(self.grams.rows(columns, columns), values[:, :, None])[:, :, 0]
-        return np.asarray(np.maximum(np.sum(rows * values, axis=1), 0.0))
+            values[fold] = np.concatenate([fitted[one], -fitted[other]])
+            # The model's own columns give way.
+            model[fold] = -own[:, both] @ values[fold[0]]
+        rows = np.matmul(self.grams.rows(np.append(both, self.present), both), values[:, :, None])[:, :, 0]
+        out = np.sum(rows[:, : both.size] * values, axis=1)
+        if self.present.size:
+            inner = np.matmul(self._own, model[:, :, None])[:, :, 0]
+            out += np.sum((2.0 * rows[:, both.size :] + inner) * model, axis=1)
+        return np.asarray(np.maximum(out, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,8 +345,9 @@ def score(
     total = grams.total
     loss0 = np.zeros(len(grams))
     loss, expected = np.zeros((2, len(grams), len(candidates)))
-    fits = Fits(grams, p := present.columns, list(candidates))
+    p = present.columns
     given = grams.rows(np.append(p, y))
+    fits = Fits(grams, p, list(candidates))
     groups = group_by_size(candidates)
     for fold, held in zip(folds, grams.sums(folds), strict=True):
         blocks = given[fold]

@@ -13,8 +13,9 @@ is near it. A change is therefore judged with intervals whose edges keep away fr
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,12 +43,18 @@ from inflight.diagnosis.time_changes import (
     episodes,
     steps,
 )
-from inflight.lsq import GramBlocks
+from inflight.lsq import FactoredGrams, GramBlocks
 
 Groups = Sequence[Sequence[int]]
 
-#: Products of new columns with every column there is, and with each other; (block, ...) each.
-Border = tuple[Floats, Floats]
+
+class Border(NamedTuple):
+    """Products of new columns with those there are, as `FactoredGrams.bordered` takes them."""
+
+    across: Floats
+    inner: Floats
+    given: Floats | None = None
+
 
 #: Forms of the Gram blocks, in the order of preference.
 FORMS = ("raw", "within", "white")
@@ -230,111 +237,70 @@ class SharedGrams:
 
     Attributes
     ----------
-    raw, white : GramBlocks
+    raw, white : FactoredGrams
         Columns as the library has them, the calibration's own among them.
     days : sequence of sequence of int
-        Blocks of each day.
+        Blocks of each day; those of blocks longer than a day hold a fit of each day.
     base : sequence of str
         The calibration's own columns.
     precision : ndarray, shape (column,)
         Prior precision of these, scaled.
-    within : GramBlocks, optional
-        The within-day form of blocks longer than a day, marginalised when they were made. Columns that are
-        added to the others are added to it, too.
     intervals : sequence of sequence of int
         Calibration intervals the forms were made for.
     forms : dict of str to GramBlocks
         The calibration marginalised: ``raw``, ``within``, ``white``; empty when they must be made anew.
     """
 
-    raw: GramBlocks
-    white: GramBlocks
+    raw: FactoredGrams
+    white: FactoredGrams
     days: Groups
     base: Sequence[str]
     precision: Floats
-    within: GramBlocks | None = None
     intervals: Groups = ()
     forms: dict[str, GramBlocks] = field(default_factory=dict)
 
     def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
         """Return the three forms with some calibration intervals."""
         if not self.forms or self.intervals != intervals:
-            self.forms.clear()
             self.intervals = intervals
-            for form, (source, groups) in self._sources().items():
-                given = self.within if form == "within" else None
-                self.forms[form] = given or source.marginalise(self.base, groups, self.precision, np.float32)
+            if self.raw.fits > 1:
+                within = self.raw.marginalise(self.base)
+            else:
+                within = self.raw.marginalise(self.base, self.days, self.precision)
+            self.forms = {
+                "raw": self.raw.marginalise(self.base, intervals, self.precision),
+                "within": within,
+                "white": self.white.marginalise(self.base, intervals, self.precision),
+            }
         return self.forms
-
-    def _sources(self) -> dict[str, tuple[GramBlocks, Groups]]:
-        """Return what each form is made from, and the blocks of each of its intervals."""
-        return {
-            "raw": (self.raw, self.intervals),
-            "within": (self.raw, self.days),
-            "white": (self.white, self.intervals),
-        }
 
     def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> None:
         """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
         if set(functions) & set(self.raw.names):
             # Columns of a change that was dropped lack the products with what joined since.
-            self.raw, self.white = _without(self.raw, functions), _without(self.white, functions)
-            self.within = self.within and _without(self.within, functions)
-        scale = self.raw.scale[self.raw.index([source for source, _ in functions.values()])]
+            self.raw, self.white = self.raw.without(functions), self.white.without(functions)
         self.raw, self.white = self.raw.expand(functions), self.white.expand(functions)
-        self.within = self.within and _expand_within(self.within, functions, scale)
-        self.forms.clear()
+        self.forms = {}
 
-    def join(
-        self, names: Sequence[str], scale: Floats, raw: Border, white: Border, within: Border | None = None
-    ) -> None:
-        """Add columns to the Gram blocks and to the forms there are, one after the other.
+    def join(self, names: Sequence[str], scale: Floats, raw: Border, white: Border) -> None:
+        """Add columns to the Gram blocks.
 
         Parameters
         ----------
         names : sequence of str
         scale : ndarray, shape (column,)
             Physical size of one unit of each new column.
-        raw, white : (across, inner)
-            Products of the new columns with those there are, and with each other (`GramBlocks.bordered`).
-        within : (across, inner), optional
-            The same of the within-day form, where blocks are longer than a day.
+        raw, white : Border
         """
-        if self.within is not None:
-            if within is None:
-                raise ValueError("blocks longer than a day need the within-day products of new columns")
-            self.within = self.within.bordered(names, scale, *within)
-        for form, (source, groups) in self._sources().items():
-            if form == "within" and self.within is not None:
-                self.forms[form] = self.within
-                continue
-            border = white if form == "white" else raw
-            rest = source.marginalised_border(self.base, groups, self.precision, *border)
-            self.forms[form] = self.forms[form].bordered(names, scale, *rest)
         self.raw = self.raw.bordered(names, scale, *raw)
         self.white = self.white.bordered(names, scale, *white)
+        self.forms = {}
 
-
-def _without(grams: GramBlocks, names: Collection[str]) -> GramBlocks:
-    """Return the blocks without some columns."""
-    return grams.select([name for name in grams.names if name not in names][: -len(grams.residuals)])
-
-
-def _expand_within(
-    grams: GramBlocks, functions: Mapping[str, tuple[str, Floats]], scale: Floats
-) -> GramBlocks:
-    """Return the within-day form with columns added that are others times a function of the block.
-
-    Days are calibrated anew in it: nothing is left of a column of the calibration times a constant.
-    """
-    places = [place for place, (source, _) in enumerate(functions.values()) if source not in grams.names]
-    lost = [name for name, (source, _) in functions.items() if source not in grams.names]
-    kept = {name: found for name, found in functions.items() if name not in lost}
-    grams = grams.expand(kept) if kept else grams
-    if not lost:
-        return grams
-    across = np.zeros((len(grams), len(grams.names), len(lost)))
-    return grams.bordered(lost, scale[places], across, np.zeros((len(grams), len(lost), len(lost))))
+    def join_combinations(self, names: Sequence[str], parts: Sequence[tuple[float, Sequence[str]]]) -> None:
+        """Add columns that are sums of weights times others; see `FactoredGrams.with_combinations`."""
+        self.raw = self.raw.with_combinations(names, parts)
+        self.white = self.white.with_combinations(names, parts)
+        self.forms = {}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -401,26 +367,28 @@ class Search:
         intervals: Groups,
         days: Groups,
         rules: Rules | None = None,
-        within: GramBlocks | None = None,
         *,
         time_variable: TimeVariableColumns | None = None,
         residual: int = 0,
     ) -> Search:
         """Return the first state: nothing taken, without options that the calibration takes over.
 
-        Parameters are those of `Search` and `SharedGrams`; `intervals` are the requested ones.
+        Parameters are those of `Search` and `SharedGrams`; `intervals` are the requested ones. Gram blocks
+        that are not factored are made so.
         """
         groups = [list(map(int, group)) for group in intervals]
         variance = row_variance(white, library.base, residual)
         base, sigma = base_columns(library)
+        factored = [
+            one if isinstance(one, FactoredGrams) else FactoredGrams.of(one, base) for one in (raw, white)
+        ]
         search = cls(
             shared=SharedGrams(
-                raw=raw,
-                white=white,
+                raw=factored[0],
+                white=factored[1],
                 days=days,
                 base=base,
                 precision=prior_precision(raw, base, sigma, variance),
-                within=within,
             ),
             library=library,
             requested_intervals=groups,
@@ -481,12 +449,12 @@ class Search:
     # The Gram blocks, the calibration's columns and the model's.
 
     @property
-    def raw(self) -> GramBlocks:
+    def raw(self) -> FactoredGrams:
         """Columns as the library has them, the calibration's own among them."""
         return self.shared.raw
 
     @property
-    def white(self) -> GramBlocks:
+    def white(self) -> FactoredGrams:
         """The same, prewhitened."""
         return self.shared.white
 
@@ -583,10 +551,12 @@ class Search:
         found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
         found += episodes(self.raw, self.forms["raw"], self.time_variable.outside(base), self.y())
         excluded = self._excluded(found, without)
+        # Of gigabytes of Gram blocks the few columns that change in time are read once.
+        core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names])))
         for intervals, batch in self._in_batches([one for one in found if one.name not in excluded], without):
             functions = {name: source for change in batch for name, source in change.functions.items()}
             sources = [column for column, _ in functions.values()]
-            small = self.raw.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
+            small = core.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
             wide = self._marginalised(small, intervals)
             live = np.diagonal(wide.total) > 0
             options = [
@@ -741,7 +711,7 @@ class Search:
         intervals = self._intervals_around_changes()
         if intervals == self.intervals:
             return self
-        self.shared.forms.clear()
+        self.shared.forms = {}
         return replace(self, intervals=intervals)
 
     def with_round(
@@ -776,12 +746,19 @@ class Search:
         """Return the state with more options to choose from."""
         return replace(self, options=(*self.options, *options))
 
-    def join(self, terms: Sequence[Term], raw: Border, white: Border, within: Border | None = None) -> Search:
+    def join(self, terms: Sequence[Term], raw: Border, white: Border) -> Search:
         """Return the state with the columns of new terms in its Gram blocks; see `SharedGrams.join`."""
         names = [name for term in terms for name in term.columns]
         scale = np.array([one for term in terms for one in term.scale])
-        self.shared.forms_for(self.intervals)
-        self.shared.join(names, scale, raw, white, within)
+        self.shared.join(names, scale, raw, white)
+        return self._with_terms(terms)
+
+    def join_combination(self, term: Term, parts: Sequence[tuple[float, Sequence[str]]]) -> Search:
+        """Return the state with a new term whose columns are sums of weights times columns there are."""
+        self.shared.join_combinations(term.columns, parts)
+        return self._with_terms([term])
+
+    def _with_terms(self, terms: Sequence[Term]) -> Search:
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
         return replace(self, library=library)
 

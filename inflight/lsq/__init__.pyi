@@ -18,6 +18,7 @@ from .covariance import (
     sigma_of_mean,
     with_variance_floor,
 )
+from .factored_grams import FactoredGrams
 from .gram_blocks import (
     LEAST_KEPT,
     RESIDUAL,
@@ -59,6 +60,7 @@ __all__ = [
     "SOLVER_SETTINGS",
     "BlockSums",
     "ClusteredFit",
+    "FactoredGrams",
     "GramArrays",
     "GramBlocks",
     "Mask",

@@ -9,7 +9,8 @@ these:
 - `GramBlocks` is the protocol. Whoever computes with blocks asks for `rows`, `select`, `expand`,
   `merge`, `marginalise` and sums, and never indexes the matrices; so they may lie in memory or be
   read from a store as they are asked for.
-- `GramArrays` is the implementation in memory.
+- `GramArrays` is the implementation in memory; `inflight.lsq.factored_grams` has the one of a search, whose
+  forms share one matrix.
 - `BlockSums` sums blocks whose columns are multiplied by functions of time, without a matrix of
   the expanded columns for every block.
 - `gram_of` makes the matrices from rows, `prewhiten` the rows of a first-order autoregression.
@@ -104,7 +105,7 @@ def parts_of(stamps: npt.NDArray[np.int64], edges: Sequence[int]) -> list[slice]
     return [slice(a, b) for a, b in pairwise(places)]
 
 
-def pack(gram: Floats) -> Floats:
+def pack(gram: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the upper triangles of symmetric matrices; (block, entry)."""
     upper = np.triu_indices(gram.shape[-1])
     return np.asarray(gram[:, upper[0], upper[1]])
@@ -202,22 +203,22 @@ class GramBlocks(Protocol):
     def centred(self, columns: Indices, base: Indices) -> Floats:
         """Return the total matrix of columns about what they share with one column of the base."""
 
-    def select(self, names: Sequence[str]) -> Self:
+    def select(self, names: Sequence[str]) -> GramBlocks:
         """Return some columns, with all residuals behind them."""
 
-    def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> Self:
+    def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> GramBlocks:
         """Return the blocks with columns added that are others times a function of the block."""
 
-    def merge(self, edges: Sequence[int]) -> Self:
+    def merge(self, edges: Sequence[int]) -> GramBlocks:
         """Return wider blocks: all blocks between two edges become one."""
 
-    def join(self, others: Sequence[Self]) -> Self:
+    def join(self, others: Sequence[Any]) -> GramBlocks:
         """Return the blocks of several, in order of time."""
 
-    def combine(self, names: Sequence[str], weights: Floats, scale: Floats) -> Self:
+    def combine(self, names: Sequence[str], weights: Floats, scale: Floats) -> GramBlocks:
         """Return blocks whose columns and residuals are linear combinations of these."""
 
-    def bordered(self, names: Sequence[str], scale: Floats, across: Floats, inner: Floats) -> Self:
+    def bordered(self, names: Sequence[str], scale: Floats, across: Floats, inner: Floats) -> GramBlocks:
         """Return the blocks with columns added before the residuals."""
 
     def marginalise(
@@ -226,18 +227,8 @@ class GramBlocks(Protocol):
         groups: Sequence[Sequence[int]] | None = None,
         precision: Floats | None = None,
         dtype: npt.DTypeLike = np.float64,
-    ) -> Self:
+    ) -> GramBlocks:
         """Return the residual of every column after some are fitted anew in each interval."""
-
-    def marginalised_border(
-        self,
-        names: Sequence[str],
-        groups: Sequence[Sequence[int]],
-        precision: Floats,
-        across: Floats,
-        inner: Floats,
-    ) -> tuple[Floats, Floats]:
-        """Return what `marginalise` leaves of columns that are about to join, as `bordered` takes it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +290,7 @@ class GramArrays:
     @property
     def columns(self) -> list[str]:
         """Names of the columns, without the residuals."""
-        return [name for name in self.names if not _is_residual(name)]
+        return [name for name in self.names if not is_residual(name)]
 
     @property
     def middle(self) -> npt.NDArray[np.int64]:
@@ -314,7 +305,7 @@ class GramArrays:
     @property
     def residuals(self) -> list[int]:
         """Places of the residuals."""
-        return [index for index, name in enumerate(self.names) if _is_residual(name)]
+        return [index for index, name in enumerate(self.names) if is_residual(name)]
 
     def index(self, names: Sequence[str]) -> Indices:
         """Return the places of columns by name.
@@ -324,14 +315,7 @@ class GramArrays:
         CalibrationError
             When one is not there.
         """
-        places = {name: index for index, name in enumerate(self.names)}
-        missing = [name for name in names if name not in places]
-        if missing:
-            raise CalibrationError(
-                f"the library's equations have no column {', '.join(missing[:3])}",
-                remedy="run 'inflight diagnose' again: it makes the columns that are missing",
-            )
-        return np.array([places[name] for name in names], dtype=np.int64)
+        return places_of(names, {name: index for index, name in enumerate(self.names)})
 
     def _at(self, columns: Columns) -> Indices:
         return columns if isinstance(columns, np.ndarray) else self.index(columns)
@@ -405,16 +389,7 @@ class GramArrays:
         It is an effect's own variance about a constant channel: a temperature of 293 K that moves by one
         kelvin moves by one kelvin.
         """
-        total = self.total
-        if not base.size:
-            return np.asarray(total[np.ix_(columns, columns)])
-        size = np.sqrt(np.clip(np.diag(total), 1e-300, None))
-        likeness = np.abs(total[np.ix_(columns, base)]) / size[columns][:, None] / size[base][None, :]
-        nearest = base[np.argmax(likeness, axis=1)]
-        share = total[columns, nearest] / np.clip(total[nearest, nearest], 1e-300, None)
-        out = total[np.ix_(columns, columns)] - share[:, None] * total[np.ix_(nearest, columns)]
-        out = out - share[None, :] * total[np.ix_(columns, nearest)]
-        return np.asarray(out + np.outer(share, share) * total[np.ix_(nearest, nearest)])
+        return centred_gram(self.total, columns, base)
 
     # Other blocks.
 
@@ -689,7 +664,7 @@ class GramArrays:
                 out[some] = self.gram[np.ix_(some, kept, kept)] - cross - cross.swapaxes(1, 2)
         names_kept = tuple(self.names[index] for index in kept)
         dead = np.diagonal(out.sum(axis=0, dtype=np.float64)) <= least_kept * np.diagonal(self.total)[kept]
-        dead &= ~np.array([_is_residual(name) for name in names_kept])
+        dead &= ~np.array([is_residual(name) for name in names_kept])
         out[:, dead, :] = 0.0
         out[:, :, dead] = 0.0
         return self._with(
@@ -701,43 +676,6 @@ class GramArrays:
             scatter=None,
             more=None,
         )
-
-    def marginalised_border(
-        self,
-        names: Sequence[str],
-        groups: Sequence[Sequence[int]],
-        precision: Floats,
-        across: Floats,
-        inner: Floats,
-    ) -> tuple[Floats, Floats]:
-        """Return what `marginalise` leaves of columns that are about to join, as `bordered` takes it.
-
-        Parameters
-        ----------
-        names, groups, precision
-            As of `marginalise`.
-        across, inner : ndarray
-            Products of the new columns with those there are, and with each other, nothing marginalised.
-        """
-        gone = self.index(names)
-        kept = np.setdiff1d(np.arange(len(self.names)), gone)
-        out, own = np.empty((len(self), kept.size, across.shape[2])), np.empty(inner.shape)
-        for group in groups:
-            place = np.asarray(group)
-            of_gone, others = self.gram[np.ix_(place, gone)], across[place]
-            total = of_gone.sum(axis=0)
-            fitted = solve_scaled(total[:, gone], total[:, kept], precision=precision)
-            fresh = solve_scaled(total[:, gone], others[:, gone].sum(axis=0), precision=precision)
-            rest = others[:, gone] - of_gone[:, :, gone] @ fresh
-            out[place] = others[:, kept] - fitted.T @ rest - of_gone[:, :, kept].transpose(0, 2, 1) @ fresh
-            shared = fresh.T @ (others[:, gone] - 0.5 * of_gone[:, :, gone] @ fresh)
-            own[place] = inner[place] - shared - shared.transpose(0, 2, 1)
-        before = np.diagonal(inner.sum(axis=0))
-        dead = np.diagonal(own.sum(axis=0)) <= LEAST_KEPT * before
-        out[:, :, dead] = 0.0
-        own[:, dead, :] = 0.0
-        own[:, :, dead] = 0.0
-        return out, own
 
     # At values of the parameters: one residual, the last column, and a reference.
 
@@ -830,7 +768,41 @@ class GramArrays:
         )
 
 
-def _is_residual(name: str) -> bool:
+def places_of(names: Sequence[str], places: Mapping[str, int]) -> Indices:
+    """Return the places of columns by name.
+
+    Raises
+    ------
+    CalibrationError
+        When one is not there.
+    """
+    missing = [name for name in names if name not in places]
+    if missing:
+        raise CalibrationError(
+            f"the library's equations have no column {', '.join(missing[:3])}",
+            remedy="run 'inflight diagnose' again: it makes the columns that are missing",
+        )
+    return np.array([places[name] for name in names], dtype=np.int64)
+
+
+def centred_gram(total: Floats, columns: Indices, base: Indices) -> Floats:
+    """Return the Gram matrix of columns about what they share with one column of the base.
+
+    `total` (column, column) is that of all columns; see `GramArrays.centred`.
+    """
+    if not base.size:
+        return np.asarray(total[np.ix_(columns, columns)])
+    size = np.sqrt(np.clip(np.diag(total), 1e-300, None))
+    likeness = np.abs(total[np.ix_(columns, base)]) / size[columns][:, None] / size[base][None, :]
+    nearest = base[np.argmax(likeness, axis=1)]
+    share = total[columns, nearest] / np.clip(total[nearest, nearest], 1e-300, None)
+    out = total[np.ix_(columns, columns)] - share[:, None] * total[np.ix_(nearest, columns)]
+    out = out - share[None, :] * total[np.ix_(columns, nearest)]
+    return np.asarray(out + np.outer(share, share) * total[np.ix_(nearest, nearest)])
+
+
+def is_residual(name: str) -> bool:
+    """Return True for the name of a residual."""
     return name.split("~", maxsplit=1)[0] == RESIDUAL
 
 

@@ -328,7 +328,6 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
         intervals_of(made, settings),
         days,
         rules,
-        made.loaded.within,
         time_variable=time_variable_columns(made.plan.library),
     )
 

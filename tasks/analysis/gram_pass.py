@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -47,7 +47,7 @@ from inflight.dual import JumpAttribution, attribute_jumps
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten, unpack
+from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, gram_of, parts_of, prewhiten
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
@@ -127,7 +127,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-GRAM_VERSION = 15
+GRAM_VERSION = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,9 +271,14 @@ class PassPlan:
         )
 
     @property
-    def within_blocks(self) -> bool:
-        """True when blocks hold several days, so that days are calibrated while they are made."""
-        return any(len(block) > 1 for block in self.blocks)
+    def base(self) -> list[str]:
+        """The calibration's own columns."""
+        return [name for term in self.library.base for name in term.columns]
+
+    @property
+    def fits(self) -> int:
+        """Days of a block at most: each is calibrated anew."""
+        return max(len(block) for block in self.blocks)
 
     @property
     def key(self) -> str:
@@ -327,29 +332,22 @@ def block_grams(
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return the Gram blocks of some days (or of the blocks of a day), and sums over its samples."""
     found = [_day_grams(cat, mission, plan, index, derived, day) for day in days]
-    raw, white, _, sums = found[0]
-    total = dict(sums)
-    for more_raw, more_white, _, more in found[1:]:
-        raw, white = _sum_blocks(raw, more_raw), _sum_blocks(white, more_white)
-        total = {name: total[name] + more[name] for name in total}
+    white, sums = found[0][1], dict(found[0][3])
+    for _, more_white, _, more in found[1:]:
+        white = _sum_blocks(white, more_white)
+        sums = {name: sums[name] + more[name] for name in sums}
+    raw = FactoredGrams.of(found[0][0], plan.base, [one[0] for one in found[1:]], plan.fits)
     series, features = _series(
         plan, raw, [one[2] for one in found], [derived.reader.day(day) for day in days]
     )
-    dataset = raw.as_dataset().assign(gram_white=white.as_dataset()["gram"])
+    own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
+    dataset = raw.as_dataset().assign({f"white_{name}": own[name] for name in ("rest", "given")})
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
-    if plan.within_blocks:
-        names = [name for term in plan.library.base for name in term.columns]
-        inside = [one[0].marginalise(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
-        within = inside[0]
-        for more_raw in inside[1:]:
-            within = _sum_blocks(within, more_raw)
-        packed = within.as_dataset()["gram"].rename(entry="entry_within")
-        dataset = dataset.assign(gram_within=packed)
-    return dataset.assign_attrs(cadence_ns=plan.cadence_ns), total
+    return dataset.assign_attrs(cadence_ns=plan.cadence_ns), sums
 
 
 def _series(
-    plan: PassPlan, raw: GramArrays, rows: Sequence[DesignRows], recorded: Sequence[Mapping[str, Floats]]
+    plan: PassPlan, raw: GramBlocks, rows: Sequence[DesignRows], recorded: Sequence[Mapping[str, Floats]]
 ) -> tuple[np.ndarray, Features]:
     """Return the coarse series of a block (or of the blocks of a day), and what it holds.
 
@@ -478,60 +476,54 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """Gram blocks of a span (`within` when blocks hold several days), series, sums and outliers."""
+    """Gram blocks of a span, series, sums and outliers."""
 
-    raw: GramBlocks
-    white: GramBlocks
-    within: GramBlocks | None
+    raw: FactoredGrams
+    white: FactoredGrams
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
     outliers: OutlierReport
 
 
+#: Variables of every form of the blocks.
+_BLOCKS = ("start", "end", "count")
+
+
 def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     """Read Gram blocks, in order of time."""
-    names = (*plan.library.columns, "residual")
-    scale = np.array([*plan.scale, 1.0])
+    names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
-    base = {name for term in plan.library.base for name in term.columns}
-    kept = [place for place, name in enumerate(names) if name not in base]
-    places = {"gram": np.arange(len(names)), "gram_white": np.arange(len(names))}
-    places |= {"gram_within": np.array(kept, dtype=np.int64)} if plan.within_blocks else {}
     blocks = sum(day.count for day in ordered)
-    # Matrices go to their places as they are read: of gigabytes there is one copy only.
-    grams = {name: np.empty((blocks, own.size, own.size)) for name, own in places.items()}
-    parts, at = [], 0
-    for day in ordered:
-        part = cat.read(day)
-        for name, out in grams.items():
-            out[at : at + day.count] = unpack(part[name].values)
-        parts.append(part[["start", "end", "count", "series"]])
-        at += day.count
-    along = {name: np.concatenate([part[name].values for part in parts]) for name in parts[0].data_vars}
-    found = {
-        name: GramArrays(
-            tuple(names[place] for place in own),
-            grams[name],
-            along["start"],
-            along["end"],
-            along["count"],
-            scale[own],
-        )
-        for name, own in places.items()
-    }
-    packed, starts = along["series"], along["start"]
-    features = Features.of_json(parts[0]["series"].attrs["features"])
+    kept: list[tuple[np.ndarray, np.ndarray]] = []
+    features: list[Features] = []
+
+    def raw_parts() -> Iterator[xr.Dataset]:
+        for day in ordered:
+            part = cat.read(day, [*_BLOCKS, "rest", "given", "begins", "series"])
+            kept.append((part["series"].values, part["start"].values))
+            features.append(Features.of_json(part["series"].attrs["features"]))
+            yield part
+
+    def white_parts() -> Iterator[xr.Dataset]:
+        for day in ordered:
+            part = cat.read(day, [*_BLOCKS, "white_rest", "white_given"])
+            part = part.rename(white_rest="rest", white_given="given")
+            yield part.assign(begins=(("block", "white_fit"), part["start"].values[:, None]))
+
+    raw, white = (
+        FactoredGrams.read(parts, blocks, names, scale, plan.base) for parts in (raw_parts(), white_parts())
+    )
+    packed, starts = (np.concatenate(one) for one in zip(*kept, strict=True))
     filled = {need.name: replacement_value(plan.channel_summaries, need.name) for need in plan.channel_needs}
-    series = Series.of(packed, starts, features, filled)
+    series = Series.of(packed, starts, features[0], filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
     }
     return Loaded(
-        raw=found["gram"],
-        white=found["gram_white"],
-        within=found.get("gram_within"),
+        raw=raw,
+        white=white,
         series=replace(series, row_filter=plan.row_filter),
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),

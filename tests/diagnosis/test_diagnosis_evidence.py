@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from row_cases import row_case
 
 from inflight.errors import CalibrationError
-from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten, solve_scaled
+from inflight.lsq import FactoredGrams, GramArrays, gram_of, parts_of, prewhiten, solve_scaled
 from inflight.lsq.gram_blocks import pack, unpack
 from inflight.time import SECOND
 
@@ -197,9 +197,80 @@ def test_columns_that_join_later_are_as_if_they_had_been_there():
     assert joined.names == evidence.names
     np.testing.assert_array_equal(joined.gram, evidence.gram)
     np.testing.assert_array_equal(joined.scale, evidence.scale)
-    told = (["n0", "n1", "n2"], [list(range(7)), list(range(7, 20))], np.array([0.0, 3.0, 0.0]))
-    whole = evidence.marginalise(*told)
-    left = small.marginalised_border(*told, across, inner)
-    late = small.marginalise(*told).bordered(fresh, evidence.scale[places], *left)
-    assert late.names == whole.names
-    np.testing.assert_allclose(late.gram, whole.gram, atol=1e-11)
+
+
+@pytest.mark.parametrize("precision", [None, np.array([0.0, 3.0, 0.0])])
+@pytest.mark.parametrize("groups", [None, [list(range(7)), list(range(7, 20))]])
+def test_factored_blocks_are_the_blocks_as_they_were_and_marginalised(precision, groups):
+    grams, base = row_case(1).grams, ["n0", "n1", "n2"]
+    factored = FactoredGrams.of(grams, base)
+    size = np.sqrt(grams.squares.max(axis=0))
+    size = size[:, None] * size
+    every = np.arange(len(grams.names))
+    np.testing.assert_allclose(factored.rows(every) / size, grams.gram / size, atol=2e-7)
+    np.testing.assert_allclose(factored.rows(base), grams.rows(base), rtol=1e-12)
+    np.testing.assert_allclose(factored.squares, grams.squares, rtol=1e-6)
+    told = [groups or [[block] for block in range(len(grams))], precision]
+    left, whole = (one.marginalise(base, *told) for one in (factored, grams))
+    assert left.names == whole.names
+    size = np.sqrt(whole.squares.max(axis=0))
+    size = size[:, None] * size
+    folds = [np.arange(0, 6), np.arange(6, 20)]
+    np.testing.assert_allclose(left.rows(np.arange(8)) / size, whole.gram / size, atol=3e-7)
+    np.testing.assert_allclose(left.total / size, whole.total / size, atol=3e-6)
+    for one, other in zip(left.sums(folds), whole.sums(folds), strict=True):
+        np.testing.assert_allclose(one / size, other / size, atol=3e-6)
+    of_each = np.array([[0, 1], [2, 4], [5, 6]])
+    within = [one.products_within(of_each, folds[0]) for one in (left, whole)]
+    np.testing.assert_allclose(*within, rtol=3e-6, atol=1e-5)
+
+
+def test_columns_join_factored_blocks_as_if_they_had_been_there():
+    grams, base, fresh = row_case(1).grams, ["n0", "n1", "n2"], ["z3", "z4"]
+    small = FactoredGrams.of(grams.select([name for name in grams.columns if name not in fresh]), base)
+    places = grams.index(fresh)
+    across = grams.gram[:, grams.index(small.names)][:, :, places]
+    before = small.total.copy()
+    late = small.bordered(fresh, grams.scale[places], across, grams.gram[:, places][:, :, places])
+    assert late.names == grams.names
+    told = [list(range(7)), list(range(7, 20))]
+    left, whole = (one.marginalise(base, told) for one in (late, grams))
+    np.testing.assert_allclose(left.total, whole.total, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(late.rows(fresh), grams.rows(fresh), rtol=1e-5, atol=1e-3)
+    # What was there before does not see them.
+    np.testing.assert_array_equal(small.total, before)
+
+
+def test_blocks_of_several_days_are_those_of_their_days():
+    days, base = row_case(2).grams, ["n0", "n1", "n2"]
+    pairs = [days.of_blocks(np.arange(first, 20, 2)) for first in (0, 1)]
+    factored = FactoredGrams.of(pairs[0], base, pairs[1:], fits=3)
+    wide = days.merge_groups([[block, block + 1] for block in range(0, 20, 2)])
+    np.testing.assert_allclose(factored.rows(np.arange(11)), wide.gram, rtol=1e-5, atol=1e-3)
+    daily = days.marginalise(base).merge_groups([[block, block + 1] for block in range(0, 20, 2)])
+    np.testing.assert_allclose(factored.marginalise(base).total, daily.total, rtol=1e-5, atol=1e-3)
+    groups = [list(range(4)), list(range(4, 10))]
+    left, whole = (one.marginalise(base, groups) for one in (factored, wide))
+    np.testing.assert_allclose(left.total, whole.total, rtol=1e-5, atol=1e-3)
+    # The same after a visit to the disk, in parts.
+    stored = factored.as_dataset()
+    parts = [stored.isel(block=slice(0, 3)), stored.isel(block=slice(3, 10))]
+    read = FactoredGrams.read(iter(parts), 10, days.names, days.scale, base)
+    np.testing.assert_array_equal(read.rows(np.arange(11)), factored.rows(np.arange(11)))
+
+
+def test_a_sum_of_columns_and_a_function_of_the_block_join_factored_blocks():
+    case, base = row_case(3), ["n0", "n1", "n2"]
+    factor = np.linspace(-1.0, 2.0, 20)
+    found = FactoredGrams.of(case.grams, base).with_combinations(["w"], [(0.5, ["z0"]), (-2.0, ["z1"])])
+    found = found.expand({"d": ("z2", factor), "e": ("n1", factor)})
+    scale = dict(zip(case.grams.names, case.grams.scale, strict=True))
+    z0, z1, z2, n1 = (case.of(name)[:, :, 0] for name in ("z0", "z1", "z2", "n1"))
+    own = np.stack([0.5 * z0 - 2.0 * z1, z2 * factor[:, None], n1 * factor[:, None]], axis=2)
+    np.testing.assert_allclose(
+        found.rows(["w", "d", "e"], ["w", "d", "e"]),
+        np.einsum("bri,brj->bij", own, own),
+        rtol=1e-5,
+        atol=1e-4,
+    )
+    assert found.scale[found.index(["w", "d", "e"])].tolist() == [scale["z0"], scale["z2"], scale["n1"]]

@@ -1,0 +1,632 @@
+"""Gram blocks in little memory: what each interval's calibration leaves, in single precision, and rows of it.
+
+A search asks for the same blocks in several forms: as they are, with the calibration fitted anew every day,
+with it fitted anew in each of its intervals. All of these are one matrix that the forms share, plus a product
+of low rank. With X the columns of the calibration and Z all columns of a block, A = X'X, B = X'Z, and F the
+block's own fit of X to Z, what is kept is
+
+- ``rest`` = (Z - X F)'(Z - X F), in single precision: nothing large cancels in it any more;
+- ``given`` = B, in double precision: the calibration's products with every column.
+
+With any other fit G of X, with E = F - G and H = B - A (F + G) / 2,
+
+    (Z - X G)'(Z - X G)  =  rest + E'H + H'E,
+
+exactly, whether A can be inverted or not. G = 0 gives the block as it was, G = F what its own calibration
+leaves. Blocks of several days hold one pair (A, B) a day, and `rest` is their sum.
+
+Columns that join (`FactoredGrams.bordered`, `expand`) are appended to what all forms share; a form that
+was made before does not see them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.lsq.gram_blocks import (
+    LEAST_KEPT,
+    Columns,
+    GramArrays,
+    GramBlocks,
+    centred_gram,
+    is_residual,
+    pack,
+    places_of,
+)
+from inflight.lsq.solver import SOLVER_SETTINGS, Indices, solve_scaled
+
+#: Begin of a fit that a block does not have.
+NO_FIT = int(np.iinfo(np.int64).max)
+
+#: Columns that may join before the shared arrays are made anew, as a part of those there are.
+_ROOM = 0.1
+
+
+class _Shared:
+    """Arrays that all forms of some blocks share; columns are appended, never changed.
+
+    Attributes
+    ----------
+    rest : ndarray of float32, shape (block, column, column)
+    given, fitted : ndarray, shape (block, fit, base, column)
+        B and F of each fit of the calibration; the calibration's own columns come first.
+    base : int
+        Columns of the calibration.
+    width : int
+        Columns in use; the arrays may have room for more.
+    """
+
+    def __init__(self, rest: npt.NDArray[np.float32], given: Floats, fitted: Floats) -> None:
+        self.rest, self.given, self.fitted = rest, given, fitted
+        self.base, self.width = given.shape[2], rest.shape[1]
+
+    @property
+    def own(self) -> Floats:
+        """The calibration's products with itself; (block, fit, base, base)."""
+        return self.given[..., : self.base]
+
+    def append(self, across: Floats, inner: Floats, given: Floats, fitted: Floats) -> slice:
+        """Append columns; return their places.
+
+        Parameters
+        ----------
+        across : ndarray, shape (block, column, new column)
+        inner : ndarray, shape (block, new column, new column)
+        given, fitted : ndarray, shape (block, fit, base, new column)
+        """
+        old, new = self.width, self.width + inner.shape[-1]
+        if new > self.rest.shape[1]:
+            self._widen(new + int(_ROOM * new))
+        self.rest[:, :old, old:new] = across
+        self.rest[:, old:new, :old] = across.swapaxes(1, 2)
+        self.rest[:, old:new, old:new] = inner
+        self.given[..., old:new], self.fitted[..., old:new] = given, fitted
+        self.width = new
+        return slice(old, new)
+
+    def _widen(self, width: int) -> None:
+        used = slice(0, self.width)
+        rest = np.zeros((len(self.rest), width, width), dtype=np.float32)
+        rest[:, used, used] = self.rest[:, used, used]
+        self.rest = rest
+        for name in ("given", "fitted"):
+            old = getattr(self, name)
+            new = np.zeros((*old.shape[:3], width))
+            new[..., used] = old[..., used]
+            setattr(self, name, new)
+
+    def sum(self, blocks: Indices) -> Floats:
+        """Return the sum of `rest` over some blocks; (column, column)."""
+        out = np.zeros((self.width, self.width))
+        for block in np.asarray(blocks).tolist():
+            out += self.rest[block, : self.width, : self.width]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class FactoredGrams:
+    """Gram blocks that share one matrix of single precision with their other forms; see the module.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Columns, then residuals.
+    places : ndarray of int, shape (column,)
+        Where they are in the shared arrays.
+    start, end : ndarray of int64, shape (block,)
+        TT2000, half-open.
+    count : ndarray, shape (block,)
+        Sum of weights: good rows.
+    scale : ndarray, shape (column,)
+        Physical size of one unit of each column; 1 for residuals.
+    begins : ndarray of int64, shape (block, fit)
+        First instant of each fit of the calibration in a block, TT2000; ``NO_FIT`` where there are fewer.
+    shared : object
+        `rest`, `given` and `fitted` of all forms.
+    taken : ndarray, shape (interval, base, column), optional
+        The fit G of the calibration that is taken off, in each interval; nothing when absent.
+    interval : ndarray of int, shape (block,), optional
+        Interval of each block. Absent, with `taken` absent, of blocks less each fit of their own.
+    dead : ndarray of bool, shape (column,)
+        Columns of which nothing is left but rounding: 0.
+    """
+
+    names: tuple[str, ...]
+    places: Indices
+    start: npt.NDArray[np.int64]
+    end: npt.NDArray[np.int64]
+    count: Floats
+    scale: Floats
+    begins: npt.NDArray[np.int64]
+    shared: _Shared = field(repr=False)
+    taken: Floats | None = None
+    interval: Indices | None = None
+    dead: npt.NDArray[np.bool_] | None = None
+
+    @classmethod
+    def of(
+        cls, grams: GramBlocks, base: Sequence[str], merged: Sequence[GramBlocks] = (), fits: int = 0
+    ) -> Self:
+        """Return the factored form of Gram blocks.
+
+        Parameters
+        ----------
+        grams : GramBlocks
+        base : sequence of str
+            Columns of the calibration.
+        merged : sequence of GramBlocks
+            Of the same columns, later, and as many blocks: each adds to the one block, with a fit of the
+            calibration of its own.
+        fits : int
+            Fits that there is room for in a block, at least.
+        """
+        every = [grams, *merged]
+        order = _stored_order(grams.names, base)
+        places, k = grams.index(order), len(base)
+        given = np.zeros((len(grams), max(len(every), fits), k, places.size))
+        begins = np.full(given.shape[:2], NO_FIT)
+        for part, one in enumerate(every):
+            given[:, part], begins[:, part] = one.rows(places[:k], places), one.start
+        fitted = _own_fits(given)
+        rest = np.zeros((len(grams), places.size, places.size), dtype=np.float32)
+        for block in range(len(grams)):
+            total = np.zeros((places.size - k, places.size - k))
+            for part, one in enumerate(every):
+                b, f = given[block, part], fitted[block, part][:, k:]
+                cross = f.T @ (b[:, k:] - 0.5 * b[:, :k] @ f)
+                total += one.rows(places[k:], places[k:], np.array([block]))[0] - cross - cross.T
+            rest[block, k:, k:] = total
+        count = np.sum([one.count for one in every], axis=0)
+        shared = _Shared(rest, given, fitted)
+        at = np.argsort(places)
+        return cls(grams.names, at, grams.start, every[-1].end, count, grams.scale, begins, shared)
+
+    # In a store.
+
+    def as_dataset(self) -> xr.Dataset:
+        """Return the blocks as a Dataset for a store; `FactoredGrams.read` makes blocks of such."""
+        k = self.shared.base
+        used = slice(k, self.shared.width)
+        return xr.Dataset(
+            {
+                "rest": (("block", "entry"), pack(self.shared.rest[:, used, used]), {"units": "nT2"}),
+                "given": (("block", "fit", "base", "column"), self.shared.given, {"units": "nT2"}),
+                "begins": (("block", "fit"), self.begins, {"units": "ns", "scale": "TT2000"}),
+                "start": ("block", self.start, {"units": "ns", "scale": "TT2000"}),
+                "end": ("block", self.end, {"units": "ns", "scale": "TT2000"}),
+                "count": ("block", self.count),
+            }
+        )
+
+    @classmethod
+    def read(
+        cls,
+        parts: Iterable[xr.Dataset],
+        blocks: int,
+        names: Sequence[str],
+        scale: Floats,
+        base: Sequence[str],
+    ) -> Self:
+        """Return blocks of Datasets of `as_dataset`, in order of time; of gigabytes there is one copy only.
+
+        Parameters
+        ----------
+        parts : iterable of xarray.Dataset
+            Each is let go before the next is asked for.
+        blocks : int
+            Of all parts together.
+        names, scale, base
+            Columns and residuals in their order, their units, and those of the calibration.
+        """
+        order = _stored_order(names, base)
+        k, width = len(base), len(order)
+        rest = np.zeros((blocks, width, width), dtype=np.float32)
+        known: dict[str, Any] = {}
+        # Of each entry of a square matrix, its place in the packed triangle.
+        table = np.zeros((width - k, width - k), dtype=np.int64)
+        upper = np.triu_indices(width - k)
+        table[upper] = table.T[upper] = np.arange(upper[0].size)
+        at = 0
+        for part in parts:
+            some = part["rest"].values
+            for place, packed in enumerate(some, start=at):
+                rest[place, k:, k:] = packed[table]
+            for name in ("given", "begins", "start", "end", "count"):
+                values = part[name].values
+                whole = known.setdefault(name, np.empty((blocks, *values.shape[1:]), dtype=values.dtype))
+                whole[at : at + len(some)] = values
+            at += len(some)
+        shared = _Shared(rest, known["given"], _own_fits(known["given"]))
+        places = np.array([order.index(name) for name in names], dtype=np.int64)
+        return cls(
+            tuple(names),
+            places,
+            known["start"],
+            known["end"],
+            known["count"],
+            np.asarray(scale),
+            known["begins"],
+            shared,
+        )
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def reference(self) -> None:
+        """The residual refers to where the columns were formed."""
+        return
+
+    linearised_at = scatter = reference
+
+    @cached_property
+    def _by_name(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
+
+    def index(self, names: Sequence[str]) -> Indices:
+        """Return the places of columns by name; `CalibrationError` when one is not there."""
+        return places_of(names, self._by_name)
+
+    @property
+    def residuals(self) -> list[int]:
+        """Places of the residuals."""
+        return [place for place, name in enumerate(self.names) if is_residual(name)]
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns, without the residuals."""
+        return [name for name in self.names if not is_residual(name)]
+
+    @property
+    def fits(self) -> int:
+        """Fits of the calibration that a block holds at most."""
+        return int(self.begins.shape[1])
+
+    # The product of low rank.
+
+    @property
+    def _is_rest(self) -> bool:
+        """True of blocks less each fit of their own: `rest` as it is."""
+        return self.taken is None and self.dead is not None
+
+    def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
+        """Return [E; H] and [H; E] of some blocks; (block, 2 * fit * base, column) each."""
+        kept = self._kept_factors
+        if kept is None:
+            both = np.stack([self._made_factors(columns, block) for block in blocks.tolist()])
+        else:
+            both = kept[blocks[:, None], :, columns].swapaxes(1, 2) if columns.size < _FEW else kept[blocks]
+            both = both if columns.size < _FEW else both.take(columns, axis=2)
+        half = both.shape[1] // 2
+        return both, np.concatenate([both[:, half:], both[:, :half]], axis=1)
+
+    @cached_property
+    def _kept_factors(self) -> Floats | None:
+        """E and H of all blocks; (block, 2 * fit * base, column). None where they are made each time.
+
+        What an interval's fit differs by needs no more digits than `rest`; the blocks as they were do.
+        """
+        shape = (len(self), 2 * self.shared.given.shape[1] * self.shared.base, len(self.names))
+        is_raw = self.taken is None
+        if is_raw and np.prod(shape) > _KEPT_FACTORS:
+            return None
+        out = np.empty(shape, dtype=np.float64 if is_raw else np.float32)
+        every = np.arange(len(self.names))
+        for block in range(len(self)):
+            out[block] = self._made_factors(every, block)
+        return out
+
+    def _made_factors(self, columns: Indices, block: int) -> Floats:
+        """Return [E; H] of columns of a block; (2 * fit * base, column)."""
+        at = self.places[columns]
+        fitted, given = (array[block][..., at] for array in (self.shared.fitted, self.shared.given))
+        own = self.shared.own[block]
+        taken: Floats | float = 0.0
+        if self.taken is not None and self.interval is not None:
+            taken = self.taken[self.interval[block]][:, columns]
+        both = np.stack([fitted - taken, given - 0.5 * own @ (fitted + taken)])
+        if self.dead is not None:
+            both[..., self.dead[columns]] = 0.0
+        return np.asarray(both.reshape(-1, columns.size))
+
+    # Products.
+
+    def _at(self, columns: Columns) -> Indices:
+        return columns if isinstance(columns, np.ndarray) else self.index(columns)
+
+    def _which(self, blocks: Indices | slice | None) -> Indices:
+        return np.arange(len(self))[slice(None) if blocks is None else blocks]
+
+    def rows(
+        self, columns: Columns, others: Columns | None = None, blocks: Indices | slice | None = None
+    ) -> Floats:
+        """Return the products of some columns with others; (block, column, other); see `GramArrays.rows`."""
+        own = self._at(columns)
+        other = np.arange(len(self.names)) if others is None else self._at(others)
+        which = self._which(blocks)
+        raw = self.taken is None and self.dead is None
+        if raw and np.all(self.places[own] < self.shared.base):
+            given = self.shared.given[which[:, None, None], :, self.places[own][:, None], self.places[other]]
+            return np.asarray(given.sum(axis=3))
+        out = np.empty((which.size, own.size, other.size))
+        for some in _in_parts(which.size, own.size * self.shared.width):
+            blocks = which[some]
+            if other.size < _FEW:
+                grid = blocks[:, None, None], self.places[own][:, None], self.places[other]
+                out[some] = self.shared.rest[grid]
+            else:
+                # Whole rows lie together in memory.
+                whole = self.shared.rest[blocks[:, None], self.places[own]]
+                out[some] = whole.take(self.places[other], axis=2)
+            if not self._is_rest:
+                first, second = self._factors(own, blocks)[0], self._factors(other, blocks)[1]
+                out[some] += first.swapaxes(1, 2) @ second
+        self._clear(out, own, other)
+        return out
+
+    def _clear(self, out: Floats, own: Indices, other: Indices) -> None:
+        """Set the products of dead columns to 0."""
+        if self.dead is not None and self.dead.any():
+            out[..., self.dead[own], :] = 0.0
+            out[..., self.dead[other]] = 0.0
+
+    def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
+        """Return the products of the columns of each group with each other; (block, group, k, k)."""
+        which, at = self._which(blocks), self.places[groups]
+        out = np.empty((which.size, *groups.shape, groups.shape[-1]))
+        for some in _in_parts(
+            which.size, groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
+        ):
+            part = which[some]
+            grid = part[:, None, None, None], at[:, :, None], at[:, None, :]
+            out[some] = self.shared.rest[grid]
+            if not self._is_rest:
+                first, second = (
+                    one.reshape(*one.shape[:2], *groups.shape).transpose(0, 2, 3, 1)
+                    for one in self._factors(groups.ravel(), part)
+                )
+                out[some] += first @ second.swapaxes(2, 3)
+        if self.dead is not None and self.dead.any():
+            dead = self.dead[groups]
+            out *= ~(dead[:, :, None] | dead[:, None, :])
+        return out
+
+    @cached_property
+    def squares(self) -> Floats:
+        """Sum of squares of every column in each block; (block, column)."""
+        every = np.arange(len(self.names))
+        out = np.einsum("bii->bi", self.shared.rest)[:, self.places].astype(np.float64)
+        for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * every.size):
+            if not self._is_rest:
+                first, second = self._factors(every, np.arange(len(self))[some])
+                out[some] += np.einsum("bmi,bmi->bi", first, second)
+        if self.dead is not None:
+            out[:, self.dead] = 0.0
+        return np.asarray(out)
+
+    @cached_property
+    def total(self) -> Floats:
+        """Sum over all blocks; (column, column)."""
+        return np.asarray(self.sums([np.arange(len(self))])[0])
+
+    @cached_property
+    def _sums(self) -> dict[tuple[tuple[int, ...], ...], list[Floats]]:
+        return {}
+
+    def sums(self, folds: Sequence[Indices]) -> list[Floats]:
+        """Return the sum over the blocks of each fold; kept, because every question asks for them."""
+        key = tuple(tuple(np.asarray(fold).tolist()) for fold in folds)
+        if key not in self._sums:
+            every, grid = np.arange(len(self.names)), np.ix_(self.places, self.places)
+            out = [self.shared.sum(fold)[grid] for fold in folds]
+            if not self._is_rest:
+                size = 4 * self.fits * max(self.shared.base, 1) * every.size
+                for place, fold in enumerate(folds):
+                    for some in _in_parts(len(fold), size):
+                        pair = self._factors(every, np.asarray(fold)[some])
+                        first, second = (part.reshape(-1, every.size) for part in pair)
+                        out[place] += first.T @ second
+            for one in out:
+                self._clear(one, every, every)
+            self._sums[key] = out
+        return self._sums[key]
+
+    def centred(self, columns: Indices, base: Indices) -> Floats:
+        """Return the total matrix of columns about what they share with one column of the base."""
+        return centred_gram(self.total, columns, base)
+
+    # Other blocks and columns.
+
+    def select(self, names: Sequence[str]) -> GramArrays:
+        """Return some columns, with all residuals behind them, as matrices of their own."""
+        kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
+        return GramArrays(
+            tuple(self.names[place] for place in kept),
+            self.rows(kept, kept),
+            self.start,
+            self.end,
+            self.count,
+            self.scale[kept],
+        )
+
+    def without(self, names: Collection[str]) -> Self:
+        """Return the blocks without some columns."""
+        kept = np.array([place for place, name in enumerate(self.names) if name not in set(names)])
+        return replace(
+            self, names=tuple(self.names[i] for i in kept), places=self.places[kept], scale=self.scale[kept]
+        )
+
+    def merge(self, edges: Sequence[int]) -> GramArrays:
+        """Return wider blocks; see `GramArrays.merge`."""
+        return self.select(self.columns).merge(edges)
+
+    def join(self, others: Sequence[FactoredGrams]) -> GramArrays:
+        """Return the blocks of several, in order of time."""
+        return self.select(self.columns).join([one.select(self.columns) for one in others])
+
+    def combine(self, names: Sequence[str], weights: Floats, scale: Floats) -> GramArrays:
+        """Return blocks whose columns and residuals are linear combinations of these."""
+        return self.select(self.columns).combine(names, weights, scale)
+
+    def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> Self:
+        """Return the blocks with columns added that are others times a function of the block."""
+        sources = self.index([column for column, _ in functions.values()])
+        factors = np.stack([factor for _, factor in functions.values()], axis=1)
+        across = self.rows(np.arange(len(self.names)), sources) * factors[:, None, :]
+        inner = self.rows(sources, sources) * factors[:, :, None] * factors[:, None, :]
+        given = self.shared.given[..., self.places[sources]] * factors[:, None, None, :]
+        return self.bordered(tuple(functions), self.scale[sources], across, inner, given)
+
+    def with_combinations(self, names: Sequence[str], parts: Sequence[tuple[float, Sequence[str]]]) -> Self:
+        """Return the blocks with columns added that are sums of weights times columns there are.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of the new columns.
+        parts : sequence of (float, sequence of str)
+            A weight, and the columns it multiplies, one for each new one.
+        """
+        every = np.arange(len(self.names))
+        weights = np.zeros((every.size, len(names)))
+        for weight, columns in parts:
+            weights[self.index(columns), np.arange(len(names))] += weight
+        used = np.flatnonzero(weights.any(axis=1))
+        across = self.rows(every, used) @ weights[used]
+        given = self.shared.given[..., self.places[used]] @ weights[used]
+        scale = self.scale[self.index(parts[0][1])]
+        return self.bordered(names, scale, across, weights[used].T @ across[:, used], given)
+
+    def bordered(
+        self,
+        names: Sequence[str],
+        scale: Floats,
+        across: Floats,
+        inner: Floats,
+        given: Floats | None = None,
+    ) -> Self:
+        """Return the blocks with columns added before the residuals; the calibration must not be taken off.
+
+        Parameters
+        ----------
+        names : sequence of str
+        scale : ndarray, shape (new column,)
+        across : ndarray, shape (block, column, new column)
+            Their products with every column and residual there is.
+        inner : ndarray, shape (block, new column, new column)
+        given : ndarray, shape (block, fit, base, new column), optional
+            Products with the calibration's columns, for each of the fits of a block that has several.
+        """
+        shared, k = self.shared, self.shared.base
+        if self.taken is not None or self.dead is not None:
+            raise ValueError("columns join the blocks as they are, not what a calibration leaves")
+        if given is None:
+            if shared.given.shape[1] > 1:
+                raise ValueError("blocks of several fits need the products with the calibration of each")
+            at = {place: index for index, place in enumerate(self.places.tolist())}
+            given = across[:, None, [at[place] for place in range(k)]]
+        fitted = solve_scaled(shared.own, given)
+        left = np.zeros((len(self), shared.width, len(names)))
+        rest = np.empty_like(inner)
+        others = self.places >= k
+        for block in range(len(self)):
+            b, f = given[block].reshape(-1, len(names)), fitted[block].reshape(-1, len(names))
+            own = (shared.own[block] @ fitted[block]).reshape(-1, len(names))
+            was = [
+                array[block][..., self.places[others]].reshape(-1, int(others.sum()))
+                for array in (shared.fitted, shared.given)
+            ]
+            left[block, self.places[others]] = across[block, others] - was[0].T @ (b - own) - was[1].T @ f
+            cross = f.T @ (b - 0.5 * own)
+            rest[block] = inner[block] - cross - cross.T
+        gone = np.einsum("bii->i", rest) <= LEAST_KEPT * np.einsum("bii->i", inner)
+        for array in (left, rest, rest.swapaxes(1, 2)):
+            array[..., gone] = 0.0
+        fresh = np.arange(shared.width, shared.width + len(names))
+        shared.append(left, rest, given, fitted)
+        at_end = len(self.names) - len(self.residuals)
+        return replace(
+            self,
+            names=(*self.names[:at_end], *names, *self.names[at_end:]),
+            places=np.insert(self.places, at_end, fresh),
+            scale=np.insert(self.scale, at_end, scale),
+        )
+
+    def marginalise(
+        self,
+        names: Sequence[str],
+        groups: Sequence[Sequence[int]] | None = None,
+        precision: Floats | None = None,
+        dtype: npt.DTypeLike = np.float64,
+        *,
+        cut: float = SOLVER_SETTINGS.eigen_cut,
+        least_kept: float = LEAST_KEPT,
+    ) -> Self:
+        """Return what is left of every column after the calibration is fitted anew in each interval.
+
+        Parameters are those of `GramArrays.marginalise`; without `groups` each fit of a block is one
+        interval, whose own values nothing is known of beforehand. `dtype` is that of the shared matrix.
+        """
+        del dtype
+        base = self.index(names)
+        if set(self.places[base].tolist()) != set(range(self.shared.base)):
+            raise ValueError("only the columns of the calibration can be marginalised")
+        kept = np.setdiff1d(np.arange(len(self.names)), base)
+        small = replace(
+            self,
+            names=tuple(self.names[place] for place in kept),
+            places=self.places[kept],
+            scale=self.scale[kept],
+            dead=np.zeros(kept.size, dtype=bool),
+        )
+        if groups is not None:
+            order = self.places[base]
+            taken = np.empty((len(groups), self.shared.base, kept.size))
+            interval = np.empty(len(self), dtype=np.int64)
+            for number, group in enumerate(groups):
+                blocks = np.asarray(group)
+                total = self.shared.given[blocks].sum(axis=(0, 1))[order]
+                found = solve_scaled(total[:, order], total[:, small.places], cut, precision)
+                taken[number, order], interval[blocks] = found, number
+            small = replace(small, taken=taken, interval=interval)
+        whole = self.squares.sum(axis=0)[kept]
+        dead = (small.squares.sum(axis=0) <= least_kept * whole) & ~np.isin(
+            np.arange(kept.size), small.residuals
+        )
+        return replace(small, dead=dead)
+
+
+#: Numbers that the low-rank factors of the blocks as they were may have to be kept.
+_KEPT_FACTORS = 5_000_000
+#: Columns from which on whole rows are read and the others left out.
+_FEW = 100
+#: Numbers that are made at once.
+_AT_ONCE = 1_000_000
+
+
+def _in_parts(blocks: int, size: int) -> Iterator[slice]:
+    """Yield the blocks some at a time, so that what is made of them, `size` numbers each, fits into it."""
+    count = max(1, _AT_ONCE // max(size, 1))
+    return (slice(at, min(at + count, blocks)) for at in range(0, blocks, count))
+
+
+def _stored_order(names: Sequence[str], base: Sequence[str]) -> list[str]:
+    """Return the calibration's columns, then all others."""
+    own = set(base)
+    return [*base, *(name for name in names if name not in own)]
+
+
+def _own_fits(given: Floats) -> Floats:
+    """Return each fit of the calibration to every column, 1 for its own; (block, fit, base, column)."""
+    k = given.shape[2]
+    out = np.asarray(solve_scaled(given[..., :k], given)) if k else np.zeros_like(given)
+    out[..., :k] = np.eye(k)
+    return out
