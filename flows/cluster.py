@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
@@ -72,15 +73,24 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
 class _LazyClient:
     """Stands for a client that is started when the first work is given to it."""
 
-    def __init__(self, workers: int | None, stack: ExitStack) -> None:
-        self._workers, self._stack = workers, stack
+    def __init__(self, workers: int | None) -> None:
+        self._workers, self._stack = workers, ExitStack()
         self._client: Client | None = None
+        # Prefect's tasks run in threads, several of which may bring the first work.
+        self._starting = threading.Lock()
 
     def submit(self, *work: Any, **options: Any) -> Any:
         """Give work to the client: see `distributed.Client.submit`."""
-        if self._client is None:
-            self._client = self._stack.enter_context(dask_client(self._workers))
+        with self._starting:
+            if self._client is None:
+                self._client = self._stack.enter_context(dask_client(self._workers))
         return self._client.submit(*work, **options)
+
+    def end_processes(self) -> None:
+        """End the processes; the next work starts others. Nothing may be under way."""
+        with self._starting:
+            self._client = None
+            self._stack.close()
 
 
 @contextmanager
@@ -92,8 +102,11 @@ def lazy_client(workers: int | None = None) -> Iterator[Any]:
     workers : int, optional
         As of `dask_client`.
     """
-    with ExitStack() as stack:
-        yield _LazyClient(workers, stack)
+    client = _LazyClient(workers)
+    try:
+        yield client
+    finally:
+        client.end_processes()
 
 
 @contextmanager

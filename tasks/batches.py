@@ -45,6 +45,16 @@ def iter_results(
         yield result_of(waiting.popleft())
 
 
+def end_processes(client: Any) -> None:
+    """Let a client that starts its processes by itself end them: what follows needs the memory.
+
+    A `distributed.Client` is its owner's to close; it stays as it is.
+    """
+    end = getattr(client, "end_processes", None)
+    if end is not None:
+        end()
+
+
 def result_of(future: Any) -> Any:
     """Return the result of a Dask future.
 

@@ -553,10 +553,10 @@ class FormTrials:
         return np.asarray(columns.reshape(self.root.size, columns.shape[2]) * self.root[:, None])
 
     def _marginalised(self, values: Floats) -> Floats:
-        out = values.copy()
+        """Return what the calibration leaves of columns (row, column), in their place."""
         for group, basis in zip(self.groups, self.basis, strict=False):
-            out[group] -= basis @ (basis.T @ values[group])
-        return out
+            values[group] -= basis @ (basis.T @ values[group])
+        return values
 
 
 # The time of a change.

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import DesignRows, OutlierReport, design_matrix, sensor_matrices
+from inflight.design import DesignRows, OutlierReport, Term, design_matrix, sensor_matrices
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
@@ -167,16 +167,40 @@ def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = Tru
         False leaves what was taken in the residual.
     """
     options, series = search.accepted if accepted else (), data.series
-    rows, names, columns = model_columns(search, series, data.sensor_matrices, options)
-    present = [name for option in options for name in option.columns]
-    values = joint_values(search, present)
-    out = rows.residual.copy()
+    terms, rows = _terms_and_rows(search, series, data.sensor_matrices, options)
+    values = joint_values(search, [name for option in options for name in option.columns])
     base = [name for term in search.library.base for name in term.columns]
-    for group, found in zip(search.intervals, values, strict=True):
-        inside = np.isin(series.block, np.asarray(group))
-        order = [names.index(name) for name in [*base, *found[1]]]
-        out[inside] += columns[inside][:, :, order] @ found[0]
+    # What each column is multiplied by in each block.
+    factors: dict[str, Floats] = {}
+    for group, (found, known) in zip(search.intervals, values, strict=True):
+        for name, value in zip([*base, *known], found, strict=True):
+            factors.setdefault(name, np.zeros(len(search.raw)))[np.asarray(group)] = value
+    for option in options:
+        for name, (column, factor) in (option.change.functions if option.change else {}).items():
+            factors[column] = factors.get(column, 0.0) + factors.pop(name) * np.asarray(factor)
+    out = rows.residual.copy()
+    # One term at a time: of a long record all columns together are hundreds of megabytes.
+    for term in terms:
+        used = [place for place, name in enumerate(term.columns) if name in factors]
+        if used:
+            each = np.stack([factors[term.columns[place]] for place in used], axis=1)
+            own = design_matrix([term], rows)[:, :, used]
+            out += np.einsum("trk,tk->tr", own, each[series.block])
     return out
+
+
+def _terms_and_rows(
+    search: Search, series: Series, sensor_matrices: dict[str, Floats], options: Sequence[Option]
+) -> tuple[list[Term], DesignRows]:
+    """Return the terms of calibration, model and some options, and the series as rows for them."""
+    terms = search.library.by_key
+    chosen = [*search.library.base, *search.library.refined]
+    used = {key for option in options for key in option.terms}
+    changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
+    used |= {key for key, term in terms.items() if changing & set(term.columns)}
+    chosen += [terms[key] for key in sorted(used - {term.key for term in chosen})]
+    channels = {name for term in chosen for name in term.entry.effect.channels if name}
+    return chosen, series.rows(sensor_matrices, derived_channels(series, channels))
 
 
 def model_columns(
@@ -186,14 +210,7 @@ def model_columns(
 
     Columns are (sample, row, column) in scaled units; those of changes in time are among them.
     """
-    terms = search.library.by_key
-    chosen = [*search.library.base, *search.library.refined]
-    used = {key for option in options for key in option.terms}
-    changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
-    used |= {key for key, term in terms.items() if changing & set(term.columns)}
-    chosen += [terms[key] for key in sorted(used - {term.key for term in chosen})]
-    channels = {name for term in chosen for name in term.entry.effect.channels if name}
-    rows = series.rows(sensor_matrices, derived_channels(series, channels))
+    chosen, rows = _terms_and_rows(search, series, sensor_matrices, options)
     names = [name for term in chosen for name in term.columns]
     columns = design_matrix(chosen, rows)
     for option in options:

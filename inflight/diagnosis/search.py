@@ -526,7 +526,7 @@ class Search:
             if requested is not None:
                 kept = self._not_hidden(more, requested, found.gamma)
                 found, ratio, flipped = found.rescaled(whole).keep_only(kept), ratio * kept, flipped * kept
-            timed.append((found, (ratio, flipped)))
+            timed.append((found.without_fits(), (ratio, flipped)))
             options += more
         scores, ratios = append_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -129,7 +130,8 @@ class Series:
     Attributes
     ----------
     tt2000 : ndarray of int64, shape (sample,)
-    values : ndarray, shape (sample, feature)
+    values : ndarray of float32, shape (sample, feature)
+        As they are stored; who asks for a feature gets it in double precision.
     block : ndarray, shape (sample,)
         Index of the block each sample belongs to.
     missing : dict of str to ndarray of bool, shape (sample,)
@@ -139,7 +141,7 @@ class Series:
     """
 
     tt2000: Int64
-    values: Floats
+    values: npt.NDArray[np.float32]
     block: np.ndarray
     features: Features
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -162,7 +164,7 @@ class Series:
         """
         known = np.isfinite(packed[:, :, 0])
         block = np.broadcast_to(np.arange(len(packed))[:, None], known.shape)[known]
-        values = packed[known].astype(np.float64)
+        values = packed[known]
         missing = {}
         for name in [one for one in filled or {} if one in features.names]:
             part = values[:, features.place(name)]
@@ -170,7 +172,8 @@ class Series:
             if lost.any():
                 missing[name] = lost
                 part[~np.isfinite(part)] = (filled or {})[name]
-        return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features, missing)
+        seconds = values[:, 0].astype(np.float64)
+        return cls(starts[block] + (seconds * SECOND).astype(np.int64), values, block, features, missing)
 
     @property
     def turn_rows(self) -> int:
@@ -195,6 +198,9 @@ class Series:
 
     def __getitem__(self, name: str) -> Floats:
         """Return a feature; (sample,) or (sample, component)."""
+        return self._stored(name).astype(np.float64)
+
+    def _stored(self, name: str) -> npt.NDArray[np.float32]:
         place = self.features.place(name)
         part = self.values[:, place]
         return part[:, 0] if place.stop - place.start == 1 else part
@@ -229,12 +235,12 @@ class Series:
 
     @cached_property
     def _variables(self) -> dict[str, xr.Variable]:
-        """Channels, geometry and readings, as effects take them."""
+        """Channels, geometry and readings, as effects take them: who uses one makes it double."""
         data = {"tt2000": xr.Variable("time", self.tt2000)}
         for name in (*self.channels, *_ROLES, "field"):
             if name in self.features.names:
                 # A missing reading is stored as 0: a rate of change across it would be enormous.
-                part = self[name] if name in self.channels else self._measured(name)
+                part = self._stored(name) if name in self.channels else self._measured(name)
                 unit = self.features.units[self.features.names.index(name)]
                 data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))

@@ -56,6 +56,7 @@ from inflight.tasks.archive import (
     require_days,
     resolves_spin,
 )
+from inflight.tasks.batches import end_processes
 from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states, spacecraft_units_of
 from inflight.tasks.report import Progress
@@ -130,6 +131,7 @@ def examine(
     settings = settings or DiagnoseSettings()
     report_progress = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
+    end_processes(client)
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
