@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy
 import xarray as xr
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
 from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
@@ -366,7 +366,7 @@ def _quality_flag(
     """Return the samples' flags with those of missing channels, outliers and parameters from a prior."""
     flag = samples["flag"].values.astype(np.uint32)
     missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
-    lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(field.sum(axis=1)) & np.isfinite(scalar))
+    lost = ~(finite_rows(reading) & finite_rows(field) & np.isfinite(scalar))
     flag[lost & (flag & missing == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
     good = usable_samples(samples, reading, field, scalar) & np.isfinite(residual)
     if good.any():
@@ -421,7 +421,7 @@ def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag
     frame = str(samples["attitude"].attrs.get("frame", ""))
     nec = to_nec(body, attitude, position, frame)
     variables["field_nec"] = (_VECTOR, nec, _attributes("calibrated field", "nec"))
-    lost = np.uint32(Flag.NO_ATTITUDE) * ~np.isfinite(nec.sum(axis=1))
+    lost = np.uint32(Flag.NO_ATTITUDE) * ~finite_rows(nec)
     return np.asarray(flag | lost.astype(np.uint32), dtype=np.uint32)
 
 

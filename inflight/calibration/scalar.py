@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.effects import VectorSensor, with_field
 from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE
@@ -379,7 +379,7 @@ def usable_samples(
 ) -> npt.NDArray[np.bool_]:
     """Return which samples may enter a fit; (time,)."""
     good = (samples["flag"].values & np.uint32(UNUSABLE)) == 0
-    finite = np.isfinite(reading.sum(axis=1)) & np.isfinite(scalar) & np.isfinite(additive.sum(axis=1))
+    finite = finite_rows(reading) & np.isfinite(scalar) & finite_rows(additive)
     return np.asarray(good & finite & (scalar > 0))
 
 

@@ -589,13 +589,13 @@ class FactoredGrams:
         )
         if groups is not None:
             order = self.places[base]
+            blocks = np.concatenate([np.asarray(group) for group in groups])
+            begins = np.cumsum([0, *(len(group) for group in groups)])
+            total = np.add.reduceat(self.shared.given[blocks].sum(axis=1), begins[:-1], axis=0)[:, order]
             taken = np.empty((len(groups), self.shared.base, kept.size))
+            taken[:, order] = solve_scaled(total[:, :, order], total[:, :, small.places], cut, precision)
             interval = np.empty(len(self), dtype=np.int64)
-            for number, group in enumerate(groups):
-                blocks = np.asarray(group)
-                total = self.shared.given[blocks].sum(axis=(0, 1))[order]
-                found = solve_scaled(total[:, order], total[:, small.places], cut, precision)
-                taken[number, order], interval[blocks] = found, number
+            interval[blocks] = np.repeat(np.arange(len(groups)), np.diff(begins))
             small = replace(small, taken=taken, interval=interval)
         whole = self.squares.sum(axis=0)[kept]
         dead = (small.squares.sum(axis=0) <= least_kept * whole) & ~np.isin(

@@ -653,15 +653,19 @@ class GramArrays:
         gone = self.index(names)
         kept = np.setdiff1d(np.arange(len(self.names)), gone)
         out = np.empty((len(self), kept.size, kept.size), dtype=dtype)
+        every = [[block] for block in range(len(self))] if groups is None else groups
+        order = np.concatenate([np.asarray(group) for group in every])
+        begins = np.cumsum([0, *(len(group) for group in every)])
+        total = np.add.reduceat(self.gram[order[:, None], gone], begins[:-1], axis=0)
+        fitted = solve_scaled(total[:, :, gone], total[:, :, kept], cut, precision)
+        interval = np.repeat(np.arange(len(every)), np.diff(begins))
         # Small matrices many at a time, large ones one by one: what lies between fits into the cache.
         at_once = max(1, 100_000 // kept.size**2)
-        for group in [[block] for block in range(len(self))] if groups is None else groups:
-            total = self.gram[np.ix_(np.asarray(group), gone)].sum(axis=0)
-            fitted = solve_scaled(total[:, gone], total[:, kept], cut, precision)
-            for some in np.array_split(np.asarray(group), -(-len(group) // at_once)):
-                rows = self.gram[np.ix_(some, gone)]
-                cross = fitted.T @ (rows[:, :, kept] - 0.5 * rows[:, :, gone] @ fitted)
-                out[some] = self.gram[np.ix_(some, kept, kept)] - cross - cross.swapaxes(1, 2)
+        for at in range(0, order.size, at_once):
+            some, own = order[at : at + at_once], fitted[interval[at : at + at_once]]
+            rows = self.gram[some[:, None], gone]
+            cross = own.swapaxes(1, 2) @ (rows[:, :, kept] - 0.5 * rows[:, :, gone] @ own)
+            out[some] = self.gram[np.ix_(some, kept, kept)] - cross - cross.swapaxes(1, 2)
         names_kept = tuple(self.names[index] for index in kept)
         dead = np.diagonal(out.sum(axis=0, dtype=np.float64)) <= least_kept * np.diagonal(self.total)[kept]
         dead &= ~np.array([is_residual(name) for name in names_kept])

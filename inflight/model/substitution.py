@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.effects import Effect, Values
 from inflight.flags import Flag
 from inflight.mission import Sensor
@@ -308,9 +308,7 @@ def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
         if not unknown.any():
             continue
         readings = [np.asarray(samples[role].values, dtype=np.float64) for role in users[name]]
-        read = np.logical_or.reduce(
-            [np.isfinite(one if one.ndim == 1 else one.sum(axis=1)) for one in readings]
-        )
+        read = np.logical_or.reduce([finite_rows(one) for one in readings])
         lost = unknown & (read if unknown.ndim == 1 else read[:, None])
         if lost.any():
             found[name] = lost

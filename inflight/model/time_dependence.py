@@ -274,6 +274,8 @@ class TimedValue:
     def at(self, tt2000: npt.ArrayLike) -> Floats:
         """Return the value at a time, shape (component,), or at times, shape (time, component).
 
+        Where one value holds at all times it comes once, (component,).
+
         Raises
         ------
         ModelError
@@ -287,8 +289,11 @@ class TimedValue:
         return np.asarray(self.dependence.basis(t, self.key) @ self.value.T)
 
     def _from_table(self, table: xr.Dataset, t: npt.NDArray[np.int64]) -> Floats:
-        """Return the values of the intervals of a table that hold at times (...); (..., component)."""
-        index = np.searchsorted(table["start"].values, t, side="right") - 1
+        """Return the values of the intervals of a table that hold at times (...); see `at`."""
+        # Stamps of one interval are most there are: they need one look, and have one value.
+        if t.ndim == 1 and t.size > 1 and self._interval(table, t.min()) == self._interval(table, t.max()):
+            return self._from_table(table, t[0])
+        index = self._interval(table, t)
         inside = (index >= 0) & (t < table["end"].values[np.clip(index, 0, None)])
         if not np.all(inside):
             first = np.atleast_1d(t)[~np.atleast_1d(inside)][0]
@@ -296,8 +301,14 @@ class TimedValue:
                 f"the calibration table for '{self.key}' is not valid at {to_utc(first)}",
                 remedy="reprocess the span, or certify a table for it",
             )
-        values = table["value"].sel(parameter=component_names(self.key, self.parameter)).values
-        return np.asarray(values[index])
+        places = {name: place for place, name in enumerate(table["parameter"].values.tolist())}
+        columns = [places[name] for name in component_names(self.key, self.parameter)]
+        return np.asarray(table["value"].values[:, columns][index])
+
+    @staticmethod
+    def _interval(table: xr.Dataset, t: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return the interval that begins last before times."""
+        return np.asarray(np.searchsorted(table["start"].values, t, side="right") - 1)
 
     def bind(self, table: xr.Dataset) -> TimedValue:
         """Return a copy that takes its values from a calibration table, when the table has it."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.time import GAP, Int64, in_leap_second, to_utc
@@ -110,7 +110,7 @@ def align(
         lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
         values, method = _resample(name, series, stamps - lag)
         if name in _MISSING:
-            lost = ~np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+            lost = ~finite_rows(values)
             flag[lost] |= np.uint32(_MISSING[name])
             if name == "scalar":
                 # No place near the Earth or in the solar wind has no field: the instrument failed.

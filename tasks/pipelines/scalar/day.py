@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from inflight.arrays import finite_rows
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
@@ -121,7 +122,7 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     # Samples with both fields, whatever other channels are missing.
     flag = samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
     fields = [np.asarray(samples[role].values, dtype=np.float64) for role in ("vector", "scalar")]
-    measured = (flag == 0) & np.isfinite(fields[0].sum(axis=1)) & (fields[1] > 0)
+    measured = (flag == 0) & finite_rows(fields[0]) & (fields[1] > 0)
     if is_enough(good):
         fit = fit_block(*parts, good, reference, prior, sub_block_count(good.sum() * step / SECOND))
         residual = {"before_nT": fit.before, "after_nT": fit.after}
