@@ -1,4 +1,4 @@
-"""Print all benchmarks, or those named: see ``python -m benchmarks --help``."""
+"""Print all benchmarks, or those named, and keep them as JSON: see ``python -m benchmarks --help``."""
 
 from __future__ import annotations
 
@@ -7,50 +7,53 @@ import os
 import tempfile
 from pathlib import Path
 
-_ALL = ["nine", "pipeline", "front", "search", "chain", "spin_fits", "spin_eight"]
+_ALL = ["month", "growth", "ranking", "nine", "spin_fits", "spin_eight"]
 
 
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
+    parser.add_argument("which", nargs="*", choices=[*_ALL, []], help="all when absent")
+    parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
+    parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
     parser.add_argument(
-        "which",
-        nargs="*",
-        choices=[*_ALL, []],
-        help="all when absent",
+        "--growth", type=int, nargs="*", default=[30, 100], help="lengths of growing records, days (30 100)"
     )
-    parser.add_argument("--keep", type=Path, help="folder of the simulated archive, made once and kept")
-    parser.add_argument("--days", type=int, default=90, help="days of the archive")
+    parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
     given = parser.parse_args()
     which = given.which or _ALL
 
     from benchmarks.archive import simulated_workspace
-    from benchmarks.chain import whole_chain
+    from benchmarks.growth import growth
+    from benchmarks.measured import Row, keep, table
+    from benchmarks.month import month
     from benchmarks.nine import nine_parameters
-    from benchmarks.pipeline import front_door, memory_and_speed
-    from benchmarks.search import evidence_pass, ranking
+    from benchmarks.search import ranking
     from benchmarks.spin_eight import spin_eight
     from benchmarks.spin_fits import spin_fit_ratios
 
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = given.keep or Path(scratch) / "archive"
-        if {"nine", "pipeline", "search"} & set(which):
-            cat = simulated_workspace(folder, given.days)
-        if "nine" in which:
-            print("\n".join(nine_parameters(cat)), flush=True)
-        if "pipeline" in which:
-            print("\n".join(memory_and_speed(folder)), flush=True)
-        if "search" in which:
-            print("\n".join([*evidence_pass(cat), *ranking()]), flush=True)
-        if "chain" in which:
-            print("\n".join(whole_chain(given.days, folder.with_name(f"{folder.name}-chain"))), flush=True)
-        if "spin_fits" in which:
-            print("\n".join(spin_fit_ratios()), flush=True)
-        if "spin_eight" in which:
-            print("\n".join(spin_eight()), flush=True)
-        if "front" in which:
-            print("\n".join(front_door()), flush=True)
+    def show(name: str, rows: list[Row]) -> None:
+        print("\n".join(table(rows)), flush=True)
+        print(f"kept in {keep(name, rows)}", flush=True)
+
+    if "month" in which:
+        show("month", month(given.days))
+    if "growth" in which:
+        rows: list[Row] = []
+        for more in growth(given.growth, given.keep):
+            rows += more
+            show("growth", rows)
+    if "ranking" in which:
+        show("ranking", [ranking(count) for count in given.candidates])
+    if "nine" in which:
+        with tempfile.TemporaryDirectory() as scratch:
+            cat = simulated_workspace((given.keep or Path(scratch)) / "archive-10", 10)
+            show("nine", nine_parameters(cat))
+    if "spin_fits" in which:
+        print("\n".join(spin_fit_ratios()), flush=True)
+    if "spin_eight" in which:
+        print("\n".join(spin_eight()), flush=True)
 
 
 if __name__ == "__main__":

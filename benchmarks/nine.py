@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from benchmarks.measured import Row, timed
 from inflight.arrays import Floats
 from inflight.calibration import ParameterPrior, fit_block, reference_of, remove_other_effects, usable_samples
 from inflight.catalog import Catalog, Day, Workspace
@@ -32,23 +29,25 @@ def naive(reading: Floats, additive: Floats, scalar: Floats, start: Floats) -> F
     return np.asarray(least_squares(residual, start, x_scale=[1e-5] * 3 + [1e-3] * 3 + [1.0] * 3).x)
 
 
-def timed(work: Callable[[], object], repeats: int = 1) -> float:
-    """Return the median wall time of some work, milliseconds."""
-    spent = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        work()
-        spent.append(time.perf_counter() - begun)
-    return float(np.median(spent)) * 1e3
+def naive_day(cat: Catalog, day: np.datetime64) -> float:
+    """Return the seconds of `naive` on a day's samples, which are there already."""
+    mission = Workspace.open(cat.workspace).mission()
+    model = current_model(cat, mission).model
+    needs = needs_of(mission, model)
+    samples = load_samples(cat, mission, model, day, needs, ArchiveIndex.of(cat, needs))
+    reading, additive, scalar = remove_other_effects(model, samples)
+    good = usable_samples(samples, reading, additive, scalar)
+    start = reference_of(model, sum(day_bounds(day)) // 2).value
+    return timed(lambda: naive(reading[good], additive[good], scalar[good], start))[0]
 
 
-def nine_parameters(cat: Catalog, days: int = 6) -> list[str]:
-    """Return the lines to print."""
+def nine_parameters(cat: Catalog, days: int = 6) -> list[Row]:
+    """Return the row of the fit of a day of 86 400 samples, one thread."""
     mission = Workspace.open(cat.workspace).mission()
     model = current_model(cat, mission).model
     needs = needs_of(mission, model)
     index = ArchiveIndex.of(cat, needs)
-    rows, worst = [], 0.0
+    rows = []
     with threadpool_limits(1):
         for day in index.complete_days(needs)[:days]:
             samples = load_samples(cat, mission, model, day, needs, index)
@@ -61,34 +60,20 @@ def nine_parameters(cat: Catalog, days: int = 6) -> list[str]:
             slow = timed(lambda: naive(reading[good], additive[good], scalar[good], near.value))  # noqa: B023
             records = [index.days[("l1/fgm", day)], index.days[("l1/ovm", day)]]
             read = timed(lambda: _read(cat, records), 9)  # noqa: B023
-            whole = timed(lambda: load_samples(cat, mission, model, day, needs, index), 5)  # noqa: B023
-            rows.append((own, slow, read, whole, _bytes(cat.workspace, records)))
-            found = naive(reading[good], additive[good], scalar[good], fit.value)
-            worst = max(worst, float(np.max(np.abs(found - fit.value) / fit.sigma)))
-    own, slow, read, whole, size = np.median(rows, axis=0)
+            rows.append((np.median(own), np.median(slow), np.median(read)))
+    own_s, slow_s, read_s = np.array(rows).T
     return [
-        f"nine parameters, one day of 86 400 s, one thread (median of {len(rows)} days)",
-        f"  robust fit with covariance              {own:8.2f} ms   {1e3 / own:7.0f} days/s",
-        f"  scipy least_squares, as a user writes it {slow:7.1f} ms   {slow / own:7.1f} times longer",
-        f"  read and decode field and scalar        {read:8.2f} ms   the fit takes {own / read:.2f} of it",
-        f"  read, decode, align all the model needs {whole:8.2f} ms",
-        f"  bytes of field and scalar on disk       {size / 1e6:8.2f} MB",
-        f"  largest difference to scipy's result    {worst:8.2f} sigma (it is not robust)",
+        Row(
+            what="nine parameters of a day, one thread",
+            seconds=own_s.tolist(),
+            floor_s=float(np.median(read_s)),
+            floor="nine parameters: field and scalar of the day read and decoded",
+            naive_s=float(np.median(slow_s)),
+            naive="nine parameters: scipy's least_squares with a numerical Jacobian",
+        )
     ]
 
 
 def _read(cat: Catalog, records: list[Day]) -> None:
     for record in records:
         cat.read(record, ["field", "flag"])
-
-
-def _bytes(workspace: Path, records: list[Day]) -> int:
-    """Return the bytes of the chunks that hold field and flag of some days."""
-    total = 0
-    for record in records:
-        store = workspace / record.segment
-        width = record.rows[0]
-        for name in ("field", "flag", "tt2000"):
-            chunks = sorted(path for path in (store / name / "c").rglob("*") if path.is_file())
-            total += chunks[0].stat().st_size if chunks and width >= 0 else 0
-    return total

@@ -131,7 +131,6 @@ def examine(
     settings = settings or DiagnoseSettings()
     report_progress = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    end_processes(client)
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
@@ -182,6 +181,8 @@ def make_pass(
             client,
             report_progress,
         )
+        # What follows needs the memory; where blocks are made again, other processes start.
+        end_processes(client)
         return run, blocks, load_grams(cat, plan, blocks)
 
     run, blocks, loaded = make()

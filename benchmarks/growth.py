@@ -1,0 +1,84 @@
+"""How time and memory grow with the mission: 30 to 3000 days at 1 Hz, written into the archive directly."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from benchmarks.archive import simulated_workspace
+from benchmarks.measured import Row, command, timed
+from benchmarks.search import evidence_pass
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks import Workbench
+
+#: What a mission of so many days has to stay below: (days, verb) -> s.
+_AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"): "900 s, 2048 MiB"}
+
+
+def growth(
+    days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100
+) -> Iterator[list[Row]]:
+    """Yield the rows of each length of the record.
+
+    Parameters
+    ----------
+    days : sequence of int
+    keep : Path, optional
+        Folder of the simulated archives, made once and kept.
+    one_process_up_to : int
+        Records of so many days are reprocessed with one process, too.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        for count in days:
+            source = (keep or Path(scratch)) / f"archive-{count}"
+            simulated_workspace(source, count)
+            yield list(_rows(source, Path(scratch), count, one_process_up_to))
+
+
+def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int) -> Iterator[Row]:
+    for processes in (1, 2):
+        if processes == 1 and days > one_process_up_to:
+            continue
+        folder = scratch / f"{days}-{processes}"
+        shutil.copytree(source, folder, symlinks=True)
+        arguments = ["reprocess", "--workers", str(processes)]
+        row = command(f"{days} days: reprocess, {processes} process(es)", arguments, folder)
+        yield replace(row, aim=_AIMS.get((days, "reprocess"), "") if processes == 2 else "")
+        if processes == 1:
+            shutil.rmtree(folder)
+    size = _stored(folder, "l2/field") / days
+    yield replace(evidence_pass(Catalog(folder)), aim="0.3 s")
+    row = command(f"{days} days: diagnose, first time", ["diagnose"], folder)
+    yield replace(row, aim=_AIMS.get((days, "diagnose, first time"), ""))
+    yield command(f"{days} days: diagnose again", ["diagnose"], folder)
+    kept = _stored(folder, "equations/main/library") / days
+    print(f"{days} days: statistics {kept / 1e6:.2f} MB a day, product {size / 1e6:.2f} MB a day", flush=True)
+    yield from _loop(folder, days)
+    yield command(f"{days} days: compare", ["compare"], folder)
+    shutil.rmtree(folder)
+
+
+def _loop(folder: Path, days: int) -> Iterator[Row]:
+    """Yield the rows of adding and dropping an effect, the statistics in memory."""
+    workspace = Workspace.open(folder)
+    with threadpool_limits(1):
+        bench = Workbench(Catalog(folder), workspace.mission())
+        added, dropped = [], []
+        for _ in range(3):
+            added += timed(lambda: bench.add("day_night"))
+            dropped += timed(bench.undo)
+    yield Row(what=f"{days} days: add an effect", seconds=added, aim="0.5 s")
+    yield Row(what=f"{days} days: undo", seconds=dropped, aim="0.5 s")
+
+
+def _stored(folder: Path, name: str) -> int:
+    """Return the bytes of a dataset's stores."""
+    stores = {day.segment for day in Catalog(folder).days(name, states=("published",))}
+    return sum(
+        path.stat().st_size for store in stores for path in (folder / store).rglob("*") if path.is_file()
+    )
