@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -84,19 +85,41 @@ class Command:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """Yield a function ``(stage, done, total)`` that draws a bar a stage, or nothing."""
-        if self.json or not sys.stderr.isatty():
+        """Yield a function ``(stage, done, total)``: a bar a stage with its rate, elapsed and remaining time.
+
+        Where standard error is no terminal, a long stage writes a line now and then; with ``--json`` nothing.
+        """
+        if self.json:
             yield lambda stage, done, total: None
             return
+        if not sys.stderr.isatty():
+            yield _ProgressLines()
+            return
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
         from rich.progress import Progress as Bars
+
+        class Rate(TextColumn):
+            """How many of a stage are done in a second."""
+
+            def render(self, task: Any) -> Any:
+                self.text_format = f"{task.speed:.1f}/s" if task.speed and task.total > 1 else ""
+                return super().render(task)
 
         columns = (
             TextColumn("{task.description:<12}"),
             BarColumn(),
             MofNCompleteColumn(),
+            Rate(""),
             TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
         )
         with Bars(*columns, console=Console(stderr=True)) as bars:
             tasks: dict[str, Any] = {}
@@ -145,6 +168,28 @@ class Command:
         console.print(Text(f"{place}: {fields['message']}" if place else fields["message"], style="red"))
         if fields.get("remedy"):
             console.print(Text(f"What to do: {fields['remedy']}"))
+
+
+class _ProgressLines:
+    """Progress as lines, for logs: of stages that take long only, and at most four a minute."""
+
+    def __init__(self) -> None:
+        self._stage, self._begun, self._said = "", 0.0, 0.0
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._begun, self._said = stage, now, now
+        if now - self._said < _LINE_EVERY_S or not 0 < done < total:
+            return
+        self._said = now
+        rate = done / (now - self._begun)
+        left = (total - done) / rate
+        print(f"{stage}: {done} of {total}, {rate:.2g}/s, {left:.0f} s left", file=sys.stderr, flush=True)
+
+
+#: Seconds between two lines of progress where there is no terminal.
+_LINE_EVERY_S = 15.0
 
 
 def text_table(

@@ -1,0 +1,49 @@
+"""Progress of long stages: bars for a person, lines for a log, nothing for a program."""
+
+import sys
+
+import pytest
+
+from inflight.cli import command
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(command.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_log_gets_rate_and_remaining_time_of_a_long_stage(clock, capsys):
+    with command.Command().progress() as show:
+        for done in range(11):
+            show("pass", done, 10)
+            clock[0] += 10.0
+    assert capsys.readouterr().err.splitlines()[0] == "pass: 2 of 10, 0.1/s, 80 s left"
+
+
+def test_a_short_stage_writes_no_line(clock, capsys):
+    with command.Command().progress() as show:
+        for done in range(11):
+            show("pass", done, 10)
+            clock[0] += 0.5
+    assert capsys.readouterr().err == ""
+
+
+def test_a_program_gets_no_progress(clock, capsys):
+    with command.Command(json=True).progress() as show:
+        for done in range(11):
+            show("pass", done, 10)
+            clock[0] += 60.0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_gets_a_bar_with_the_time_that_is_left(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "120")
+    with command.Command().progress() as show:
+        for done in range(4):
+            show("pass", done, 3)
+    printed = capsys.readouterr().err
+    assert "3/3" in printed
+    assert "left" in printed
