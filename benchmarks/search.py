@@ -87,7 +87,9 @@ def evidence_pass(cat: Catalog, days: int = 8) -> Row:
     reader = ChannelReader(
         cat, mission, plan.channel_needs, index, plan.cadence_ns, plan.span, by_levels=levels
     )
-    derived = DerivedChannels(reader, plan.days, plan.channel_summaries, plan.library.placebos)
+    derived = DerivedChannels(
+        reader, plan.days, plan.channel_summaries, plan.library.placebos, plan.origin.days
+    )
     some = plan.blocks[2 : 2 + max(1, days // plan.fits)]
     count = sum(len(block) for block in some)
     matrix = np.random.default_rng(0).normal(size=(int(DAY / plan.cadence_ns), len(plan.library.columns) + 1))

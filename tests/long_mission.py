@@ -72,13 +72,24 @@ def _readings(days: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     }
 
 
-def make_long_workspace(root: Path, days: int) -> Catalog:
-    """Make a workspace whose archive holds so many days."""
+def make_long_workspace(root: Path, days: int, later: int = 0) -> Catalog:
+    """Make a workspace whose archive holds so many days; `later` more are left for `add_later_days`."""
     yaml = root.parent / f"{root.name}.yaml"
     yaml.parent.mkdir(parents=True, exist_ok=True)
     yaml.write_text(LONG_YAML, encoding="utf-8")
     Workspace.create(root, yaml)
-    cat, (stamps, series) = Catalog(root), _readings(days)
+    cat = Catalog(root)
+    _write_days(cat, days + later, range(days))
+    return cat
+
+
+def add_later_days(cat: Catalog, days: int, later: int) -> None:
+    """Write the days that `make_long_workspace` left."""
+    _write_days(cat, days + later, range(days, days + later))
+
+
+def _write_days(cat: Catalog, total: int, which: range) -> None:
+    root, (stamps, series) = cat.workspace, _readings(total)
     contents = {
         "turning": {"field": (("time", "axis"), "turning", "nT", "vector")},
         "absolute": {"field": (("time",), "absolute", "nT", "scalar")},
@@ -89,10 +100,10 @@ def make_long_workspace(root: Path, days: int) -> Catalog:
     }
     per_day = 86_400 // STEP_S
     first = np.datetime64(LONG_START, "D")
-    with cat.run("simulate", {"days": days}) as run:
+    with cat.run("simulate", {"days": len(which)}) as run:
         for instrument, channels in contents.items():
             found = []
-            for day in range(days):
+            for day in which:
                 part = slice(day * per_day, (day + 1) * per_day)
                 data = {
                     name: (
@@ -107,4 +118,3 @@ def make_long_workspace(root: Path, days: int) -> Catalog:
                 found.append(DayData(str(first + day), xr.Dataset(data), key=f"{instrument}-{day}"))
             run.attach(write_segment(root, run.id, f"l1/{instrument}", found))
         run.publish()
-    return cat

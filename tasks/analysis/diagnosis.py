@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
     PASS_SETTINGS,
     Loaded,
+    Origin,
     PassPlan,
     Survey,
     block_parts,
@@ -261,10 +263,33 @@ def plan_pass(
         cat, mission, channels, index, cadence, span, settings.comparison, by_levels=levels
     )
     report_progress("survey", 0, 1)
-    found = survey(cat, mission, used.model, needs, index, days, reader)
+    begun = Origin(
+        model=sha256(used.model.text.encode()).hexdigest(),
+        mission=sha256(mission.text.encode()).hexdigest(),
+        cadence_ns=cadence,
+        first=str(days[0]),
+        days=len(days),
+        value=(),
+        channels={},
+        still=(),
+    )
+    known = _earlier_origin(cat, mission, settings.comparison, begun)
+    found = survey(cat, mission, used.model, needs, index, days, reader, known)
     report_progress("survey", 1, 1)
-    plan = _plan(mission, found, needs, channels, days, span, cadence)
+    origin = known or replace(begun, value=found.value, channels=found.channels, still=found.still)
+    plan = _plan(mission, found, needs, channels, days, span, cadence, origin)
     return PlannedPass(plan, index, base, used, found)
+
+
+def _earlier_origin(cat: Catalog, mission: Mission, comparison: str, begun: Origin) -> Origin | None:
+    """Return what an earlier survey of a record found that has grown since; None where it must be made."""
+    if mission.comparisons[comparison].kind != "scalar" or begun.days <= PASS_SETTINGS.most_blocks:
+        return None
+    for day in reversed(cat.days(f"equations/{comparison}/library", states=("published",))):
+        text = cat.read(day, ["count"]).attrs.get("origin")
+        found = Origin.of_json(text) if text else None
+        return found if found is not None and found.holds_for(begun) else None
+    return None
 
 
 def _plan(
@@ -275,6 +300,7 @@ def _plan(
     days: Sequence[np.datetime64],
     span: tuple[int, int],
     cadence: int,
+    origin: Origin,
 ) -> PassPlan:
     orbit = mission.periods.get("orbit")
     length = span[1] - span[0]
@@ -299,7 +325,9 @@ def _plan(
         library.unscorable.append(
             {"name": name, "family": "unknown", "reason": "the channel does not change"}
         )
-    blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
+    # On a fixed grid: whatever comes before or after, a day is in the same block.
+    grid = np.asarray(days, dtype="datetime64[D]").astype(np.int64) // width
+    blocks = tuple(tuple(days[int(at)] for at in np.flatnonzero(grid == one)) for one in np.unique(grid))
     correlation_s = min(PASS_SETTINGS.correlation_time_s, length / SECOND / PASS_SETTINGS.correlation_spans)
     return PassPlan(
         model=found.model,
@@ -313,6 +341,7 @@ def _plan(
         span=span,
         correlation_time_s=correlation_s,
         channel_summaries=found.channels,
+        origin=origin,
     )
 
 

@@ -159,6 +159,9 @@ class PassSettings:
         A short record is not thinned below so many rows; assumed.
     short_days : int
         The span of a record of no more days is what was measured, not whole days; assumed.
+    grown : float
+        A record that grew to so many times the days it had is surveyed anew: all its blocks are made again,
+        which costs less than the days since; assumed.
     longest_stretch_s : int
         A stretch between unexplained switchings is divided into these, s: offsets wander by hours; assumed.
     """
@@ -182,6 +185,7 @@ class PassSettings:
     steady: float = 1e-9
     rows: int = 5000
     short_days: int = 3
+    grown: float = 1.25
     longest_stretch_s: int = 3 * 3600
 
 
@@ -199,6 +203,59 @@ SUMS = (
     "floor_low",
     "floor_high",
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """What the blocks of a growing record share, found when it was surveyed: days that come later join them.
+
+    Only of long records is it found again: a short one is made anew in less time than its search takes.
+
+    Attributes
+    ----------
+    model, mission : str
+        sha256 of the model's and the mission's text.
+    cadence_ns : int
+        The library's.
+    first, days : str, int
+        First day of the record surveyed, and how many it had: placebos of its first days are from its end.
+    value : tuple of float
+        Values of the nine parameters the residual is linearised at; empty where none are fitted.
+    channels : mapping of str to ChannelSummary
+        As of `Survey`.
+    still : tuple of str
+    """
+
+    model: str
+    mission: str
+    cadence_ns: int
+    first: str
+    days: int
+    value: tuple[float, ...]
+    channels: Mapping[str, ChannelSummary]
+    still: tuple[str, ...]
+
+    def as_json(self) -> str:
+        """Return the text that `of_json` reads."""
+        return json.dumps(
+            {**vars(self), "channels": {name: vars(one) for name, one in self.channels.items()}}
+        )
+
+    @classmethod
+    def of_json(cls, text: str) -> Origin:
+        """Return the origin that a store of blocks holds."""
+        found = json.loads(text)
+        channels = {name: ChannelSummary(**one) for name, one in found["channels"].items()}
+        return cls(
+            **{**found, "channels": channels, "value": tuple(found["value"]), "still": tuple(found["still"])}
+        )
+
+    def holds_for(self, other: Origin) -> bool:
+        """Return True when a record that is as `other` says before its survey may go on from here."""
+        same = ("model", "mission", "cadence_ns", "first")
+        return all(getattr(self, name) == getattr(other, name) for name in same) and (
+            self.days <= other.days <= self.days * PASS_SETTINGS.grown
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,6 +281,7 @@ class PassPlan:
     correlation_time_s : float
         Correlation time of the prewhitened form.
     channel_summaries : mapping of str to ChannelSummary
+    origin : Origin
     keep_bursts : bool
         Bursts are counted and stay in.
     stretches : Stretches, optional
@@ -241,6 +299,7 @@ class PassPlan:
     span: tuple[int, int]
     correlation_time_s: float
     channel_summaries: Mapping[str, ChannelSummary]
+    origin: Origin
     keep_bursts: bool = False
     stretches: Stretches | None = None
 
@@ -292,8 +351,9 @@ class PassPlan:
             "parts": self.parts,
             "cadence": self.cadence_ns,
             "memory": self.correlation_time_s,
-            "span": self.span,
-            "means": {name: one.mean for name, one in self.channel_summaries.items()},
+            # A short record ends with its samples; a day of a longer one is the same whatever follows.
+            "span": self.span if len(self.days) <= PASS_SETTINGS.short_days else self.series_step,
+            "origin": self.origin.as_json(),
             "keep_bursts": self.keep_bursts,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
@@ -313,7 +373,9 @@ def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, index: ArchiveInd
         comparison,
         by_levels=learns_states(mission, comparison),
     )
-    derived = DerivedChannels(reader, plan.days, plan.channel_summaries, plan.library.placebos)
+    derived = DerivedChannels(
+        reader, plan.days, plan.channel_summaries, plan.library.placebos, plan.origin.days
+    )
     days_of = {block[0]: block for block in plan.blocks}
     return make_days(
         cat,
@@ -343,7 +405,7 @@ def block_grams(
     own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
     dataset = raw.as_dataset().assign({f"white_{name}": own[name] for name in ("rest", "given")})
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
-    return dataset.assign_attrs(cadence_ns=plan.cadence_ns), sums
+    return dataset.assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json()), sums
 
 
 def _series(
@@ -610,6 +672,8 @@ class Survey:
         Every channel of one number a time that changes.
     still : tuple of str
         Channels that do not change in the span.
+    value : tuple of float
+        Values of the nine parameters the residual is linearised at; empty where none are fitted.
     """
 
     model: Model
@@ -617,6 +681,7 @@ class Survey:
     fixed: tuple[Term, ...]
     channels: Mapping[str, ChannelSummary]
     still: tuple[str, ...]
+    value: tuple[float, ...] = ()
 
 
 def survey(
@@ -627,8 +692,14 @@ def survey(
     index: ArchiveIndex,
     days: Sequence[np.datetime64],
     reader: ChannelReader,
+    origin: Origin | None = None,
 ) -> Survey:
     """Read some days of the span: linearise the residual, summarise the channels.
+
+    Parameters
+    ----------
+    origin : Origin, optional
+        What an earlier survey of the record found; nothing is read then.
 
     Raises
     ------
@@ -637,7 +708,10 @@ def survey(
     """
     places = np.linspace(0, len(days) - 1, min(PASS_SETTINGS.surveyed_days, len(days))).round().astype(int)
     some = [days[place] for place in np.unique(places)]
-    fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
+    known = None if origin is None else np.asarray(origin.value)
+    fitted, base, fixed, value = _linearised(cat, mission, model, needs, index, some, known)
+    if origin is not None:
+        return Survey(fitted, base, fixed, origin.channels, origin.still, value)
     changing, still, kinds = {}, [], channels_of(mission)
     read = {day: reader.day(day) for day in some}
     for name in reader.scalars:
@@ -654,7 +728,7 @@ def survey(
         changing[name] = ChannelSummary(
             float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
         )
-    return Survey(fitted, base, fixed, changing, tuple(still))
+    return Survey(fitted, base, fixed, changing, tuple(still), value)
 
 
 def _linearised(
@@ -664,31 +738,27 @@ def _linearised(
     needs: Sequence[Need],
     index: ArchiveIndex,
     days: Sequence[np.datetime64],
-) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
-    """Return the model at its fitted nine parameters, and the terms of these."""
+    known: Floats | None = None,
+) -> tuple[Model, tuple[Term, ...], tuple[Term, ...], tuple[float, ...]]:
+    """Return the model at its fitted nine parameters, the terms of these, and their values if any.
+
+    `known` are these values from an earlier survey.
+    """
     kind = mission.comparisons[model.comparison].kind
     if kind == "spin":
-        return _linearised_spin(cat, mission, model, needs, index, days)
+        return *_linearised_spin(cat, mission, model, needs, index, days), ()
     if kind == "platform":
-        return model, (), ()
+        return model, (), (), ()
     if kind == "dual":
         # A matrix and a shift between two vector sensors: what their difference leaves to calibration.
-        return model, (_calibration_term(mission, model, "inboard", "affine", ("matrix", "shift")),), ()
+        return model, (_calibration_term(mission, model, "inboard", "affine", ("matrix", "shift")),), (), ()
     own = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
     if not own:
-        return model, (_calibration_term(mission, model, "vector", "vector_sensor", PARAMETER_GROUPS),), ()
+        term = _calibration_term(mission, model, "vector", "vector_sensor", PARAMETER_GROUPS)
+        return model, (term,), (), ()
     middle = sum(day_bounds(days[len(days) // 2])) // 2
     prior = prior_of(own[0], middle)
-    parts = [_thinned_samples(cat, mission, model, day, needs, index) for day in days]
-    whole = [np.concatenate(one) for one in zip(*parts, strict=True)]
-    if whole[3].sum() < 2 * prior.value.size:
-        raise CalibrationError(
-            f"{int(whole[3].sum())} usable samples on {len(days)} days looked at",
-            remedy="see 'inflight catalog gaps' and the flags of the deliveries",
-        )
-    value = prior.value
-    if np.any(prior.sigma > 0):
-        value = fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
+    value = known if known is not None else _fitted_value(cat, mission, model, needs, index, days, prior)
     sigmas = dict(zip(PARAMETER_GROUPS, prior.sigma.reshape(-1, 3), strict=True))
     fitted = {
         part: replace(
@@ -712,7 +782,29 @@ def _linearised(
         if not np.any(sigma > 0)
     ]
     effects = tuple(entry if one is own[0] else one for one in model.effects)
-    return replace(model, effects=effects), tuple(base), tuple(fixed)
+    return replace(model, effects=effects), tuple(base), tuple(fixed), tuple(value.tolist())
+
+
+def _fitted_value(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+    prior: ParameterPrior,
+) -> Floats:
+    """Return the nine parameters that fit some days, those at which the prior holds them otherwise."""
+    parts = [_thinned_samples(cat, mission, model, day, needs, index) for day in days]
+    whole = [np.concatenate(one) for one in zip(*parts, strict=True)]
+    if whole[3].sum() < 2 * prior.value.size:
+        raise CalibrationError(
+            f"{int(whole[3].sum())} usable samples on {len(days)} days looked at",
+            remedy="see 'inflight catalog gaps' and the flags of the deliveries",
+        )
+    if not np.any(prior.sigma > 0):
+        return prior.value
+    return fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
 
 
 def _linearised_spin(
@@ -798,10 +890,10 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
     """Return parts of a day and days of a block.
 
     A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
-    some days.
+    some days: a power of two of them, so that blocks stay where they are while a record grows.
     """
     if days > PASS_SETTINGS.most_blocks:
-        return 1, -(-days // PASS_SETTINGS.most_blocks)
+        return 1, 2 ** int(np.ceil(np.log2(days / PASS_SETTINGS.most_blocks)))
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
     return int(np.clip(-(-PASS_SETTINGS.target_blocks // days), 1, most)), 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -208,13 +209,20 @@ class DerivedChannels:
         Their means replace missing values.
     shifts : mapping of str to float
         Placebo, such as ``heater~1`` -> seconds.
+    wrapped_at : int
+        Placebos of the first days come from the end of so many days; all of them when 0.
     """
 
     reader: ChannelReader
     days: Sequence[np.datetime64]
     summaries: Mapping[str, ChannelSummary]
     shifts: Mapping[str, float]
+    wrapped_at: int = 0
     _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def _places(self) -> dict[np.datetime64, int]:
+        return {day: place for place, day in enumerate(self.days)}
 
     def of_day(
         self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
@@ -233,7 +241,7 @@ class DerivedChannels:
         """Return one factor of a derived channel on the bins of a day."""
         if part.channel in geometry and part.is_plain:
             return geometry[part.channel]
-        place = list(self.days).index(day)
+        place = self._places[day]
         bins = self.reader.edges(day).size - 1
         step = self.reader.cadence_ns / SECOND
         if part.channel in geometry:
@@ -261,14 +269,14 @@ class DerivedChannels:
         return [self.days[place - 1]] if adjacent else []
 
     def _wrapped(self, place: int, channel: str, shift: int, need: int) -> Floats:
-        """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
+        """Return `need` bins of a channel, `shift` bins before the day's own, around the end of the days."""
         pieces: list[Floats] = []
         at, missing = place, shift + need
         while missing > 0:
             piece = self._filled(self.days[at], channel)
             pieces.insert(0, piece)
             missing -= len(piece)
-            at = (at - 1) % len(self.days)
+            at = at - 1 if at else (self.wrapped_at or len(self.days)) - 1
         whole = np.concatenate(pieces)
         end = len(whole) - shift
         return whole[end - need : end]

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from long_mission import DRIFT, HEATER, HEATER_LAG_S, STEP_S, make_long_workspace
+from long_mission import DRIFT, HEATER, HEATER_LAG_S, STEP_S, add_later_days, make_long_workspace
 
 from inflight.catalog import Workspace
-from inflight.tasks.analysis import diagnose
+from inflight.tasks.analysis import DiagnoseSettings, diagnose
+from inflight.tasks.analysis.diagnosis import make_pass
 
 
 @pytest.fixture(scope="module", params=[261, pytest.param(1000, marks=pytest.mark.slow)])
@@ -28,3 +29,26 @@ def test_the_lag_and_the_sizes_come_back(found):
     told = np.array([one["value"] for one in drift["coefficients"]])
     # A reading that grows is calibrated by a factor that falls.
     assert told == pytest.approx(-DRIFT, rel=0.15)
+
+
+def test_further_days_make_their_own_blocks_only(tmp_path):
+    cat = make_long_workspace(tmp_path / "mission", 202, later=3)
+    mission = Workspace.open(tmp_path / "mission").mission()
+
+    def blocks():
+        """Return every published block's run, by its first day."""
+        made = make_pass(cat, mission, None, None, DiagnoseSettings())
+        days = cat.days("equations/main/library", states=("published",))
+        return made, {str(day.day): day.run for day in days}
+
+    before, runs = blocks()
+    add_later_days(cat, 202, 3)
+    after, later = blocks()
+    # The last block was not full; two more days fill the next one.
+    assert len(set(runs.values())) == 1
+    fresh = {day for day, run in later.items() if runs.get(day) != run}
+    assert fresh == set(sorted(later)[-2:])
+    assert after.plan.span[1] > before.plan.span[1]
+    # The same as if all days had been there: what the first survey found holds for the later ones.
+    count = len(before.loaded.raw) - 1
+    np.testing.assert_array_equal(after.loaded.raw.squares[:count], before.loaded.raw.squares[:count])
