@@ -1,13 +1,18 @@
 """How Prefect and Dask are set up: quiet, private, and giving way to what a team has already."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from inflight.errors import WorkerError
-from inflight.flows import DaySpan, available_cores, dask_client
+from inflight.flows import DaySpan, available_cores, dask_client, lazy_client
 from inflight.flows.launch import prefect_environment, prefect_settings
 from inflight.flows.server import EmbeddedServer, is_own
+from inflight.tasks.batches import end_processes
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):
@@ -93,3 +98,38 @@ def test_a_span_gives_its_days_as_text_and_refuses_to_run_backwards():
 def test_the_flow_modules_are_not_needed_to_read_settings():
     text = Path(prefect_settings.__code__.co_filename).read_text(encoding="utf-8")
     assert not any(line.startswith(("import prefect", "from prefect")) for line in text.splitlines())
+
+
+@pytest.fixture
+def counted_clusters(monkeypatch):
+    """Clusters that only count how often they were started and ended."""
+    told = []
+
+    @contextmanager
+    def start(workers):
+        told.append("started")
+        time.sleep(0.05)
+        yield SimpleNamespace(submit=lambda function, *given, **options: function(*given))
+        told.append("ended")
+
+    monkeypatch.setattr("inflight.flows.cluster.dask_client", start)
+    return told
+
+
+def test_threads_that_bring_the_first_work_at_once_share_one_cluster(counted_clusters):
+    with lazy_client(2) as client, ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(lambda number: client.submit(abs, number), [-3, -2, -1])) == [3, 2, 1]
+        assert counted_clusters == ["started"]
+    assert counted_clusters == ["started", "ended"]
+
+
+def test_processes_end_when_asked_and_others_start_with_the_next_work(counted_clusters):
+    with lazy_client(2) as client:
+        end_processes(client)
+        assert counted_clusters == []
+        client.submit(abs, -1)
+        end_processes(client)
+        assert counted_clusters == ["started", "ended"]
+        assert client.submit(abs, -2) == 2
+    assert counted_clusters == ["started", "ended"] * 2
+    end_processes(None)
