@@ -239,16 +239,18 @@ def _diagnose_if_idle(
     save: bool = False,
     workers: int | None = None,
 ) -> RunReport | None:
-    """Raise what a diagnosis would raise for a span without days; a search is always work."""
+    """Return the last diagnosis while nothing has changed; raise what a span without days would."""
     from inflight.tasks import current_model
+    from inflight.tasks.analysis import diagnose_if_unchanged
     from inflight.tasks.archive import ArchiveIndex, needs_of, require_days
 
-    del save, workers
+    del workers
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     cat, mission = Catalog(place.root), place.mission()
     needs = needs_of(mission, current_model(cat, mission, settings.comparison).model)
     require_days(ArchiveIndex.of(cat, needs), needs, *span.as_text())
-    return None
+    found = None if save else diagnose_if_unchanged(place, *span.as_text(), settings)
+    return None if found is None else RunReport.from_json(found)
 
 
 #: What tells that a step has nothing to do, by its name and with its parameters.

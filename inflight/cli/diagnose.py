@@ -176,6 +176,8 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
     meaning, colour = VERDICTS[fields["verdict"]]
     sentence = Text(f"{fields['sentence']}\n", style="default").append(meaning, style="dim")
     console.print(Panel(sentence, title=fields["verdict"], title_align="left", border_style=colour))
+    if fields.get("unchanged"):
+        line("data, model, settings and software are those of the last diagnosis: this is its answer")
     if fields["effects"]:
         console.print(_effects_table(fields["effects"]))
     names: tuple[str, ...] = ("before", "after", "held_out_before", "held_out_after")

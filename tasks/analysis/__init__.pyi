@@ -2,7 +2,8 @@ from .comparing import compare, measure_comparison
 from .diagnosis import diagnose, examine
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import block_grams
-from .revise import Revision, Workbench, diagnose_span, last_diagnosis, open_workbench
+from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
+from .revise import Revision, Workbench, diagnose_span, open_workbench
 from .settings import DiagnoseSettings, require_sampled
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "block_grams",
     "compare",
     "diagnose",
+    "diagnose_if_unchanged",
     "diagnose_span",
     "diagnosis_sections",
     "examine",

@@ -11,8 +11,6 @@ the effect's numbers, and which other parameters moved.
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
@@ -53,6 +51,7 @@ from inflight.tasks.analysis.diagnosis import (
     make_pass,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
+from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, save_diagnosis
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.models import (
     VersionedModel,
@@ -61,7 +60,7 @@ from inflight.tasks.models import (
     version_with_gram_blocks,
 )
 from inflight.tasks.pipelines import spacecraft_units_of
-from inflight.tasks.report import Progress, to_json
+from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 #: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
@@ -560,30 +559,11 @@ def diagnose_span(
     units = spacecraft_units_of(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
-    save_diagnosis(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
+    asked = {"start": start, "end": end, "settings": settings.model_dump()}
+    if not save:
+        asked["made_from"] = made_from(bench.cat, mission, settings)
+    save_diagnosis(workspace, fields, asked)
     return fields
-
-
-def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
-    """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
-    path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
-    part = path.with_suffix(f".{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(to_json({**fields, "asked": asked}), encoding="utf-8")
-        part.replace(path)
-    except OSError:
-        part.unlink(missing_ok=True)
-
-
-def last_diagnosis(workspace: Workspace, comparison: str = "main") -> dict[str, Any] | None:
-    """Return the last diagnosis of a comparison, with ``asked`` (span, settings); None without any."""
-    path = workspace.reports / f"diagnosis-{comparison}.json"
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
 
 
 def open_workbench(

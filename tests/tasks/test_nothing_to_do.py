@@ -1,11 +1,13 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
 import pytest
+from heated_mission import make_heated_workspace
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.flows import launch, run_with_prefect
 from inflight.tasks import ingest, reprocess
+from inflight.tasks.analysis import DiagnoseSettings, Workbench, diagnose_if_unchanged, diagnose_span
 from inflight.tasks.archive import ingest_if_unchanged
 from inflight.tasks.pipelines import ReprocessSettings
 
@@ -83,3 +85,28 @@ def test_no_server_is_started_for_it(done, monkeypatch):
     span = {"start": "2024-03-01", "end": "2024-03-02"}
     with pytest.raises(AssertionError, match="a server"):
         run_with_prefect("backfill", place, span)
+
+
+@pytest.fixture
+def diagnosed(tmp_path):
+    workspace = make_heated_workspace(tmp_path / "heated")
+    return workspace, diagnose_span(workspace)
+
+
+def test_a_diagnosis_of_what_has_not_changed_is_the_last_one(diagnosed, monkeypatch):
+    workspace, found = diagnosed
+    again = diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())
+    assert again.pop("unchanged") is True
+    assert again["effects"] == [dict(one) for one in found["effects"]]
+    assert again["verdict"] == found["verdict"]
+    monkeypatch.setattr(launch, "prefect_settings", lambda *given: pytest.fail("a server was asked for"))
+    report = run_with_prefect("diagnose", workspace, {})
+    assert report.extra["verdict"] == found["verdict"]
+
+
+def test_other_settings_another_span_and_another_model_are_work(diagnosed):
+    workspace, found = diagnosed
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings(rounds=1)) is None
+    assert diagnose_if_unchanged(workspace, "2024-03-01", None, DiagnoseSettings()) is None
+    Workbench(Catalog(workspace.root), workspace.mission()).add(found["effects"][0]["name"])
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None

@@ -1,0 +1,112 @@
+"""The last diagnosis of a workspace: kept, read, and given again while nothing has changed.
+
+Takes what `diagnose_span` found; writes it whole into the workspace's reports. A diagnosis is a function
+of the archive, the mission, the model, the settings and the software: `made_from` is a hash of all of
+these, and `diagnose_if_unchanged` returns the last answer when it is the same. It reads no samples.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from inflight.catalog import Catalog, Workspace
+from inflight.mission import Mission
+from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
+from inflight.tasks.archive import ArchiveIndex, channel_needs, needs_of
+from inflight.tasks.models import current_model
+from inflight.tasks.report import to_json
+
+#: What a diagnosis is computed by.
+_SOFTWARE = (
+    "inflight.calibration",
+    "inflight.design",
+    "inflight.diagnosis",
+    "inflight.dual",
+    "inflight.effects",
+    "inflight.lsq",
+    "inflight.model",
+    "inflight.residual",
+    "inflight.samples",
+    "inflight.tasks.analysis",
+    "inflight.tasks.archive",
+)
+
+
+def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
+    path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(to_json({**fields, "asked": asked}), encoding="utf-8")
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+
+
+def last_diagnosis(workspace: Workspace, comparison: str = "main") -> dict[str, Any] | None:
+    """Return the last diagnosis of a comparison, with ``asked`` (span, settings); None without any."""
+    path = workspace.reports / f"diagnosis-{comparison}.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def diagnose_if_unchanged(
+    workspace: Workspace, start: str | None, end: str | None, settings: DiagnoseSettings
+) -> dict[str, Any] | None:
+    """Return the last diagnosis when the same was asked and nothing it was made from has changed, else None.
+
+    Parameters
+    ----------
+    start, end, settings
+        As of `diagnose_span`.
+
+    Returns
+    -------
+    dict or None
+        As of `diagnose_span`, with ``unchanged`` true.
+    """
+    found = last_diagnosis(workspace, settings.comparison)
+    asked = (found or {}).pop("asked", None) or {}
+    same = {"start": start, "end": end, "settings": settings.model_dump()}
+    if found is None or {name: asked.get(name) for name in same} != json.loads(to_json(same)):
+        return None
+    mission = workspace.mission()
+    require_sampled(mission, settings.comparison)
+    if asked.get("made_from") != made_from(Catalog(workspace.root), mission, settings):
+        return None
+    return {**found, "unchanged": True}
+
+
+def made_from(cat: Catalog, mission: Mission, settings: DiagnoseSettings) -> str:
+    """Return a hash of all that a diagnosis is made from but the span: archive, tables, model, software."""
+    used = current_model(cat, mission, settings.comparison)
+    index = ArchiveIndex.of(cat, [*needs_of(mission, used.model), *channel_needs(mission)])
+    archive = sorted([name, str(day), record.id, record.key] for (name, day), record in index.days.items())
+    tables = [
+        [one.id, one.key, one.certified] for one in cat.tables() if one.name.startswith(settings.comparison)
+    ]
+    parts = [mission.text, used.model.name, used.version, used.text, settings.model_dump(), archive, tables]
+    return hashlib.sha256(json.dumps([*parts, _software()], default=str).encode()).hexdigest()
+
+
+@cache
+def _software() -> str:
+    """Return a hash of the code that computes a diagnosis: a version would miss what is being written."""
+    found = hashlib.sha256()
+    for name in _SOFTWARE:
+        spec = find_spec(name)
+        for folder in (spec.submodule_search_locations or []) if spec else []:
+            for path in sorted(Path(folder).glob("*.py")):
+                found.update(path.name.encode() + path.read_bytes())
+    return found.hexdigest()
