@@ -139,8 +139,10 @@ class PassSettings:
     geometry_gaps : float
         Days lose the bins without geometry when these are at most this part of them; assumed.
     series_rows : int
-        Rows of the series at most: a bound on memory. Up to so many it has those of the Gram blocks, so that
-        columns can be made of it.
+        Rows of the series up to which it has those of the Gram blocks, so that columns can be made of it: a
+        bound on memory.
+    thinned_rows : int
+        Rows at most of the series of a longer record, which are means of several: a bound on memory.
     placebos : int
         Channels that get a placebo (MISSING_EFFECT 2.1: about 20).
     surveyed_days, surveyed_samples : int
@@ -168,6 +170,7 @@ class PassSettings:
 
     geometry_gaps: float = 0.3
     series_rows: int = 450_000
+    thinned_rows: int = 225_000
     placebos: int = 16
     surveyed_days: int = 12
     surveyed_samples: int = 20_000
@@ -313,7 +316,8 @@ class PassPlan:
         """Bins that become one row of the series."""
         if self.folding is not None:
             return 1
-        return max(1, -(-(self.span[1] - self.span[0]) // (self.cadence_ns * PASS_SETTINGS.series_rows)))
+        rows = -(-(self.span[1] - self.span[0]) // self.cadence_ns)
+        return 1 if rows <= PASS_SETTINGS.series_rows else -(-rows // PASS_SETTINGS.thinned_rows)
 
     @property
     def folding(self) -> Folding | None:
