@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.tasks import Progress, batch_mapper, result_of, with_progress
+from inflight.tasks import Progress, batch_mapper, few_at_once, result_of, with_progress
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -88,10 +88,12 @@ class PrefectRunner:
         ) -> Iterator[Any]:
             run_batch = _as_task(stage, _run_batch)
             shared = (_as_is(client), _as_is(function))
-            futures = [run_batch.submit(*shared, _as_is(batch)) for batch in arguments]
-            return with_progress(
-                self.progress, stage, (future.result() for future in futures), len(arguments)
+            results = few_at_once(
+                lambda batch: run_batch.submit(*shared, _as_is(batch)),
+                lambda future: future.result(),
+                arguments,
             )
+            return with_progress(self.progress, stage, results, len(arguments))
 
         return run_batches
 

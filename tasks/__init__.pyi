@@ -6,7 +6,7 @@ from .analysis import (
     diagnose,
 )
 from .archive import ingest, simulate
-from .batches import Mapper, batch_mapper, result_of, with_progress
+from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
 from .models import ModelHistory, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
@@ -36,6 +36,7 @@ __all__ = [
     "current_model",
     "diagnose",
     "error_fields",
+    "few_at_once",
     "find_model",
     "ingest",
     "location_of",

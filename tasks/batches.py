@@ -33,16 +33,31 @@ def iter_results(
     At most `IN_FLIGHT` jobs are submitted at once, so results never pile up.
     """
     if client is None:
-        for job in jobs:
-            yield function(*job)
-        return
+        return (function(*job) for job in jobs)
+    return few_at_once(lambda job: client.submit(function, *job, pure=False), result_of, jobs)
+
+
+def few_at_once(
+    submit: Callable[[Any], Any], read: Callable[[Any], Result], jobs: Iterable[Any]
+) -> Iterator[Result]:
+    """Yield the results of jobs in their order; at most `IN_FLIGHT` are submitted and not read yet.
+
+    A mission has hundreds of batches: what waits to be run, or to be read, costs memory.
+
+    Parameters
+    ----------
+    submit : callable
+        Takes a job; returns what `read` waits for.
+    read : callable
+        Returns the result of what was submitted.
+    """
     waiting: deque[Any] = deque()
     for job in jobs:
-        waiting.append(client.submit(function, *job, pure=False))
+        waiting.append(submit(job))
         if len(waiting) >= IN_FLIGHT:
-            yield result_of(waiting.popleft())
+            yield read(waiting.popleft())
     while waiting:
-        yield result_of(waiting.popleft())
+        yield read(waiting.popleft())
 
 
 def end_processes(client: Any) -> None:

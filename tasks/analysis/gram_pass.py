@@ -343,6 +343,19 @@ class PassPlan:
         """Days of a block at most: each is calibrated anew."""
         return max(len(block) for block in self.blocks)
 
+    def read_for(self, blocks: Sequence[np.datetime64]) -> list[np.datetime64]:
+        """Return all days that blocks, named by their first day, are made from: placebos have other days."""
+        reach = 2 + int(max(self.library.placebos.values(), default=0.0) * SECOND // DAY)
+        wanted = set(blocks)
+        own = {day for block in self.blocks if block[0] in wanted for day in block}
+        places = {
+            place - step if place >= step else self.origin.days + place - step
+            for place, day in enumerate(self.days)
+            if day in own
+            for step in range(reach + 1)
+        }
+        return [self.days[place] for place in sorted(places) if 0 <= place < len(self.days)]
+
     @property
     def key(self) -> str:
         """sha256 of everything but the archive that the Gram blocks are made from."""
@@ -364,9 +377,9 @@ class PassPlan:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
+def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, job: Job) -> Outcome:
     """Make the Gram blocks of a batch and write it as one segment; blocks go by their first day."""
-    comparison = plan.model.comparison
+    comparison, index = plan.model.comparison, job.index
     reader = ChannelReader(
         cat,
         mission,
@@ -633,7 +646,7 @@ def make_blocks(
                 batch,
                 {day: keys[day] for day in batch},
                 {day: parents[day] for day in batch},
-                index,
+                index.around(plan.read_for(batch)),
                 plan.needs,
                 run.id,
                 dataset,
@@ -645,7 +658,7 @@ def make_blocks(
         failed: dict[np.datetime64, dict[str, str]] = {}
         for job, outcome in zip(
             jobs,
-            iter_results(client, gram_batch, [(cat, mission, plan, index, job) for job in jobs]),
+            iter_results(client, gram_batch, [(cat, mission, plan, job) for job in jobs]),
             strict=True,
         ):
             kept |= {day.day: day for day in register_outcome(run, dataset, outcome, failed)}

@@ -5,8 +5,9 @@ import pytest
 from long_mission import DRIFT, HEATER, HEATER_LAG_S, STEP_S, add_later_days, make_long_workspace
 
 from inflight.catalog import Workspace
-from inflight.tasks.analysis import DiagnoseSettings, diagnose
-from inflight.tasks.analysis.diagnosis import make_pass
+from inflight.tasks.analysis import DiagnoseSettings, block_grams, diagnose
+from inflight.tasks.analysis.diagnosis import make_pass, plan_pass
+from inflight.tasks.archive import ChannelReader, DerivedChannels
 
 
 @pytest.fixture(scope="module", params=[261, pytest.param(1000, marks=pytest.mark.slow)])
@@ -52,3 +53,24 @@ def test_further_days_make_their_own_blocks_only(tmp_path):
     # The same as if all days had been there: what the first survey found holds for the later ones.
     count = len(before.loaded.raw) - 1
     np.testing.assert_array_equal(after.loaded.raw.squares[:count], before.loaded.raw.squares[:count])
+
+
+def test_a_worker_is_sent_all_days_its_blocks_are_made_from_and_few_more(tmp_path):
+    cat = make_long_workspace(tmp_path / "mission", 202)
+    mission = Workspace.open(tmp_path / "mission").mission()
+    planned = plan_pass(cat, mission, DiagnoseSettings())
+    plan = planned.plan
+
+    def made(block, index):
+        reader = ChannelReader(cat, mission, plan.channel_needs, index, plan.cadence_ns, plan.span)
+        derived = DerivedChannels(
+            reader, plan.days, plan.channel_summaries, plan.library.placebos, plan.origin.days
+        )
+        return block_grams(cat, mission, plan, index, derived, block)[0]
+
+    for block in (plan.blocks[0], plan.blocks[1], plan.blocks[50], plan.blocks[-1]):
+        sent = planned.index.around(plan.read_for([block[0]]))
+        assert len(sent.days) < 0.1 * len(planned.index.days)
+        few, all_days = made(block, sent), made(block, planned.index)
+        for name in few.data_vars:
+            np.testing.assert_array_equal(few[name].values, all_days[name].values)
