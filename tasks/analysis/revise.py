@@ -473,7 +473,11 @@ class Workbench:
 
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its Gram blocks are made when there are none."""
-        return self._searched()[0]
+        found, _ = self._searched()
+        # The next search lets its own columns join: what this one added would only be carried along.
+        for grams in (self.made.loaded.raw, self.made.loaded.white):
+            grams.forget_later_columns()
+        return found
 
     def _searched(self) -> tuple[Diagnosis, Search]:
         if self.root.version != self.current.version or self.additions or self.dropped:
