@@ -103,13 +103,6 @@ class _Shared:
             new[..., used] = old[..., used]
             setattr(self, name, new)
 
-    def sum(self, blocks: Indices) -> Floats:
-        """Return the sum of `rest` over some blocks; (column, column)."""
-        out = np.zeros((self.width, self.width))
-        for block in np.asarray(blocks).tolist():
-            out += self.rest[block, : self.width, : self.width]
-        return out
-
 
 @dataclass(frozen=True, eq=False)
 class FactoredGrams:
@@ -297,6 +290,29 @@ class FactoredGrams:
         """True of blocks less each fit of their own: `rest` as it is."""
         return self.taken is None and self.dead is not None
 
+    @cached_property
+    def _whole(self) -> npt.NDArray[np.float32] | None:
+        """The matrices with the product of low rank added, where they are hardly larger than its factors."""
+        rank, width = 2 * self.fits * self.shared.base, len(self.names)
+        if self.taken is None or self.fits == 1 or width > 1.5 * rank:
+            return None
+        every, out = np.arange(width), np.empty((len(self), width, width), dtype=np.float32)
+        grid = np.ix_(self.places, self.places)
+        for block in range(len(self)):
+            both = self._made_factors(every, block).astype(np.float32)
+            other = np.concatenate([both[rank // 2 :], both[: rank // 2]])
+            np.add(self.shared.rest[block][grid], both.T @ other, out=out[block])
+        return out
+
+    @property
+    def _matrix(self) -> tuple[npt.NDArray[np.float32], Indices, bool]:
+        """What products are read from, where the columns are in it, and whether factors are to be added."""
+        if self._is_rest:
+            return self.shared.rest, self.places, False
+        if self._whole is not None:
+            return self._whole, np.arange(len(self.names)), False
+        return self.shared.rest, self.places, True
+
     def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
         """Return [E; H] and [H; E] of some blocks; (block, 2 * fit * base, column) each."""
         kept = self._kept_factors
@@ -356,17 +372,16 @@ class FactoredGrams:
         if raw and np.all(self.places[own] < self.shared.base):
             given = self.shared.given[which[:, None, None], :, self.places[own][:, None], self.places[other]]
             return np.asarray(given.sum(axis=3))
+        matrix, places, factored = self._matrix
         out = np.empty((which.size, own.size, other.size))
-        for some in _in_parts(which.size, own.size * self.shared.width):
+        for some in _in_parts(which.size, own.size * matrix.shape[1]):
             blocks = which[some]
             if other.size < _FEW:
-                grid = blocks[:, None, None], self.places[own][:, None], self.places[other]
-                out[some] = self.shared.rest[grid]
+                out[some] = matrix[blocks[:, None, None], places[own][:, None], places[other]]
             else:
                 # Whole rows lie together in memory.
-                whole = self.shared.rest[blocks[:, None], self.places[own]]
-                out[some] = whole.take(self.places[other], axis=2)
-            if not self._is_rest:
+                out[some] = matrix[blocks[:, None], places[own]].take(places[other], axis=2)
+            if factored:
                 first, second = self._factors(own, blocks)[0], self._factors(other, blocks)[1]
                 out[some] += first.swapaxes(1, 2) @ second
         self._clear(out, own, other)
@@ -380,15 +395,14 @@ class FactoredGrams:
 
     def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
         """Return the products of the columns of each group with each other; (block, group, k, k)."""
-        which, at = self._which(blocks), self.places[groups]
+        matrix, places, factored = self._matrix
+        which, at = self._which(blocks), places[groups]
         out = np.empty((which.size, *groups.shape, groups.shape[-1]))
-        for some in _in_parts(
-            which.size, groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
-        ):
+        size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
+        for some in _in_parts(which.size, size):
             part = which[some]
-            grid = part[:, None, None, None], at[:, :, None], at[:, None, :]
-            out[some] = self.shared.rest[grid]
-            if not self._is_rest:
+            out[some] = matrix[part[:, None, None, None], at[:, :, None], at[:, None, :]]
+            if factored:
                 first, second = (
                     one.reshape(*one.shape[:2], *groups.shape).transpose(0, 2, 3, 1)
                     for one in self._factors(groups.ravel(), part)
@@ -403,9 +417,10 @@ class FactoredGrams:
     def squares(self) -> Floats:
         """Sum of squares of every column in each block; (block, column)."""
         every = np.arange(len(self.names))
-        out = np.einsum("bii->bi", self.shared.rest)[:, self.places].astype(np.float64)
+        matrix, places, factored = self._matrix
+        out = np.einsum("bii->bi", matrix)[:, places].astype(np.float64)
         for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * every.size):
-            if not self._is_rest:
+            if factored:
                 first, second = self._factors(every, np.arange(len(self))[some])
                 out[some] += np.einsum("bmi,bmi->bi", first, second)
         if self.dead is not None:
@@ -425,9 +440,10 @@ class FactoredGrams:
         """Return the sum over the blocks of each fold; kept, because every question asks for them."""
         key = tuple(tuple(np.asarray(fold).tolist()) for fold in folds)
         if key not in self._sums:
-            every, grid = np.arange(len(self.names)), np.ix_(self.places, self.places)
-            out = [self.shared.sum(fold)[grid] for fold in folds]
-            if not self._is_rest:
+            matrix, places, factored = self._matrix
+            every, grid = np.arange(len(self.names)), np.ix_(places, places)
+            out = [_sum_of(matrix, fold, self.shared.width)[grid] for fold in folds]
+            if factored:
                 size = 4 * self.fits * max(self.shared.base, 1) * every.size
                 for place, fold in enumerate(folds):
                     for some in _in_parts(len(fold), size):
@@ -560,12 +576,16 @@ class FactoredGrams:
         fresh = np.arange(shared.width, shared.width + len(names))
         shared.append(left, rest, given, fitted)
         at_end = len(self.names) - len(self.residuals)
-        return replace(
+        made = replace(
             self,
             names=(*self.names[:at_end], *names, *self.names[at_end:]),
             places=np.insert(self.places, at_end, fresh),
             scale=np.insert(self.scale, at_end, scale),
         )
+        if "squares" in vars(self):
+            new = np.einsum("bii->ib", inner)
+            made.__dict__["squares"] = np.insert(self.squares, [at_end] * len(names), new.T, axis=1)
+        return made
 
     def marginalise(
         self,
@@ -605,18 +625,31 @@ class FactoredGrams:
             interval[blocks] = np.repeat(np.arange(len(groups)), np.diff(begins))
             small = replace(small, taken=taken, interval=interval)
         whole = self.squares.sum(axis=0)[kept]
-        dead = (small.squares.sum(axis=0) <= least_kept * whole) & ~np.isin(
-            np.arange(kept.size), small.residuals
-        )
-        return replace(small, dead=dead)
+        dead = small.squares.sum(axis=0) <= least_kept * whole
+        dead[small.residuals] = False
+        made = replace(small, dead=dead)
+        # What was made to tell which columns are dead holds for the others; those of dead ones are cleared.
+        made.__dict__.update({name: value for name, value in vars(small).items() if name in _CARRIED})
+        return made
 
 
 #: Numbers that the low-rank factors of the blocks as they were may have to be kept.
 _KEPT_FACTORS = 5_000_000
+#: Cached properties that do not depend on which columns are dead.
+_CARRIED = ("_whole", "_kept_factors")
 #: Columns from which on whole rows are read and the others left out.
 _FEW = 100
 #: Numbers that are made at once.
 _AT_ONCE = 1_000_000
+
+
+def _sum_of(matrix: npt.NDArray[np.float32], blocks: Indices, width: int) -> Floats:
+    """Return the sum of the first columns of some blocks' matrices, in double precision; (width, width)."""
+    used = slice(0, min(width, matrix.shape[1]))
+    out = np.zeros((used.stop, used.stop))
+    for block in np.asarray(blocks).tolist():
+        out += matrix[block, used, used]
+    return out
 
 
 def _in_parts(blocks: int, size: int) -> Iterator[slice]:

@@ -231,12 +231,14 @@ def test_columns_join_factored_blocks_as_if_they_had_been_there():
     places = grams.index(fresh)
     across = grams.gram[:, grams.index(small.names)][:, :, places]
     before = small.total.copy()
+    assert small.squares.shape == (20, 9)
     late = small.bordered(fresh, grams.scale[places], across, grams.gram[:, places][:, :, places])
     assert late.names == grams.names
     told = [list(range(7)), list(range(7, 20))]
     left, whole = (one.marginalise(base, told) for one in (late, grams))
     np.testing.assert_allclose(left.total, whole.total, rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(late.rows(fresh), grams.rows(fresh), rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(late.squares, grams.squares, rtol=1e-6)
     # What was there before does not see them, and may have their room.
     np.testing.assert_array_equal(small.total, before)
     small.forget_later_columns()
