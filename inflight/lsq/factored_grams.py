@@ -188,10 +188,12 @@ class FactoredGrams:
         """Return the blocks as a Dataset for a store; `FactoredGrams.read` makes blocks of such."""
         k = self.shared.base
         used = slice(k, self.shared.width)
+        given = {"given": (("block", "fit", "base", "column"), self.shared.given, {"units": "nT2"})}
         return xr.Dataset(
             {
                 "rest": (("block", "entry"), pack(self.shared.rest[:, used, used]), {"units": "nT2"}),
-                "given": (("block", "fit", "base", "column"), self.shared.given, {"units": "nT2"}),
+                # A store has no arrays without an element: a calibration without columns is not kept.
+                **(given if k else {}),
                 "begins": (("block", "fit"), self.begins, {"units": "ns", "scale": "TT2000"}),
                 "start": ("block", self.start, {"units": "ns", "scale": "TT2000"}),
                 "end": ("block", self.end, {"units": "ns", "scale": "TT2000"}),
@@ -232,8 +234,9 @@ class FactoredGrams:
             some = part["rest"].values
             for place, packed in enumerate(some, start=at):
                 rest[place, k:, k:] = packed[table]
+            nothing = np.zeros((*part["begins"].shape, 0, width))
             for name in ("given", "begins", "start", "end", "count"):
-                values = part[name].values
+                values = part[name].values if name in part else nothing
                 whole = known.setdefault(name, np.empty((blocks, *values.shape[1:]), dtype=values.dtype))
                 whole[at : at + len(some)] = values
             at += len(some)

@@ -420,7 +420,9 @@ def block_grams(
         plan, raw, [one[2] for one in found], [derived.reader.day(day) for day in days]
     )
     own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
-    dataset = raw.as_dataset().assign({f"white_{name}": own[name] for name in ("rest", "given")})
+    dataset = raw.as_dataset().assign(
+        {f"white_{name}": own[name] for name in ("rest", "given") if name in own}
+    )
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
     return dataset.assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json()), sums
 
@@ -577,17 +579,19 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     kept: list[tuple[np.ndarray, np.ndarray]] = []
     features: list[Features] = []
 
+    given = ["given"] if plan.base else []
+
     def raw_parts() -> Iterator[xr.Dataset]:
         for day in ordered:
-            part = cat.read(day, [*_BLOCKS, "rest", "given", "begins", "series"])
+            part = cat.read(day, [*_BLOCKS, "rest", *given, "begins", "series"])
             kept.append((part["series"].values, part["start"].values))
             features.append(Features.of_json(part["series"].attrs["features"]))
             yield part
 
     def white_parts() -> Iterator[xr.Dataset]:
         for day in ordered:
-            part = cat.read(day, [*_BLOCKS, "white_rest", "white_given"])
-            part = part.rename(white_rest="rest", white_given="given")
+            part = cat.read(day, [*_BLOCKS, "white_rest", *(f"white_{name}" for name in given)])
+            part = part.rename({f"white_{name}": name for name in ("rest", *given)})
             yield part.assign(begins=(("block", "white_fit"), part["start"].values[:, None]))
 
     raw, white = (
