@@ -295,14 +295,17 @@ class FactoredGrams:
 
     @cached_property
     def _whole(self) -> npt.NDArray[np.float32] | None:
-        """The matrices with the product of low rank added, where they are hardly larger than its factors."""
+        """The matrices with the product of low rank added, of a form whose blocks hold several fits.
+
+        Its factors would be hardly smaller.
+        """
         rank, width = 2 * self.fits * self.shared.base, len(self.names)
-        if self.taken is None or self.fits == 1 or width > 1.5 * rank:
+        if self.taken is None or self.fits == 1:
             return None
         every, out = np.arange(width), np.empty((len(self), width, width), dtype=np.float32)
         grid = np.ix_(self.places, self.places)
         for block in range(len(self)):
-            both = self._made_factors(every, block).astype(np.float32)
+            both = self._made_factors(every, block)
             other = np.concatenate([both[rank // 2 :], both[: rank // 2]])
             np.add(self.shared.rest[block][grid], both.T @ other, out=out[block])
         return out
@@ -331,13 +334,13 @@ class FactoredGrams:
     def _kept_factors(self) -> Floats | None:
         """E and H of all blocks; (block, 2 * fit * base, column). None where they are made each time.
 
-        What an interval's fit differs by needs no more digits than `rest`; the blocks as they were do.
+        In double precision: where a block hardly determines the calibration, its own fit F is huge along what
+        it does not, and so is E; only E'H is small.
         """
-        shape = (len(self), 2 * self.shared.given.shape[1] * self.shared.base, len(self.names))
-        is_raw = self.taken is None
-        if is_raw and np.prod(shape) > _KEPT_FACTORS:
+        shape = (len(self), 2 * self.fits * self.shared.base, len(self.names))
+        if np.prod(shape) > _KEPT_FACTORS:
             return None
-        out = np.empty(shape, dtype=np.float64 if is_raw else np.float32)
+        out = np.empty(shape)
         every = np.arange(len(self.names))
         for block in range(len(self)):
             out[block] = self._made_factors(every, block)
@@ -636,7 +639,7 @@ class FactoredGrams:
         return made
 
 
-#: Numbers that the low-rank factors of the blocks as they were may have to be kept.
+#: Numbers that the factors of low rank may have to be kept.
 _KEPT_FACTORS = 5_000_000
 #: Cached properties that do not depend on which columns are dead.
 _CARRIED = ("_whole", "_kept_factors")

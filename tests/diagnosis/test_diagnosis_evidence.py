@@ -1,5 +1,6 @@
 """Algebra on Gram matrices against the same done on rows."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -223,6 +224,19 @@ def test_factored_blocks_are_the_blocks_as_they_were_and_marginalised(precision,
     of_each = np.array([[0, 1], [2, 4], [5, 6]])
     within = [one.products_within(of_each, folds[0]) for one in (left, whole)]
     np.testing.assert_allclose(*within, rtol=3e-6, atol=1e-5)
+
+
+def test_a_calibration_that_blocks_hardly_determine_costs_no_digits():
+    """As in an observatory, where one direction is seen: a block's own fit is huge, what it leaves is not."""
+    case, base = row_case(5), ["n0", "n1", "n2"]
+    values = case.values.copy()
+    values[:, :, 1] = values[:, :, 0] * (1.0 + 1e-5 * np.arange(20)[:, None]) + 1e-5 * values[:, :, 1]
+    grams = replace(case, values=values).grams
+    left, whole = (one.marginalise(base, [list(range(20))]) for one in (FactoredGrams.of(grams, base), grams))
+    size = np.sqrt(np.diag(whole.total))
+    np.testing.assert_allclose(
+        left.total / size / size[:, None], whole.total / size / size[:, None], atol=1e-6
+    )
 
 
 def test_columns_join_factored_blocks_as_if_they_had_been_there():
