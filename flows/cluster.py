@@ -20,8 +20,13 @@ SCHEDULER_VARIABLE = "INFLIGHT_DASK_SCHEDULER"
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
-#: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead.
-_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "536870912", "MALLOC_MMAP_THRESHOLD_": "536870912"}
+#: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead; 32 MiB
+#: is the most that glibc takes for the second.
+_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "67108864", "MALLOC_MMAP_THRESHOLD_": "33554432"}
+
+#: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the
+#: 1000 that Dask keeps by itself are more than a mission of 3000 days has.
+_MESSAGES_KEPT = 16
 
 
 def dask_setup(worker: Any) -> None:
@@ -54,6 +59,7 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         "distributed.nanny.pre-spawn-environ": _ONE_THREAD | _KEEP_MEMORY,
         "distributed.worker.memory.spill": False,
         "distributed.worker.preload": [__name__],
+        "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
     }
     address = os.environ.get(SCHEDULER_VARIABLE)
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:

@@ -14,7 +14,7 @@ from inflight.calibration import (
     remove_other_effects,
     usable_samples,
 )
-from inflight.calibration.scalar import residuals
+from inflight.calibration.residual_loops import residuals
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks import current_model
 from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of

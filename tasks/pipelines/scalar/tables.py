@@ -45,12 +45,30 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
             "no normal equations of single days are published in the span",
             remedy="run 'inflight reprocess' first; a fit of all days at once keeps equations of its own",
         )
-    parts = [cat.read(day) for day in sorted(days, key=lambda day: day.day)]
-    static = parts[0][["scale"]]
-    rows = xr.concat(
-        [part.drop_vars("scale") for part in parts], "block", join="exact", combine_attrs="override"
+    ordered = sorted(days, key=lambda day: day.day)
+    first = cat.read(ordered[0])
+    # Filled day by day: a Dataset a day of a whole mission would need a hundred times the room.
+    rows = {
+        name: np.empty((len(ordered), *variable.shape[1:]), variable.dtype)
+        for name, variable in first.data_vars.items()
+        if "block" in variable.dims
+    }
+    for index, day in enumerate(ordered):
+        part = cat.read(day)
+        if part["column"].values.tolist() != first["column"].values.tolist():
+            raise CatalogError(
+                f"its equations have the columns {part['column'].values.tolist()}, those of "
+                f"{ordered[0].day} {first['column'].values.tolist()}",
+                day=str(day.day),
+                remedy="run 'inflight reprocess' over all days",
+            )
+        for name, values in rows.items():
+            values[index] = part[name].values[0]
+    return NormalEquations(
+        first.drop_vars(list(rows)).assign(
+            {name: (first[name].dims, values, first[name].attrs) for name, values in rows.items()}
+        )
     )
-    return NormalEquations(rows.assign(scale=static["scale"]))
 
 
 def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
