@@ -45,6 +45,7 @@ from .scoring import (
 from .search import Rules, Search, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
+from .stepwise import Estimate, estimate
 from .time_changes import (
     DRIFTS,
     Stretches,
@@ -67,6 +68,7 @@ __all__ = [
     "Diagnosis",
     "DiagnosisData",
     "ErrorContribution",
+    "Estimate",
     "Features",
     "FitSetup",
     "HeatMap",
@@ -94,6 +96,7 @@ __all__ = [
     "drifts",
     "episodes",
     "error_waterfall",
+    "estimate",
     "family_wise_p",
     "features_of",
     "find_request",

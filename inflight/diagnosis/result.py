@@ -36,7 +36,11 @@ class Coefficient:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundEffect:
-    """An effect the search took: values with errors, significance, and rivals."""
+    """An effect the search took: values with errors, significance, and rivals.
+
+    `cadence_s` is that of the samples its coefficients were estimated from; `cadence_shift` by how many of
+    their sigmas the search's own cadence puts the one furthest from them (None where both are one).
+    """
 
     name: str
     family: str
@@ -56,6 +60,8 @@ class FoundEffect:
     at: tuple[str, ...] = ()
     at_sigma_s: float | None = None
     entries: tuple[Mapping[str, Any], ...] = ()
+    cadence_s: float = 0.0
+    cadence_shift: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""

@@ -170,6 +170,12 @@ class Option:
         """True when blocks around those held out must be among the fitted (see `Change`)."""
         return self.change is not None and self.change.interleaved
 
+    @property
+    def sources(self) -> set[str]:
+        """Columns of the library that its own are made from."""
+        functions = {} if self.change is None else self.change.functions
+        return {functions[name][0] if name in functions else name for name in self.columns}
+
 
 @dataclass(frozen=True)
 class ScoreTable:
@@ -745,6 +751,32 @@ class Search:
     def with_options(self, options: Sequence[Option]) -> Search:
         """Return the state with more options to choose from."""
         return replace(self, options=(*self.options, *options))
+
+    def with_grams(self, raw: FactoredGrams, library: Library) -> Search:
+        """Return what was taken on Gram blocks of another cadence, of the raw form alone.
+
+        Parameters
+        ----------
+        raw : FactoredGrams
+            Of blocks with the same edges, with the columns that `sources` of the options taken are.
+        library : Library
+            What its columns are.
+        """
+        variance = row_variance(raw, library.base, self.residual)
+        base, sigma = base_columns(library)
+        for option in self.accepted:
+            if option.change is not None and option.change.functions:
+                raw = raw.expand(option.change.functions)
+        precision = prior_precision(raw, base, sigma, variance)
+        shared = replace(
+            self.shared,
+            raw=raw,
+            white=raw,
+            precision=precision,
+            intervals=self.intervals,
+            forms={"raw": raw.marginalise(base, self.intervals, precision)},
+        )
+        return replace(self, shared=shared, library=library, variance=variance)
 
     def join(self, terms: Sequence[Term], raw: Border, white: Border) -> Search:
         """Return the state with the columns of new terms in its Gram blocks; see `SharedGrams.join`."""

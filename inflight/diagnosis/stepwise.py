@@ -116,6 +116,11 @@ class Estimate:
     retained: float
     rms: float
 
+    def shift_in_sigmas(self, other: Estimate) -> float:
+        """Return by how many of its sigmas the value that differs most from another estimate's does so."""
+        known = self.sigma > 0
+        return float(np.max(np.abs(self.value - other.value)[known] / self.sigma[known], initial=0.0))
+
 
 def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).

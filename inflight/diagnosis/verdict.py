@@ -9,6 +9,7 @@ rejected candidate hints at.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,19 +102,30 @@ REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
 
-def run_search(search: Search, data: DiagnosisData) -> tuple[Diagnosis, Search]:
+#: Estimates what a search took from the native samples: their cadence (s), and an estimate a name.
+NativeEstimates = Callable[[Search], tuple[float, Mapping[str, Estimate]]]
+
+
+def run_search(
+    search: Search, data: DiagnosisData, native: NativeEstimates | None = None
+) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
     Parameters
     ----------
     search : Search
         The first state: nothing taken yet.
+    native : callable, optional
+        Estimates what was taken at the data's own cadence; values are those of the search without it.
     """
     search, first, last = run_rounds(search, data)
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
-    effects = tuple(describe_effect(search, data, one) for one in checks)
+    cadence_s, values = native(search) if native else (data.cadence_s, {})
+    effects = tuple(
+        describe_effect(search, data, one, values.get(one.option.name), cadence_s) for one in checks
+    )
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     blocks = effective_blocks(search, known, residual)
@@ -202,12 +214,24 @@ def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple
     return other.with_choices_of(search), last
 
 
-def describe_effect(search: Search, data: DiagnosisData, check: RivalCheck) -> FoundEffect:
-    """Return an effect of the model with its values and errors, and how it stands against rivals."""
+def describe_effect(
+    search: Search,
+    data: DiagnosisData,
+    check: RivalCheck,
+    native: Estimate | None = None,
+    native_s: float = 0.0,
+) -> FoundEffect:
+    """Return an effect of the model with its values and errors, and how it stands against rivals.
+
+    Parameters
+    ----------
+    native : Estimate, optional
+        Its values from samples of the cadence `native_s` (s); those of the search when absent.
+    """
     option = check.option
     found = estimate(search, option)
     terms = [search.library.by_key[key] for key in option.terms]
-    coefficients = _coefficients(search, data, option, terms, found)
+    coefficients = _coefficients(search, data, option, terms, native or found)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION_SETTINGS.weak:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -236,6 +260,8 @@ def describe_effect(search: Search, data: DiagnosisData, check: RivalCheck) -> F
         at=tuple(utc_text(when) for when in option.change.at) if option.change else (),
         at_sigma_s=option.change.sharpness / SECOND if option.change and option.change.at else None,
         entries=tuple(term.entry.as_yaml() for term in terms if not term.span),
+        cadence_s=native_s if native else data.cadence_s,
+        cadence_shift=native.shift_in_sigmas(found) if native else None,
     )
 
 

@@ -46,6 +46,7 @@ from inflight.tasks.analysis.gram_pass import (
     stretches_between,
     survey,
 )
+from inflight.tasks.analysis.native_estimate import NativeEstimator
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     ArchiveIndex,
@@ -76,6 +77,8 @@ class PassResult:
     context: str
     run: str
     days_failed: int
+    index: ArchiveIndex
+    base: Need
     switched: JumpAttribution | None = None
 
 
@@ -136,9 +139,10 @@ def examine(
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
+    native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    found, search = run_search(search, data)
+    found, search = run_search(search, data, native)
     report_progress("search", 1, 1)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
@@ -206,6 +210,8 @@ def make_pass(
         context=context,
         run=run,
         days_failed=len(plan.blocks) - len(blocks),
+        index=planned.index,
+        base=planned.base,
         switched=switched,
     )
 
@@ -389,6 +395,28 @@ def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]
         rest = groups.pop()
         groups[-1] += rest
     return groups
+
+
+def native_estimator(
+    cat: Catalog,
+    mission: Mission,
+    made: PassResult,
+    settings: DiagnoseSettings,
+    client: Any,
+    report_progress: Progress,
+) -> NativeEstimator:
+    """Return what estimates at the data's own cadence what a search over a pass takes."""
+    return NativeEstimator(
+        cat=cat,
+        mission=mission,
+        plan=made.plan,
+        index=made.index,
+        base=made.base,
+        settings=settings,
+        context=made.context,
+        client=client,
+        progress=report_progress,
+    )
 
 
 def diagnosis_data(made: PassResult, mission: Mission) -> DiagnosisData:

@@ -51,7 +51,7 @@ from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, gram_of, parts_o
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
-from inflight.samples import FOLDING_VERSION, Folding
+from inflight.samples import FOLDING_VERSION, Folding, parse_channel
 from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
@@ -289,6 +289,8 @@ class PassPlan:
         Bursts are counted and stay in.
     stretches : Stretches, optional
         Each has a level of its own: something nobody recorded switches between them.
+    estimates : bool
+        Only what estimates are made from is kept: no prewhitened form, no series, no noise floor.
     """
 
     model: Model
@@ -305,6 +307,7 @@ class PassPlan:
     origin: Origin
     keep_bursts: bool = False
     stretches: Stretches | None = None
+    estimates: bool = False
 
     @property
     def scale(self) -> list[float]:
@@ -332,6 +335,12 @@ class PassPlan:
             or self.stretches
             or (self.model.layout.band if self.model.layout is not None else None)
         )
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether rows need geometry: those of the series always do."""
+        used = {part.channel for name in self.library.channels if name for part in parse_channel(name).parts}
+        return not self.estimates or bool(used & set(GEOMETRY))
 
     @property
     def base(self) -> list[str]:
@@ -372,6 +381,7 @@ class PassPlan:
             "span": self.span if len(self.days) <= PASS_SETTINGS.short_days else self.series_step,
             "origin": self.origin.as_json(),
             "keep_bursts": self.keep_bursts,
+            "estimates": self.estimates,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
@@ -410,47 +420,55 @@ def block_grams(
     days: Sequence[np.datetime64],
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return the Gram blocks of some days (or of the blocks of a day), and sums over its samples."""
-    found = [_day_grams(cat, mission, plan, index, derived, day) for day in days]
-    white, sums = found[0][1], dict(found[0][3])
-    for _, more_white, _, more in found[1:]:
-        white = _sum_blocks(white, more_white)
-        sums = {name: sums[name] + more[name] for name in sums}
-    raw = FactoredGrams.of(found[0][0], plan.base, [one[0] for one in found[1:]], plan.fits)
-    series, features = _series(
-        plan, raw, [one[2] for one in found], [derived.reader.day(day) for day in days]
-    )
+    # A day's rows are dropped before the next is read: at the native cadence they are large.
+    raws: list[GramArrays] = []
+    white, sums, features, thinned = None, dict[str, Any](), None, []
+    for day in days:
+        raw, day_white, rows, more = _day_grams(cat, mission, plan, index, derived, day)
+        raws.append(raw)
+        sums = {name: sums[name] + value for name, value in more.items()} if sums else dict(more)
+        if day_white is None:
+            continue
+        white = day_white if white is None else _sum_blocks(white, day_white)
+        rows = _with_gaps(rows, derived.reader.day(day))
+        features = features or features_of(rows, _series_channels(plan))
+        thinned.append(thin_rows(rows, features, plan.series_step))
+    blocks = FactoredGrams.of(raws[0], plan.base, raws[1:], plan.fits)
+    dataset = blocks.as_dataset().assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json())
+    if white is None or features is None:
+        return dataset, sums
     own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
-    dataset = raw.as_dataset().assign(
-        {f"white_{name}": own[name] for name in ("rest", "given") if name in own}
-    )
+    dataset = dataset.assign({f"white_{name}": own[name] for name in ("rest", "given") if name in own})
+    series = _packed_series(plan, blocks, thinned)
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
-    return dataset.assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json()), sums
+    return dataset, sums
 
 
-def _series(
-    plan: PassPlan, raw: GramBlocks, rows: Sequence[DesignRows], recorded: Sequence[Mapping[str, Floats]]
-) -> tuple[np.ndarray, Features]:
-    """Return the coarse series of a block (or of the blocks of a day), and what it holds.
+def _with_gaps(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
+    """Return rows whose channels are NaN where they were not recorded."""
+    shapes = {name: rows.samples[name].shape for name in recorded if name in rows.samples}
+    known = [name for name, shape in shapes.items() if shape == recorded[name].shape]
+    there = rows.samples.assign({name: rows.samples[name].copy(data=recorded[name]) for name in known})
+    return replace(rows, samples=there)
 
-    Channels are NaN in it where they were not recorded.
-    """
-    own = []
-    for one, readings in zip(rows, recorded, strict=True):
-        shapes = {name: one.samples[name].shape for name in readings if name in one.samples}
-        known = [name for name, shape in shapes.items() if shape == readings[name].shape]
-        there = one.samples.assign({name: one.samples[name].copy(data=readings[name]) for name in known})
-        own.append(replace(one, samples=there))
+
+def _series_channels(plan: PassPlan) -> list[str]:
+    """Return the channels that the coarse series holds."""
     plain = [name for name in plan.library.channels if name and not set(name) & set("@~*")]
-    channels = list(dict.fromkeys([*plan.channel_summaries, *plain, *GEOMETRY]))
-    features = features_of(own[0], channels)
-    thinned = [thin_rows(part, features, plan.series_step) for part in own]
+    return list(dict.fromkeys([*plan.channel_summaries, *plain, *GEOMETRY]))
+
+
+def _packed_series(
+    plan: PassPlan, raw: GramBlocks, thinned: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return the coarse series of a block (or of the blocks of a day) as one array."""
     stamps = np.concatenate([part[0] for part in thinned])
     values = np.concatenate([part[1] for part in thinned])
     days = max(len(block) for block in plan.blocks)
     samples = -(-DAY // (plan.cadence_ns * plan.series_step)) * days // plan.parts + 2
     record = plan.span[1] - plan.span[0]
     samples = min(samples, record // (plan.cadence_ns * plan.series_step) + 2)
-    return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
+    return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples))
 
 
 def _sum_blocks(one: GramArrays, other: GramArrays) -> GramArrays:
@@ -464,7 +482,8 @@ def _day_grams(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[GramArrays, GramArrays, DesignRows, dict[str, Any]]:
+) -> tuple[GramArrays, GramArrays | None, DesignRows, dict[str, Any]]:
+    """Return a day's blocks, raw and prewhitened, its rows, and sums over its samples."""
     rows, sums = day_rows(cat, mission, plan, index, derived, day)
     columns = design_matrix(plan.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
@@ -472,9 +491,13 @@ def _day_grams(
     bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // plan.parts) for part in range(plan.parts + 1)]
     parts = parts_of(stamps, bounds)
     residual = rows.residual[:, :, None]
-    white = [
-        prewhiten(values, rows.weight, stamps, plan.correlation_time_s) for values in (columns, residual)
-    ]
+    white = (
+        []
+        if plan.estimates
+        else [
+            prewhiten(values, rows.weight, stamps, plan.correlation_time_s) for values in (columns, residual)
+        ]
+    )
     count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
     names = (*plan.library.columns, "residual")
     common = (
@@ -485,7 +508,7 @@ def _day_grams(
     )
     return (
         GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common),
-        GramArrays(names, gram_of(white[0], white[1], rows.weight, parts), *common),
+        GramArrays(names, gram_of(white[0], white[1], rows.weight, parts), *common) if white else None,
         rows,
         sums,
     )
@@ -510,7 +533,7 @@ def day_rows(
         steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
         samples = samples.assign(vector=plan.model.disturb(steady)["vector"])
     start, end = day_bounds(day)
-    geometry = _geometry(mission, derived.reader, day, samples)
+    geometry = _geometry(mission, derived.reader, day, samples) if plan.uses_geometry else xr.Dataset()
     there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
     values = derived.of_day(day, plan.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
@@ -525,6 +548,8 @@ def day_rows(
         weight = np.where(plan.stretches.is_lost(stamps), 0.0, rows.weight)
         residual = np.nan_to_num(plan.stretches.keep(rows.residual, stamps, weight > 0))
         rows = replace(rows, residual=residual, weight=weight, row_filter=plan.stretches)
+    if plan.estimates:
+        return rows, sums
     if plan.folding is None:
         sums |= floor_of_samples(native.residual, native.good, samples["tt2000"].values)
     else:
@@ -612,6 +637,15 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
         floor=floor_of_reports([day.report for day in ordered]),
         outliers=OutlierReport.of([day.report for day in ordered], plan.keep_bursts),
     )
+
+
+def load_estimate_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> FactoredGrams:
+    """Read the Gram blocks of a plan of estimates, in order of time."""
+    names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
+    ordered = sorted(days, key=lambda day: day.day)
+    wanted = [*_BLOCKS, "rest", *(["given"] if plan.base else []), "begins"]
+    parts = (cat.read(day, wanted) for day in ordered)
+    return FactoredGrams.read(parts, sum(day.count for day in ordered), names, scale, plan.base)
 
 
 def make_blocks(

@@ -49,6 +49,7 @@ from inflight.tasks.analysis.diagnosis import (
     diagnosis_data,
     intervals_of,
     make_pass,
+    native_estimator,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
 from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, save_diagnosis
@@ -488,7 +489,9 @@ class Workbench:
         self._restore()
         context = diagnosis_data(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
-        return run_search(begin_search(self.made, self.settings), replace(context, model=model))
+        listener = self.progress or (lambda stage, done, total: None)
+        native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
+        return run_search(begin_search(self.made, self.settings), replace(context, model=model), native)
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""

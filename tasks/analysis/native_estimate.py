@@ -1,0 +1,111 @@
+"""Effects that a search took, estimated again at the data's own cadence, all together with the calibration.
+
+A search works on means of 10 s to a minute. Values and errors that are published must not depend on that
+choice: `NativeEstimator` makes Gram blocks of the model's columns and of those taken from the native samples
+(a pass of its own, over few columns and the channels they need), puts the search's choices on them, and
+returns each effect's values in the joint fit of everything. Blocks are kept like those of the search: the
+same effects cost no second pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from inflight.catalog import Catalog
+from inflight.design import Library
+from inflight.diagnosis import Estimate, Search, estimate
+from inflight.frames import GEOMETRY
+from inflight.mission import Mission
+from inflight.samples import parse_channel
+from inflight.tasks.analysis.gram_pass import PassPlan, load_estimate_grams, make_blocks
+from inflight.tasks.analysis.settings import DiagnoseSettings
+from inflight.tasks.archive import ArchiveIndex, Need
+from inflight.tasks.batches import end_processes
+from inflight.tasks.report import Progress
+from inflight.time import SECOND
+
+
+@dataclass(frozen=True, kw_only=True)
+class NativeEstimator:
+    """Makes estimates at the data's own cadence, for searches over one pass.
+
+    Attributes
+    ----------
+    plan : PassPlan
+        Of the search's pass.
+    index, base : ArchiveIndex, Need
+        As of `inflight.tasks.analysis.gram_pass.make_blocks`.
+    context : str
+        Of the runs that make blocks.
+    """
+
+    cat: Catalog
+    mission: Mission
+    plan: PassPlan
+    index: ArchiveIndex
+    base: Need
+    settings: DiagnoseSettings
+    context: str
+    client: Any = None
+    progress: Progress
+
+    @property
+    def cadence_ns(self) -> int:
+        """The slower of the cadences of the instruments that are compared."""
+        return max(need.cadence_ns for need in self.plan.needs if need.channel == "field")
+
+    def __call__(self, search: Search) -> tuple[float, dict[str, Estimate]]:
+        """Return the cadence, s, and the estimate of each option taken, by its name.
+
+        There is none where the search itself was at the native cadence, and where a block could not be made.
+        """
+        cadence = self.cadence_ns
+        same = self.plan.folding is not None or cadence >= self.plan.cadence_ns
+        if same or not search.accepted:
+            return self.plan.cadence_ns / SECOND, {}
+        plan = self._plan_for(search)
+        _, blocks = make_blocks(
+            self.cat,
+            self.mission,
+            plan,
+            self.index,
+            self.base,
+            self.settings,
+            self.context,
+            f"equations/{self.settings.comparison}/native",
+            self.client,
+            lambda stage, done, total: self.progress("estimate", done, total),
+        )
+        end_processes(self.client)
+        raw = load_estimate_grams(self.cat, plan, blocks)
+        if raw.start.tolist() != search.raw.start.tolist():
+            return cadence / SECOND, {}
+        native = search.with_grams(raw, plan.library)
+        return cadence / SECOND, {option.name: estimate(native, option) for option in native.accepted}
+
+    def _plan_for(self, search: Search) -> PassPlan:
+        """Return the plan of a pass over what the search took, with the channels that it needs."""
+        own = search.library
+        sources = set().union(*(option.sources for option in search.accepted))
+        there = {name for term in (*own.base, *own.refined) for name in term.columns}
+        needed = {term.key: term for term in own.all_terms if set(term.columns) & (sources - there)}
+        library = Library(own.base, own.refined, needed)
+        used = {part.channel for name in library.channels for part in parse_channel(name).parts}
+        geometry = {
+            home
+            for instrument, name, channel in self.mission.channel_instruments()
+            if channel.kind in ("position", "attitude") and used & set(GEOMETRY)
+            for home in (name, f"{instrument}.{name}")
+        }
+        named = used | set(library.channels) | geometry
+        needs = tuple(need for need in self.plan.channel_needs if need.name in named)
+        summaries = {name: one for name, one in self.plan.channel_summaries.items() if name in named}
+        return replace(
+            self.plan,
+            cadence_ns=self.cadence_ns,
+            library=library,
+            channel_needs=needs,
+            channel_summaries=summaries,
+            estimates=True,
+        )
