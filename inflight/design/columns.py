@@ -29,7 +29,7 @@ import xarray as xr
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Term, within_span
-from inflight.effects import VECTOR_ROLES, SpinningSensor, VectorSensor, multiply
+from inflight.effects import VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA
 from inflight.model import Model, ResidualRows, RowFilter
@@ -38,6 +38,13 @@ from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
 SENSOR_EQUATIONS = (VectorSensor, SpinningSensor)
+
+#: Effects whose correction is a matrix times the reading and a shift, whatever the samples are.
+_AFFINE = (VectorSensor, Affine)
+
+#: Field that shows such a matrix, nT, and the part of the change there that is no more than rounding.
+_FIELD = 1e4
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,13 @@ def term_columns(term: Term, rows: DesignRows) -> Floats:
     kinds = entry.effect.parameters()
     times = rows.samples["tt2000"].values
     values = {name: np.array(value) for name, value in entry.values(times).items()}
-    out = []
+    out: list[Floats] = []
+    constant = all(value.ndim == 1 for value in values.values())
     for name in term.parameters:
         step = kinds[name].step
+        if isinstance(entry.effect, _AFFINE) and constant:
+            out += _affine_columns(term, rows, values, name, step)
+            continue
         if entry.is_additive and entry.effect.acts_along_axes():
             series = -step * entry.effect.along_axes(rows.samples, name)
             direction = rows.directions[entry.sensor.name]
@@ -160,6 +171,45 @@ def _differenced(
     if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
         change = multiply(rows.sensor_matrices[entry.sensor.name], change)
     return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
+
+
+def _affine_columns(
+    term: Term, rows: DesignRows, values: Mapping[str, Floats], name: str, step: float
+) -> list[Floats]:
+    """Columns of a parameter of an affine equation ``M E + b``: central differences of M and b.
+
+    A column is the sum of the few products of the field's direction and the reading that M moves.
+    """
+    entry = term.entry
+    reading = np.asarray(rows.samples[entry.sensor.role].values, dtype=np.float64)
+    direction = rows.directions[entry.sensor.name]
+    later = None
+    if not isinstance(entry.effect, SENSOR_EQUATIONS):
+        later = rows.sensor_matrices.get(entry.sensor.name)
+    # A field along each axis, and none: what the equation makes of them is M and b.
+    units = np.vstack([_FIELD * np.eye(3), np.zeros(3)])
+    out = []
+    for index in range(entry.effect.parameters()[name].size):
+        up, down = (
+            entry.effect.correct(
+                units, xr.Dataset(), _with_step(values, name, index, sign * step), entry.sensor
+            )
+            for sign in (1.0, -1.0)
+        )
+        change = (up - down) / 2.0
+        if later is not None:
+            change = multiply(later, change)
+        shift = change[3]
+        matrix = (change[:3] - shift).T / _FIELD
+        # Of differences of rounded numbers nothing is made.
+        matrix[np.abs(matrix) * _FIELD < _ROUNDING * np.abs(change).max()] = 0.0
+        column = np.zeros(direction.shape[:2])
+        for axis, other in zip(*np.nonzero(matrix), strict=True):
+            column += direction[:, :, axis] * (matrix[axis, other] * reading[:, other])[:, None]
+        for axis in np.flatnonzero(shift):
+            column += direction[:, :, axis] * shift[axis]
+        out.append(column)
+    return out
 
 
 def design_matrix(terms: Sequence[Term], rows: DesignRows) -> Floats:

@@ -22,6 +22,7 @@ from inflight.tasks.analysis.gram_pass import PassPlan, load_estimate_grams, mak
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import ArchiveIndex, Need
 from inflight.tasks.batches import end_processes
+from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
 from inflight.time import SECOND
 
@@ -58,11 +59,13 @@ class NativeEstimator:
     def __call__(self, search: Search) -> tuple[float, dict[str, Estimate]]:
         """Return the cadence, s, and the estimate of each option taken, by its name.
 
-        There is none where the search itself was at the native cadence, and where a block could not be made.
+        There is none where the search itself was at the native cadence, where a block could not be made, and
+        where channels stand for the levels they switch between: of these, samples near a switching, which may
+        be on its wrong side, would only weigh more.
         """
         cadence = self.cadence_ns
         same = self.plan.folding is not None or cadence >= self.plan.cadence_ns
-        if same or not search.accepted:
+        if same or not search.accepted or learns_states(self.mission, self.settings.comparison):
             return self.plan.cadence_ns / SECOND, {}
         plan = self._plan_for(search)
         _, blocks = make_blocks(

@@ -8,7 +8,7 @@ import xarray as xr
 from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
 from inflight.calibration import PARAMETER_SCALE, kernel_scale, matrix_parameters
-from inflight.calibration.scalar import _fill
+from inflight.calibration.residual_loops import _fill
 from inflight.design import DesignRows, Term, design_matrix, sensor_matrices, term_of
 from inflight.design.columns import term_columns
 from inflight.model import Model, make_effect, rows_of
