@@ -30,6 +30,21 @@ from inflight.errors import WorkerError
 #: How long a server may take to answer, and between two questions, s.
 _PATIENCE_S, _PAUSE_S = 120.0, 0.05
 
+#: What the process of the server runs. It ends with whoever started it, for then its standard input does: a
+#: command that is killed cannot end it.
+_SERVE = """
+import os, sys, threading
+
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os._exit(0)
+
+threading.Thread(target=end_with_parent, daemon=True).start()
+import uvicorn
+uvicorn.run("prefect.server.api.server:create_app", factory=True, host="127.0.0.1",
+            port=int(sys.argv[1]), log_level="error", lifespan="on")
+"""
+
 #: Servers of this process, by their home.
 _running: dict[str, EmbeddedServer] = {}
 
@@ -48,12 +63,11 @@ class EmbeddedServer:
         self.url = f"http://127.0.0.1:{port}/api"
         home.mkdir(parents=True, exist_ok=True)
         _prepare_database(home, environment)
-        app = ["--factory", "prefect.server.api.server:create_app"]
-        where = ["--host", "127.0.0.1", "--port", str(port)]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "uvicorn", *app, *where, "--log-level", "error", "--lifespan", "on"],
+            [sys.executable, "-c", _SERVE, str(port)],
             env=_server_environment(environment),
-            stdin=subprocess.DEVNULL,
+            # Closed by the system when this process ends, however it does.
+            stdin=subprocess.PIPE,
             # Ctrl-C is for the command: its flow tells the server that it was interrupted.
             start_new_session=True,
         )

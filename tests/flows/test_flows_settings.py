@@ -1,6 +1,9 @@
 """How Prefect and Dask are set up: quiet, private, and giving way to what a team has already."""
 
+import subprocess
+import sys
 import time
+import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,6 +58,27 @@ def test_a_server_that_cannot_start_is_told_with_the_way_around_it(monkeypatch, 
     monkeypatch.setattr("inflight.flows.server.sys.executable", "/bin/false")
     with pytest.raises(WorkerError, match="does not answer"):
         EmbeddedServer(tmp_path, {"PREFECT_HOME": str(tmp_path)}).wait()
+
+
+def test_a_server_ends_with_a_command_that_is_killed(tmp_path):
+    code = (
+        "import sys, time; from pathlib import Path; from inflight.flows.server import EmbeddedServer\n"
+        f"server = EmbeddedServer(Path({str(tmp_path)!r}), {{'PREFECT_HOME': {str(tmp_path)!r}}})\n"
+        "server.wait(); print(server.url, flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as command:
+        url = command.stdout.readline().strip()
+        with urllib.request.urlopen(f"{url}/health", timeout=10) as answer:
+            assert answer.status == 200
+        command.kill()
+    until = time.monotonic() + 20
+    while time.monotonic() < until:
+        try:
+            urllib.request.urlopen(f"{url}/health", timeout=5).close()
+        except OSError:
+            return
+        time.sleep(0.1)
+    pytest.fail("the server outlives the command that started it")
 
 
 def test_the_heartbeat_of_flow_runs_is_off_inside(embedded):
