@@ -17,6 +17,7 @@ from inflight.figures import (
     SectionBody,
     candidate_table,
     change_tables,
+    entries_html,
     error_figure,
     found_effects_html,
     gain_change_figure,
@@ -181,7 +182,13 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
     return [
         (
             "Verdict",
-            [_span_and_model(fields), strip, *found_effects_html(fields), *separating_blocks_html(fields)],
+            [
+                _span_and_model(fields),
+                strip,
+                *entries_html(fields),
+                *found_effects_html(fields),
+                *separating_blocks_html(fields),
+            ],
             [],
         ),
         (

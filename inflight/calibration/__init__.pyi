@@ -9,6 +9,7 @@ from .normal_equations import (
 )
 from .product import FILTER_PERIOD_S, ResidualCorrection, day_parameters, distribute_residual, level2
 from .published import fit_difference, fit_squares, to_sensor_angles
+from .residual_loops import grams
 from .scalar import (
     PARAMETER_GROUPS,
     PARAMETER_SCALE,
@@ -61,6 +62,7 @@ __all__ = [
     "fit_block",
     "fit_difference",
     "fit_squares",
+    "grams",
     "kernel_scale",
     "level2",
     "linearisation_error",

@@ -23,13 +23,12 @@ if TYPE_CHECKING:
     from inflight.tasks.analysis import Revision, Workbench
 
 Fields = Mapping[str, Any]
-#: What each verdict means, and its colour.
-VERDICTS = {
-    "FOUND": ("beyond doubt, and nothing else explains it as well", "green"),
-    "CONFOUNDED": ("something is there; these data cannot tell all rivals apart", "yellow"),
-    "NOT_IDENTIFIABLE": ("something is there; the record is too short to say what", "yellow"),
-    "UNKNOWN_EFFECT": ("something is there that no effect of the library explains", "red"),
-    "NOTHING_LEFT": ("the residual is noise", "green"),
+_COLOURS = {
+    "FOUND": "green",
+    "CONFOUNDED": "yellow",
+    "NOT_IDENTIFIABLE": "yellow",
+    "UNKNOWN_EFFECT": "red",
+    "NOTHING_LEFT": "green",
 }
 #: Rows shown before the rest is only counted; --json has all.
 _CANDIDATES, _PLACEBOS, _UNSCORABLE, _CHANGED, _COEFFICIENTS = 8, 3, 6, 10, 9
@@ -173,35 +172,55 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
     def line(text: str) -> None:
         console.print(text, soft_wrap=True, markup=False)
 
-    meaning, colour = VERDICTS[fields["verdict"]]
-    sentence = Text(f"{fields['sentence']}\n", style="default").append(meaning, style="dim")
+    sentence = Text(f"{fields['sentence']}\n", style="default").append(fields.get("meaning", ""), style="dim")
+    colour = _COLOURS[fields["verdict"]]
     console.print(Panel(sentence, title=fields["verdict"], title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
-    if fields["effects"]:
-        console.print(_effects_table(fields["effects"]))
-    names: tuple[str, ...] = ("before", "after", "held_out_before", "held_out_after")
-    names += ("noise_floor", "noise_floor_low", "noise_floor_high")
-    size = {name: _number(fields["residual"][f"{name}_nT"], 3) for name in names}
-    line(
-        f"residual {size['before']} -> {size['after']} nT, held out "
-        f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
-        f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
-    )
-    remaining = fields["remaining"]["verdict"]
-    if remaining != fields["verdict"]:
-        line(f"what is left: {remaining}, {VERDICTS[remaining][0]}")
+    for table, rows in ((_entries_table, fields.get("entries")), (_effects_table, fields["effects"])):
+        if rows:
+            console.print(table(rows))
+    line(_sizes_text(fields["residual"]))
+    if fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT":
+        line("what is left: only noise")
     console.print(_candidates_table(fields["candidates"]))
-    for text in _undecided(fields):
+    for text in (*_undecided(fields), *(unit["sentence"] for unit in fields.get("units", ()))):
         line(text)
-    for unit in fields.get("units", ()):
-        line(unit["sentence"])
     for step in fields.get("versions", ()):
         _print_step(console, step)
     if fields["stopped"]:
         line(f"why it stopped: {fields['stopped']}")
     if step_text := _next_step(fields):
         line(step_text)
+
+
+def _sizes_text(residual: Fields) -> str:
+    names: tuple[str, ...] = ("before", "after", "held_out_before", "held_out_after")
+    names += ("noise_floor", "noise_floor_low", "noise_floor_high")
+    size = {name: _number(residual[f"{name}_nT"], 3) for name in names}
+    return (
+        f"residual {size['before']} -> {size['after']} nT, held out "
+        f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
+        f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
+    )
+
+
+def _entries_table(entries: Sequence[Fields]) -> Table:
+    """Everything that is in the residual, the largest first, one row each."""
+    rows = []
+    for each in entries:
+        first = each["first_in_nT"]
+        rows.append(
+            (
+                each["name"],
+                _number(each["takes_off_nT"], 2),
+                _number(first, 2),
+                each["how_sure"],
+                each["command"],
+            )
+        )
+    columns = ("in the residual", "takes off, nT", "alone, nT", "how sure", "type")
+    return text_table(columns, rows, right=("takes off, nT", "alone, nT"), folded=("in the residual", "type"))
 
 
 def _effects_table(effects: Sequence[Fields]) -> Table:

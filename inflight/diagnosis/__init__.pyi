@@ -29,7 +29,7 @@ from .figure_data import (
 from .refine import LagProfile
 from .requests import addition_of_entry, best_lag, find_request
 from .residual import DiagnosisData
-from .result import Diagnosis, Signature
+from .result import MEANING, Diagnosis, Signature
 from .scoring import (
     Index,
     ModelColumns,
@@ -60,6 +60,7 @@ from .verdict import lag_profile, run_search
 
 __all__ = [
     "DRIFTS",
+    "MEANING",
     "Addition",
     "AdditionMaker",
     "BeforeAfter",

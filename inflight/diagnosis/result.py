@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, sqrt
 from typing import Any, Literal
 
 import numpy as np
@@ -38,8 +38,9 @@ class Coefficient:
 class FoundEffect:
     """An effect the search took: values with errors, significance, and rivals.
 
-    `cadence_s` is that of the samples its coefficients were estimated from; `cadence_shift` by how many of
-    their sigmas the search's own cadence puts the one furthest from them (None where both are one).
+    `status` is that of its `Entry`, `first_in_nT` what it explains without the others (rms). `cadence_s` is
+    that of the samples its coefficients were estimated from; `cadence_shift` by how many of their sigmas the
+    search's own cadence puts the one furthest from them (None where both are one).
     """
 
     name: str
@@ -62,6 +63,8 @@ class FoundEffect:
     entries: tuple[Mapping[str, Any], ...] = ()
     cadence_s: float = 0.0
     cadence_shift: float | None = None
+    status: Status = "sure"
+    first_in_nT: float | None = None  # noqa: N815 (a unit)
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -69,6 +72,80 @@ class FoundEffect:
         facts["coefficients"] = [dict(vars(one)) for one in self.coefficients]
         facts["beats_placebo"] = bool(self.placebo_t > 3.0)
         return facts
+
+
+#: What each verdict means to somebody who reads it for the first time.
+MEANING: dict[Verdict, str] = {
+    "FOUND": "the largest effect is beyond doubt, and nothing else explains it as well",
+    "CONFOUNDED": "the largest effect is there, but causes look alike: these data cannot tell them apart",
+    "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
+    "UNKNOWN_EFFECT": "most of what is there no effect of the library explains",
+    "NOTHING_LEFT": "only noise remains",
+}
+
+#: How sure an entry is: of its cause; that something is there, with rivals named; hardly; without a cause.
+Status = Literal["sure", "rivals", "weak", "unknown"]
+
+
+#: The same in words.
+HOW_SURE: dict[Status, str] = {
+    "sure": "sure",
+    "rivals": "something is there; causes look alike",
+    "weak": "weak: hardly more than chance",
+    "unknown": "sure; no cause in the library",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One thing that is in the residual: an effect that was taken, or what remains after them all.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect; ``what is left`` of what remains.
+    words : str
+        What it is, for a physicist.
+    status : str
+        ``sure``: this cause, and nothing else explains it as well. ``rivals``: something is there, and these
+        data cannot tell which of several causes. ``weak``: hardly more than chance. ``unknown``: something
+        is there, and no effect of the library is its cause.
+    takes_off_nT : float
+        Rms of what it alone explains when all others are in the model, or of the structure that is left; nT.
+    first_in_nT : float or None
+        Rms of what it explains without the others, nT.
+    last_in_gain, last_in_t : float or None
+        Part of the mean square it takes off with all others in the model, on days not used in the fit.
+    rivals : tuple of str
+    command : str
+        What acts on it.
+    """
+
+    name: str
+    words: str
+    status: Status
+    takes_off_nT: float  # noqa: N815 (a unit)
+    first_in_nT: float | None = None  # noqa: N815 (a unit)
+    last_in_gain: float | None = None
+    last_in_t: float | None = None
+    rivals: tuple[str, ...] = ()
+    command: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """The machine name of what it says when it leads."""
+        if self.name == LEFT:
+            return "UNKNOWN_EFFECT" if self.status == "unknown" else "NOT_IDENTIFIABLE"
+        names: dict[Status, Verdict] = {"rivals": "CONFOUNDED", "unknown": "UNKNOWN_EFFECT"}
+        return names.get(self.status, "FOUND")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by name, and `status` in words."""
+        return {**vars(self), "how_sure": HOW_SURE[self.status]}
+
+
+#: Name of the entry of what remains after everything that was taken.
+LEFT = "what is left"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +185,9 @@ class Diagnosis:
     Attributes
     ----------
     verdict : str
-        About the residual as found.
+        Of the leading entry; of the residual itself when nothing is in it.
+    entries : tuple of Entry
+        Everything that is in the residual, the largest first.
     sentence : str
         One or two sentences for a physicist.
     effects : tuple of FoundEffect
@@ -142,6 +221,7 @@ class Diagnosis:
 
     verdict: Verdict
     sentence: str
+    entries: tuple[Entry, ...]
     effects: tuple[FoundEffect, ...]
     confusion_set: tuple[dict[str, Any], ...]
     separating: tuple[dict[str, Any], ...]
@@ -165,8 +245,10 @@ class Diagnosis:
         facts = {
             name: value
             for name, value in vars(self).items()
-            if name not in ("effects", "signature", "remaining", "context", "run")
+            if name not in ("entries", "effects", "signature", "remaining", "context", "run")
         }
+        facts["meaning"] = MEANING[self.verdict]
+        facts["entries"] = [one.as_json() for one in self.entries]
         facts["effects"] = [one.as_json() for one in self.effects]
         facts["signature"] = self.signature.as_json() if self.signature else None
         remaining = self.remaining.get("signature")
@@ -233,18 +315,21 @@ def sentence(facts: Mapping[str, Any]) -> str:
         f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
     bursts = _burst_text(facts.get("outliers", {}))
-    parts = [_effect_text(effect) for effect in facts["effects"]]
+    entries = ranked_entries(facts)
+    parts = [entry.words for entry in entries if entry.name != LEFT]
     if parts:
+        rest = next((entry for entry in entries if entry.name == LEFT and entry.status == "unknown"), None)
         text = "; ".join(parts)
-        text = f"{text[0].upper()}{text[1:]} ({sizes})."
-        if facts["remaining"] == "UNKNOWN_EFFECT":
-            text += f" Something is left: {_signature_text(facts['signature'])}."
-            smallest = min(effect.rms_nT for effect in facts["effects"])
-            switches = facts["signature"] is not None and facts["signature"].switchings
-            # As much structure remains as a large part of the smallest effect taken.
-            if not switches and residual.get("structure_nT", 0.0) > SENTENCE_SETTINGS.large_part * smallest:
-                text += " The effects taken may stand in for the one cause that is missing."
-        return text + _gap_text(residual.get("uncorrected", ())) + bursts
+        if rest is not None and entries[0] is rest:
+            text = (
+                f"Most of what is there no effect of the library explains: {rest.words}, "
+                f"{rest.takes_off_nT:.3g} nT rms; beside it, {text} ({sizes})."
+            )
+        else:
+            text = f"{text[0].upper()}{text[1:]} ({sizes})."
+            text += f" Something is left, {rest.takes_off_nT:.3g} nT rms: {rest.words}." if rest else ""
+        text += _substitute_text(facts) if rest else ""
+        return text + _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ())) + bursts
     # Whole mechanisms that these data cannot show, whether they are there or not.
     names = [str(one["name"]) for one in facts.get("unscorable", ())]
     hidden = ", ".join(name.replace("_", " ") for name in names if name in MECHANISMS)
@@ -256,6 +341,71 @@ def sentence(facts: Mapping[str, Any]) -> str:
             f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
         ),
     }[facts["remaining"]]() + bursts
+
+
+def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
+    """Return everything that is in the residual, the largest first; what is left comes last when unsure."""
+    found = [
+        Entry(
+            name=one.name,
+            words=_effect_text(one),
+            status=one.status,
+            takes_off_nT=one.rms_nT,
+            first_in_nT=one.first_in_nT,
+            last_in_gain=one.gain,
+            last_in_t=one.t,
+            rivals=one.rivals,
+            command=f'inflight add "{one.name}"',
+        )
+        for one in facts["effects"]
+    ]
+    found.sort(key=lambda one: -one.takes_off_nT)
+    if facts["remaining"] == "NOTHING_LEFT":
+        return tuple(found)
+    sure = facts["remaining"] == "UNKNOWN_EFFECT"
+    left = Entry(
+        name=LEFT,
+        words=_signature_text(facts["signature"]) if sure else why_not_identifiable(facts),
+        status="unknown" if sure else "weak",
+        takes_off_nT=_size_left(facts["residual"], facts["signature"]),
+        command="inflight compare",
+    )
+    place = sum(one.takes_off_nT >= left.takes_off_nT for one in found) if sure else len(found)
+    return (*found[:place], left, *found[place:])
+
+
+def _size_left(residual: Mapping[str, Any], signature: Signature | None) -> float:
+    """Return the rms of what is left above the noise, nT: its slow structure, or what its signature is."""
+    size = float(residual.get("structure_nT") or 0.0)
+    if signature is None or signature.amplitude_nT is None:
+        return size
+    if signature.faster_than_s or signature.switchings:
+        return max(size, signature.amplitude_nT)
+    # Of a sine of this amplitude.
+    return max(size, signature.amplitude_nT / sqrt(2.0)) if signature.period_s else size
+
+
+def _substitute_text(facts: Mapping[str, Any]) -> str:
+    """Return a caution about the smallest effect when as much structure remains as a large part of it."""
+    smallest = min(facts["effects"], key=lambda one: one.rms_nT)
+    left = float(facts["residual"].get("structure_nT") or 0.0)
+    switches = facts["signature"] is not None and facts["signature"].switchings
+    if switches or not left > SENTENCE_SETTINGS.large_part * smallest.rms_nT:
+        return ""
+    return (
+        f" Slow structure of {left:.3g} nT is left, and {smallest.name} takes off {smallest.rms_nT:.3g} nT: "
+        "it may stand in for part of a cause that is missing."
+    )
+
+
+def _cadence_text(effects: Sequence[FoundEffect]) -> str:
+    """Return a caution about values that depend on the cadence of the samples they are estimated from."""
+    fragile = [one for one in effects if (one.cadence_shift or 0.0) > SENTENCE_SETTINGS.sigmas]
+    return "".join(
+        f" Fragile: the values of {one.name} at the search's cadence are up to {one.cadence_shift:.1f} sigma "
+        f"from those at {one.cadence_s:.3g} s."
+        for one in fragile
+    )
 
 
 def _noise_text(residual: Mapping[str, float]) -> str:

@@ -556,6 +556,8 @@ class Search:
         own = self._model_columns(without)
         found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
         found += episodes(self.raw, self.forms["raw"], self.time_variable.outside(base), self.y())
+        # An episode that ends with the record is a step, which may be among them.
+        found = list({one.name: one for one in found}.values())
         excluded = self._excluded(found, without)
         # Of gigabytes of Gram blocks the few columns that change in time are read once.
         core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names])))

@@ -208,12 +208,16 @@ def episodes(
         for first, last in _best_spans(score, marginalised.squares[:, column]):
             inside = np.zeros(len(grams))
             inside[first:last] = 1.0
-            when = (int(grams.start[first]), int(grams.end[last - 1]))
-            begin, end = (to_utc(one).astype("datetime64[s]") for one in when)
-            label = f"{name}_episode@{begin}/{end}"
-            functions = {f"{label}.{columns[0]}": (columns[0], inside)}
+            when: tuple[int, ...] = (int(grams.start[first]), int(grams.end[last - 1]))
             sharp = int(lengths[max(first - 1, 0) : last + 1].max())
-            found.append(Change(label, f"{name}_episode", family, functions, when, sharpness=sharp))
+            kind = "episode"
+            if first == 0 or last == len(grams):
+                # What lasts to the end of the record, or from its beginning, is a step.
+                kind, when = "step", when[1:] if first == 0 else when[:1]
+                inside = (grams.start >= when[0]).astype(np.float64)
+            label = f"{name}_{kind}@{'/'.join(str(to_utc(one).astype('datetime64[s]')) for one in when)}"
+            functions = {f"{label}.{columns[0]}": (columns[0], inside)}
+            found.append(Change(label, f"{name}_{kind}", family, functions, when, sharpness=sharp))
     return found
 
 

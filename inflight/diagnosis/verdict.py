@@ -9,7 +9,7 @@ rejected candidate hints at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,11 +30,14 @@ from inflight.diagnosis.residual import (
     with_correctable_rows,
 )
 from inflight.diagnosis.result import (
+    LEFT,
     Coefficient,
     Diagnosis,
     FoundEffect,
     Signature,
+    Status,
     Verdict,
+    ranked_entries,
     sentence,
     stop_reason,
 )
@@ -131,19 +134,8 @@ def run_search(
     blocks = effective_blocks(search, known, residual)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
-    verdict = _verdict(effects, checks, after)
+    effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
-    own = signature
-    if verdict == "UNKNOWN_EFFECT" and effects:
-        # The largest effect was taken for its shape and names no cause.
-        own = Signature(
-            channel="*".join(effects[0].channels) or None,
-            lag_s=effects[0].lag_s,
-            axis=effects[0].axes[0] if len(effects[0].axes) == 1 else None,
-            shape=effects[0].name,
-            amplitude_nT=effects[0].rms_nT,
-            gain=effects[0].gain,
-        )
     facts: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
@@ -154,10 +146,24 @@ def run_search(
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
     }
+    entries = ranked_entries(facts)
+    verdict = entries[0].verdict if entries else after
+    own = signature
+    if entries and entries[0].status == "unknown" and entries[0].name != LEFT:
+        # The largest effect was taken for its shape and names no cause.
+        own = Signature(
+            channel="*".join(effects[0].channels) or None,
+            lag_s=effects[0].lag_s,
+            axis=effects[0].axes[0] if len(effects[0].axes) == 1 else None,
+            shape=effects[0].name,
+            amplitude_nT=effects[0].rms_nT,
+            gain=effects[0].gain,
+        )
     rivals, separating = confusion(search, checks)
     found = Diagnosis(
         verdict=verdict,
         sentence=sentence(facts),
+        entries=entries,
         effects=effects,
         confusion_set=rivals,
         separating=separating,
@@ -262,7 +268,19 @@ def describe_effect(
         entries=tuple(term.entry.as_yaml() for term in terms if not term.span),
         cadence_s=native_s if native else data.cadence_s,
         cadence_shift=native.shift_in_sigmas(found) if native else None,
+        status=_status(search, check, rivals),
+        first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def _status(search: Search, check: RivalCheck, rivals: Sequence[str]) -> Status:
+    """Return how sure an effect is, by its rivals and by what it takes off with all others in the model."""
+    if rivals:
+        return "rivals"
+    if _is_shape(check.option):
+        return "unknown"
+    rules = search.rules
+    return "sure" if check.t > rules.t and check.gain > rules.keep_gain else "weak"
 
 
 def axis(name: str) -> str:
@@ -573,16 +591,6 @@ def _residual_sizes(search: Search, data: DiagnosisData, remaining: Remaining) -
         "structure_t": remaining.structure.t,
         "uncorrected": data.gaps.as_json() if data.gaps else [],
     }
-
-
-def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaining: Verdict) -> Verdict:
-    """Return the verdict about the residual as found."""
-    if not effects:
-        return remaining
-    if any(one.rivals or one.retained < SELECTION_SETTINGS.weak for one in effects):
-        return "CONFOUNDED"
-    # The largest of them first: where it names no cause, nor do the smaller ones name the cause of most.
-    return "UNKNOWN_EFFECT" if _is_shape(checks[0].option) else "FOUND"
 
 
 def _is_shape(option: Option) -> bool:

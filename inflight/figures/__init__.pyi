@@ -26,6 +26,7 @@ from .dependence import (
 from .diagnosis import (
     candidate_table,
     change_tables,
+    entries_html,
     error_figure,
     facts_list,
     found_effects_html,
@@ -141,6 +142,7 @@ __all__ = [
     "day_night_figure",
     "dependence_figure",
     "difference_figure",
+    "entries_html",
     "epoch_figure",
     "error_band",
     "error_bars",

@@ -16,7 +16,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import ErrorContribution, Trial
+from inflight.diagnosis import MEANING, ErrorContribution, Trial
 from inflight.figures.page import bullet_list, facts_table, html_table, paragraph, render
 from inflight.figures.style import (
     AFTER,
@@ -32,15 +32,6 @@ from inflight.figures.style import (
     unique_labels,
 )
 from inflight.residual import format_period
-
-#: What each verdict means to somebody who reads the page for the first time.
-MEANING = {
-    "FOUND": "beyond doubt, and nothing else explains it as well",
-    "CONFOUNDED": "something is there; these data cannot tell all rivals apart",
-    "NOT_IDENTIFIABLE": "something is there; the record is too short to say what",
-    "UNKNOWN_EFFECT": "something is there that no effect of the library explains",
-    "NOTHING_LEFT": "the residual is noise",
-}
 
 _COLOURS = {
     "FOUND": "#1b6e4b",
@@ -85,7 +76,7 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
     return render(
         "verdict.html",
         verdict=verdict,
-        meaning=MEANING.get(verdict, ""),
+        meaning=next((text for name, text in MEANING.items() if name == verdict), ""),
         colour=_COLOURS.get(verdict, REFERENCE),
         # Each of several findings on a line of its own.
         lines=sentence.replace("; ", ";\n").split("\n"),
@@ -296,6 +287,31 @@ Fields = Mapping[str, Any]
 
 #: Coefficients of an effect that are printed.
 _COEFFICIENTS = 6
+
+
+def entries_html(fields: Fields) -> list[str]:
+    """Return everything that is in the residual as a table, the largest first; nothing of an older record.
+
+    Parameters
+    ----------
+    fields : mapping
+        As `Diagnosis.as_json`.
+    """
+    entries = fields.get("entries") or []
+    if not entries:
+        return []
+    head = ("in the residual", "takes off, nT", "alone, nT", "how sure", "type")
+    rows = [
+        (
+            one["name"],
+            f"{one['takes_off_nT']:.2g}",
+            "" if one["first_in_nT"] is None else f"{one['first_in_nT']:.2g}",
+            one["how_sure"],
+            one["command"],
+        )
+        for one in entries
+    ]
+    return [html_table(head, rows)]
 
 
 def found_effects_html(fields: Fields) -> list[str]:

@@ -12,11 +12,11 @@ from inflight.calibration import (
     PARAMETER_SCALE,
     fit_difference,
     fit_squares,
+    grams,
     kernel_scale,
     matrix_parameters,
     to_sensor_angles,
 )
-from inflight.calibration.residual_loops import grams
 from inflight.model import TimeDependence
 from inflight.scorecard.figure import PublishedFigure, ToleranceInterval
 from inflight.scorecard.scene import MJD_ZERO, SimulatedDays

@@ -44,6 +44,7 @@ from inflight.figures import (
     candidate_table,
     cross_talk_figure,
     daily_figure,
+    entries_html,
     epoch_figure,
     facts_list,
     fold_figure,
@@ -341,7 +342,11 @@ def diagnosis_sections(
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *found_effects_html(fields), *separating_blocks_html(fields)], []),
+        (
+            "Verdict",
+            [strip, *entries_html(fields), *found_effects_html(fields), *separating_blocks_html(fields)],
+            [],
+        ),
         where_it_fails(seen),
         what_it_follows(seen, found),
         spectrum(seen, data),

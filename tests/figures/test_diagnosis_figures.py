@@ -11,6 +11,7 @@ from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
+    MEANING,
     CalibrationBias,
     CrossTalk,
     ErrorContribution,
@@ -42,7 +43,7 @@ from inflight.figures import (
     verdict_strip,
     waterfall_figure,
 )
-from inflight.figures.diagnosis import MEANING, explained
+from inflight.figures.diagnosis import explained
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import bare_parameter
 from inflight.residual import Curve, FieldResponse, SpectrumSum, find_lines

@@ -64,7 +64,7 @@ class Score:
     false_additions : tuple of str
         Effects that are neither true nor confused with a true one.
     confident_wrong : bool
-        The verdict is FOUND, and an effect is none of the true ones.
+        A cause is named, and an effect that is said to be sure is none of the true ones.
     """
 
     scenario: str
@@ -113,7 +113,7 @@ def score(truth: Json, told: Json) -> Score:
     named = [next((one for one in effects if is_named(true, one, told)), None) for true in hidden]
     pairs = [(true, one) for true, one in zip(hidden, named, strict=True) if one is not None]
     wrong = [one for one in effects if not any(is_named(true, one, told) for true in truth["effects"])]
-    excused = _confused(truth, told) if verdict == "CONFOUNDED" else 0
+    excused = _confused(truth, told) if any(_status(one, told) == "rivals" for one in effects) else 0
     pull = _largest_pull(pairs)
     ratio = _floor_ratio(truth, told) if hidden and verdict == "FOUND" else None
     return Score(
@@ -130,8 +130,17 @@ def score(truth: Json, told: Json) -> Score:
         floor_ratio=ratio,
         floor=None if ratio is None else ratio <= 1 + FLOOR,
         false_additions=tuple(_label(one) for one in wrong[excused:]),
-        confident_wrong=verdict == "FOUND" and bool(wrong),
+        confident_wrong=verdict in ("FOUND", "CONFOUNDED")
+        and any(_status(one, told) == "sure" for one in wrong),
     )
+
+
+def _status(effect: Json, told: Json) -> str:
+    """Return how sure an effect of the diagnosis is, as its entry says."""
+    for entry in told.get("entries") or []:
+        if entry["name"] == effect["name"]:
+            return str(entry["status"])
+    return "sure" if told["verdict"] == "FOUND" else "rivals"
 
 
 def base_channels(channels: Sequence[str] | str | None) -> set[str]:

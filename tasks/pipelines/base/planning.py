@@ -67,7 +67,7 @@ class ReprocessSettings(BaseModel):
     comparison: str = "main"
     table: Literal["daily", "window", "monthly", "span", "continuous"] = "window"
     window_days: int = Field(15, ge=1, le=3660)
-    batch_days: int = Field(7, ge=1, le=60)
+    batch_days: int = Field(5, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
     trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
     origin: dt.date | None = None
