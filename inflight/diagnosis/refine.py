@@ -41,7 +41,7 @@ from inflight.diagnosis.residual import (
     model_columns,
     remaining_residual,
 )
-from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out
+from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out, score
 from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.time_changes import Change, time_text
@@ -167,12 +167,15 @@ class InteractionSettings:
         A factor that varies by less than this part of its size is a constant; assumed.
     own_t : float
         A channel is strong when its own effect reaches this t; assumed.
+    nearly : float
+        Products that reach this part of the t and of the gain of an addition are held against everything.
     """
 
     channels: int = 8
     pairs: int = 60
     steady: float = 1e-3
     own_t: float = 1.0
+    nearly: float = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -742,6 +745,7 @@ def add_interactions(
         for one, other in _channel_pairs(search, data, tables, unexplained)
         if (term := _product(data, one, other)) is not None and term.key not in known
     ]
+    terms = _promising(search, data, terms)
     if not terms:
         return search
     return join_terms(search, data, terms).with_options(
@@ -812,6 +816,26 @@ def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
     except InflightError:
         return None
     return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
+
+
+def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:
+    """Return the terms that would by themselves be taken, or nearly, beside what the model has.
+
+    Their products with the columns of the model and with the residual say so; those with all other columns of
+    the library, many times as many, are made for them alone.
+    """
+    if not terms:
+        return []
+    small = join_terms(search.of_model(), data, terms)
+    best = np.zeros(len(terms), dtype=bool)
+    for form, grams in small.forms.items():
+        columns = [grams.index(term.columns) for term in terms]
+        found = score(grams, small.present(form), columns, small.y(form), make_folds(len(grams)))
+        rules = search.rules
+        best |= (found.t > INTERACTION_SETTINGS.nearly * rules.t) & (
+            found.gain > INTERACTION_SETTINGS.nearly * rules.gain
+        )
+    return [term for term, one in zip(terms, best.tolist(), strict=True) if one]
 
 
 def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:

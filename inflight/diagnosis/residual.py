@@ -272,11 +272,8 @@ def derived_channels(
             continue
         factors = []
         for part in parse_channel(name).parts:
-            values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
-            if part.placebo:
-                shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0)
-                values = np.roll(values, round(shift / series.step_s), axis=0)
-            values = values[rows]
+            shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0) if part.placebo else 0.0
+            values = _shifted(series, part.channel, round(shift / series.step_s) if shift else 0, rows)
             if part.lag_s or part.width:
                 values = part.of(values, np.diff(series.tt2000[rows]) / SECOND)
             factors.append(values)
@@ -284,6 +281,17 @@ def derived_channels(
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
+
+
+def _shifted(series: Series, channel: str, shift: int, rows: slice) -> Floats:
+    """Return some rows of a channel shifted in the whole series, whose end comes first; 0 of no channel."""
+    first, last, _ = rows.indices(len(series.tt2000))
+    if channel not in series.channels:
+        return np.zeros(last - first)
+    if not shift:
+        return series.part(rows)[channel]
+    places = (np.arange(first, last) - shift) % len(series.tt2000)
+    return series.at(places, channel)
 
 
 @dataclass(frozen=True)

@@ -108,8 +108,8 @@ class Entry:
         What it is, for a physicist.
     status : str
         ``sure``: this cause, and nothing else explains it as well. ``rivals``: something is there, and these
-        data cannot tell which of several causes. ``weak``: hardly more than chance. ``unknown``: something
-        is there, and no effect of the library is its cause.
+        data cannot tell which of several causes. ``weak``: were its gain one sigma smaller, it would not have
+        been taken. ``unknown``: something is there, and no effect of the library is its cause.
     takes_off_nT : float
         Rms of what it alone explains when all others are in the model, or of the structure that is left; nT.
     first_in_nT : float or None
@@ -134,10 +134,13 @@ class Entry:
     @property
     def verdict(self) -> Verdict:
         """The machine name of what it says when it leads."""
-        if self.name == LEFT:
-            return "UNKNOWN_EFFECT" if self.status == "unknown" else "NOT_IDENTIFIABLE"
-        names: dict[Status, Verdict] = {"rivals": "CONFOUNDED", "unknown": "UNKNOWN_EFFECT"}
-        return names.get(self.status, "FOUND")
+        names: dict[Status, Verdict] = {
+            "sure": "FOUND",
+            "rivals": "CONFOUNDED",
+            "weak": "NOT_IDENTIFIABLE",
+            "unknown": "UNKNOWN_EFFECT",
+        }
+        return names[self.status]
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name, and `status` in words."""

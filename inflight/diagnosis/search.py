@@ -106,6 +106,11 @@ class Rules:
         gain, t = worth
         return min(gain / self.keep_gain, t / self.keep_t)
 
+    def firm(self, worth: tuple[float, float]) -> bool:
+        """Return True when an effect of this (gain, t) would stay were its gain one sigma smaller."""
+        gain, t = worth
+        return t > 1.0 and self.margin((gain - gain / t, t - 1.0)) >= 1.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilitySettings:
@@ -795,6 +800,23 @@ class Search:
     def _with_terms(self, terms: Sequence[Term]) -> Search:
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
         return replace(self, library=library)
+
+    def of_model(self) -> Search:
+        """Return the state with the columns of its model alone: what joins it does not join this one."""
+        sources = {
+            source
+            for one in self.accepted
+            if one.change is not None
+            for source, _ in one.change.functions.values()
+        }
+        names = {*self.base()[0], *self._model_columns(), *sources}
+        terms = {key: term for key, term in self.library.terms.items() if names & set(term.columns)}
+        names |= {name for term in terms.values() for name in term.columns}
+        shared = replace(
+            self.shared, raw=self.raw.restricted(names), white=self.white.restricted(names), forms={}
+        )
+        library = replace(self.library, terms=terms)
+        return replace(self, shared=shared, library=library, options=(), design_cache=CachedDesign())
 
     def as_found(self) -> Search:
         """Return the search with nothing taken and the requested intervals; of the raw form alone."""

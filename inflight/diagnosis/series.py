@@ -200,6 +200,10 @@ class Series:
         """Return a feature; (sample,) or (sample, component)."""
         return self._stored(name).astype(np.float64)
 
+    def at(self, rows: Int64, name: str) -> Floats:
+        """Return a feature at some rows, by their places."""
+        return self._stored(name)[rows].astype(np.float64)
+
     def _stored(self, name: str) -> npt.NDArray[np.float32]:
         place = self.features.place(name)
         part = self.values[:, place]
@@ -210,7 +214,7 @@ class Series:
         """Names of channels and geometry."""
         return self.features.channels
 
-    @property
+    @cached_property
     def step_s(self) -> float:
         """Usual spacing, seconds."""
         return float(np.median(np.diff(self.tt2000))) / SECOND if self.tt2000.size > 1 else 1.0

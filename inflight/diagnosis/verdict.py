@@ -279,8 +279,7 @@ def _status(search: Search, check: RivalCheck, rivals: Sequence[str]) -> Status:
         return "rivals"
     if _is_shape(check.option):
         return "unknown"
-    rules = search.rules
-    return "sure" if check.t > rules.t and check.gain > rules.keep_gain else "weak"
+    return "sure" if search.rules.firm((check.gain, check.t)) else "weak"
 
 
 def axis(name: str) -> str:

@@ -479,6 +479,29 @@ class FactoredGrams:
             self.scale[kept],
         )
 
+    def restricted(self, names: Collection[str]) -> Self:
+        """Return the calibration's columns, some others and the residuals, in arrays of their own."""
+        if self.taken is not None or self.dead is not None:
+            raise ValueError("blocks are restricted as they are, not as a calibration leaves them")
+        kept = np.array(
+            [
+                place < self.shared.base or name in names or is_residual(name)
+                for name, place in zip(self.names, self.places.tolist(), strict=True)
+            ]
+        )
+        stored = np.sort(self.places[kept])
+        return replace(
+            self,
+            names=tuple(name for name, one in zip(self.names, kept.tolist(), strict=True) if one),
+            places=np.searchsorted(stored, self.places[kept]),
+            scale=self.scale[kept],
+            shared=_Shared(
+                self.shared.rest[:, stored[:, None], stored],
+                self.shared.given[..., stored],
+                self.shared.fitted[..., stored],
+            ),
+        )
+
     def without(self, names: Collection[str]) -> Self:
         """Return the blocks without some columns."""
         kept = np.array([place for place, name in enumerate(self.names) if name not in set(names)])

@@ -107,6 +107,21 @@ def test_a_drift_has_no_moment():
     }
 
 
+def test_what_lasts_to_an_end_of_the_record_is_a_step():
+    search = stepped().search(1)
+    lone = TimeVariableColumns(clock=search.time_variable.clock)
+    found = episodes(search.raw, search.forms["raw"], lone, search.y())
+    record = int(search.raw.start[0]), int(search.raw.end[-1])
+    assert all(not set(one.at) & set(record) for one in found)
+    for one in found:
+        if len(one.at) == 1:
+            assert "_step@" in one.name
+            inside = next(iter(one.functions.values()))[1]
+            assert inside[0] == 0.0
+            assert inside[-1] == 1.0
+    assert any(len(one.at) == 1 for one in found)
+
+
 def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
     search = stepped().search()
     found = drifts(search.raw, search.time_variable) + steps(search.raw, search.time_variable)

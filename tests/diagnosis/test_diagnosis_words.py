@@ -5,7 +5,8 @@ import pytest
 
 from inflight.diagnosis import Signature
 from inflight.diagnosis.residual import dominant_blocks
-from inflight.diagnosis.result import FoundEffect, sentence, stop_reason
+from inflight.diagnosis.result import LEFT, Entry, FoundEffect, ranked_entries, sentence, stop_reason
+from inflight.diagnosis.search import Rules
 from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
@@ -21,23 +22,24 @@ SWITCH = Signature(
 )
 
 
-def effect(rms):
-    return FoundEffect(
-        name="solar",
-        family="solar",
-        channels=("solar_current",),
-        axes=("x",),
-        coefficients=(),
-        gain=0.5,
-        t=9.0,
-        flip_p=0.01,
-        retained=0.9,
-        lag_s=0.0,
-        lag_sigma_s=None,
-        placebo_t=9.0,
-        consistency=None,
-        rms_nT=rms,
-    )
+def effect(rms, name="solar", **more):
+    plain = {
+        "name": name,
+        "family": "solar",
+        "channels": ("solar_current",),
+        "axes": ("x",),
+        "coefficients": (),
+        "gain": 0.5,
+        "t": 9.0,
+        "flip_p": 0.01,
+        "retained": 0.9,
+        "lag_s": 0.0,
+        "lag_sigma_s": None,
+        "placebo_t": 9.0,
+        "consistency": None,
+        "rms_nT": rms,
+    }
+    return FoundEffect(**(plain | more))
 
 
 def hour(place):
@@ -132,7 +134,61 @@ def test_effects_beside_as_much_structure_may_stand_in_for_another(structure, rm
         signature=Signature(shape="wander", amplitude_nT=structure),
         residual=SIZES | {"structure_nT": structure},
     )
-    assert ("may stand in" in sentence(given)) is doubted
+    said = sentence(given)
+    assert ("may stand in" in said) is doubted
+    assert ("Slow structure of 0.04 nT is left, and solar takes off 0.05 nT" in said) is doubted
+
+
+def test_the_largest_comes_first_whatever_took_it():
+    found = effect(0.05, "small"), effect(0.3, "large")
+    said = ranked_entries(told("NOTHING_LEFT", effects=found))
+    assert [one.name for one in said] == ["large", "small"]
+    assert said[0].command == 'inflight add "large"'
+
+
+def test_what_is_left_stands_in_its_place_by_size_and_leads_when_it_is_the_largest():
+    left = Signature(shape="wander", amplitude_nT=0.1)
+    found = effect(0.05, "small"), effect(0.3, "large")
+    given = told("UNKNOWN_EFFECT", effects=found, signature=left, residual=SIZES | {"structure_nT": 0.1})
+    assert [one.name for one in ranked_entries(given)] == ["large", LEFT, "small"]
+    assert sentence(given).startswith("A solar effect")
+    given["residual"] = SIZES | {"structure_nT": 0.5}
+    said = ranked_entries(given)
+    assert [one.name for one in said] == [LEFT, "large", "small"]
+    assert (said[0].verdict, said[0].takes_off_nT) == ("UNKNOWN_EFFECT", 0.5)
+    assert sentence(given).startswith("Most of what is there no effect of the library explains")
+
+
+def test_what_is_left_beside_effects_and_is_not_sure_comes_last():
+    given = told("NOT_IDENTIFIABLE", effects=(effect(0.01),), residual=SIZES | {"structure_nT": 0.5})
+    assert [one.status for one in ranked_entries(given)] == ["sure", "weak"]
+
+
+def test_the_verdict_of_an_entry_is_that_of_how_sure_it_is():
+    verdicts = {
+        "sure": "FOUND",
+        "rivals": "CONFOUNDED",
+        "weak": "NOT_IDENTIFIABLE",
+        "unknown": "UNKNOWN_EFFECT",
+    }
+    for status, verdict in verdicts.items():
+        one = Entry(name="solar", words="", status=status, takes_off_nT=0.1)
+        assert one.verdict == verdict
+        assert one.as_json()["how_sure"]
+
+
+@pytest.mark.parametrize(
+    ("gain", "t", "firm"), [(0.2, 20.0, True), (0.2, 3.9, False), (0.2, 4.1, True), (0.006, 5.0, False)]
+)
+def test_what_one_sigma_less_would_have_lost_is_weak(gain, t, firm):
+    assert Rules().firm((gain, t)) is firm
+
+
+def test_values_that_depend_on_the_cadence_are_said_to_be_fragile_with_the_number():
+    steady = told("NOTHING_LEFT", effects=(effect(0.1, cadence_s=1.0, cadence_shift=0.8),))
+    assert "Fragile" not in sentence(steady)
+    fragile = told("NOTHING_LEFT", effects=(effect(0.1, cadence_s=1.0, cadence_shift=7.3),))
+    assert "up to 7.3 sigma from those at 1 s" in sentence(fragile)
 
 
 def test_effects_that_leave_noise_are_not_doubted():
