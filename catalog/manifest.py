@@ -17,23 +17,19 @@ _FLUSHES: Final = 8
 
 
 def write_manifest(folder: Path) -> str:
-    """Hash and flush every file below `folder`, write its manifest; return the manifest's sha256.
-
-    Everything is on the disk when this returns: files, manifest and folders.
-    """
-    names = _files(folder)
-    # Flushes wait for the disk, not for the processor: together they wait once.
-    with ThreadPoolExecutor(_FLUSHES) as pool:
-        digests = pool.map(lambda name: _hash(folder / name, flush=True), names)
-        lines = [f"{digest}  {name}\n" for name, digest in zip(names, digests, strict=True)]
+    """Hash every file below `folder`, write its manifest; return the manifest's sha256."""
     manifest = folder / MANIFEST
     with manifest.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.writelines(lines)
-        stream.flush()
-        os.fsync(stream.fileno())
-    for parent, _, _ in os.walk(folder):
-        flush_folder(Path(parent))
+        stream.writelines(f"{_hash(folder / name)}  {name}\n" for name in _files(folder))
     return _hash(manifest)
+
+
+def flush_files(folder: Path) -> None:
+    """Put everything below `folder` on the disk: files and folders."""
+    # Flushes wait for the disk, not for the processor: together they wait once.
+    with ThreadPoolExecutor(_FLUSHES) as pool:
+        # All are waited for: the first failure is raised here.
+        list(pool.map(flush, [folder, *folder.rglob("*")]))
 
 
 def manifest_sha256(folder: Path) -> str:
@@ -87,9 +83,9 @@ def manifest_faults(folder: Path, sha256: str) -> list[tuple[str, str]]:
     return faults + [(name, "content is not what was written") for name in changed]
 
 
-def flush_folder(folder: Path) -> None:
-    """Flush a folder's entries, so that a rename in it survives a power failure."""
-    descriptor = os.open(folder, os.O_RDONLY)
+def flush(path: Path) -> None:
+    """Put a file on the disk; of a folder its entries, so that a rename in it survives a power failure."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
@@ -106,9 +102,6 @@ def _files(folder: Path) -> list[str]:
     return sorted(name for name in names if name != MANIFEST)
 
 
-def _hash(path: Path, *, flush: bool = False) -> str:
+def _hash(path: Path) -> str:
     with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        if flush:
-            os.fsync(stream.fileno())
-    return digest
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -25,7 +25,7 @@ from sqlalchemy.orm import Session
 from inflight.catalog.database import Database
 from inflight.catalog.days import published_days, status_of_days
 from inflight.catalog.faultpoints import fault_point
-from inflight.catalog.manifest import flush_folder, write_manifest
+from inflight.catalog.manifest import flush, flush_files, write_manifest
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.provenance import Edge, context_record, model_text, unknown_ids, walk
 from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
@@ -210,6 +210,7 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / _MARKER).write_text(json.dumps({"version": collection.version}) + "\n", "utf-8")
     write_manifest(folder)
+    flush_files(folder)
 
 
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
@@ -302,6 +303,6 @@ def _register(
                 )
             shutil.rmtree(target)
         staged.rename(target)
-        flush_folder(target.parent)
+        flush(target.parent)
         fault_point("release_renamed")
     return target

@@ -49,7 +49,7 @@ from inflight.catalog.schema import (
     StoreRow,
     TableRow,
 )
-from inflight.catalog.segments import write_segment, write_table
+from inflight.catalog.segments import flush_segment, write_segment, write_table
 from inflight.catalog.spans import as_date
 from inflight.catalog.validity import Certification, certify_table
 from inflight.errors import CatalogError, InflightError, IntegrityError
@@ -141,6 +141,7 @@ class Run:
         CatalogError
             When this run has already published one of the days.
         """
+        flush_segment(self.workspace, segment)
         fault_point("attach")
         shared = parent_ids(parents) + ([f"context:{self.context}"] if self.context else [])
         with self._database.write() as session:
@@ -205,6 +206,7 @@ class Run:
         """
         context = self.context if context is None else context
         segment = write_table(self.workspace, self.id, f"tables/{name}", dataset)
+        flush_segment(self.workspace, segment)
         with self._database.write() as session:
             store = self._store(session, segment)
             table = TableRow(

@@ -40,7 +40,7 @@ from inflight.catalog.layout import (
     shared_attributes,
     variables,
 )
-from inflight.catalog.manifest import flush_folder, folder_bytes, write_manifest
+from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.records import DayData, Segment
 from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
 
@@ -71,8 +71,8 @@ def write_segment(
 ) -> Segment:
     """Write several days of one dataset as one immutable Zarr store.
 
-    Written below ``staging/<run_id>``, read back, hashed, flushed, then renamed into
-    ``stores/<run_id>``. Equal input gives equal bytes.
+    Written below ``staging/<run_id>``, read back, hashed, then renamed into ``stores/<run_id>``; it is put on
+    the disk (`flush_segment`) before a catalog names it. Equal input gives equal bytes.
 
     Parameters
     ----------
@@ -147,6 +147,27 @@ def write_table(
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
 
+def flush_segment(workspace: Path, segment: Segment) -> None:
+    """Put a segment on the disk: it survives a power failure when this returns.
+
+    Raises
+    ------
+    StorageError
+        When the disk refuses it.
+    """
+    store = workspace / segment.path
+    try:
+        flush_files(store)
+        for folder in (store.parent, store.parent.parent):
+            flush(folder)
+    except OSError as error:
+        raise StorageError(
+            f"could not write: {os.strerror(error.errno or 0)}; nothing was published",
+            file=str(store),
+            remedy=f"free space below {workspace} and run again",
+        ) from error
+
+
 class _Staged:
     """One store on its way: written in `folder`, visible after `finish`."""
 
@@ -155,7 +176,7 @@ class _Staged:
         self.folder = workspace / "staging" / run_id / f"{label}.{uuid.uuid4().hex[:12]}"
 
     def finish(self) -> tuple[str, str, int]:
-        """Hash, flush and rename; return path relative to the workspace, manifest sha256, bytes."""
+        """Hash and rename; return path relative to the workspace, manifest sha256, bytes."""
         fault_point("segment_written")
         sha256 = write_manifest(self.folder)
         fault_point("manifest_written")
@@ -171,8 +192,6 @@ class _Staged:
             except OSError as error:
                 if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
                     raise
-        for folder in (target_folder, target_folder.parent):
-            flush_folder(folder)
         fault_point("segment_renamed")
         return target.relative_to(self._workspace).as_posix(), sha256, size
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -29,7 +30,7 @@ import xarray as xr
 
 from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Term, within_span
-from inflight.effects import VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
+from inflight.effects import AXES, VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA
 from inflight.model import Model, ResidualRows, RowFilter
@@ -107,6 +108,11 @@ def term_columns(term: Term, rows: DesignRows) -> Floats:
     SamplesError
         When a channel is not in the samples.
     """
+    return np.stack(_columns_of(term, rows), axis=-1)
+
+
+def _columns_of(term: Term, rows: DesignRows) -> list[Floats]:
+    """Return the columns of a term one by one; (time, row) each."""
     entry = term.entry
     kinds = entry.effect.parameters()
     times = rows.samples["tt2000"].values
@@ -119,23 +125,25 @@ def term_columns(term: Term, rows: DesignRows) -> Floats:
             out += _affine_columns(term, rows, values, name, step)
             continue
         if entry.is_additive and entry.effect.acts_along_axes():
-            series = -step * entry.effect.along_axes(rows.samples, name)
+            series = -step * entry.effect.along_axes(rows.samples, name).reshape(len(times), -1)
             direction = rows.directions[entry.sensor.name]
-            out += [direction[:, :, index] * series[:, None] for index in range(kinds[name].size)]
+            each = (divmod(index, series.shape[1]) for index in range(kinds[name].size))
+            out += [direction[:, :, axis] * series[:, source, None] for axis, source in each]
             continue
-        for index in range(kinds[name].size):
-            if entry.is_additive:
-                out.append(_additive(term, rows, values, name, index, step))
-            else:
-                out.append(_differenced(term, rows, values, name, index, step))
-    # Columns lie one after another: each is written, and later multiplied, as one run of memory.
-    made = np.stack(out)
+        if entry.is_additive:
+            out += [_additive(term, rows, values, name, index, step) for index in range(kinds[name].size)]
+        elif entry.effect.axis_by_axis and kinds[name].size == len(AXES):
+            out += _differenced_by_axis(term, rows, values, name, step)
+        else:
+            out += [_differenced(term, rows, values, name, index, step) for index in range(kinds[name].size)]
     if term.span:
-        made[:, ~within_span(times, term.span)] = 0.0
-    return np.moveaxis(made, 0, -1)
+        outside = ~within_span(times, term.span)
+        for column in out:
+            column[outside] = 0.0
+    return out
 
 
-def _with_step(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
+def _with_step(values: Mapping[str, Floats], name: str, index: int | slice, step: float) -> dict[str, Floats]:
     moved = dict(values)
     moved[name] = np.array(values[name], dtype=np.float64)
     moved[name][..., index] += step
@@ -158,6 +166,35 @@ def _differenced(
 ) -> Floats:
     """Column of an effect inside an instrument's equation: a central difference of its correction."""
     entry = term.entry
+    change = _change_of_reading(term, rows, values, name, index, step)
+    if entry.sensor.role not in VECTOR_ROLES:
+        return np.asarray(-change[:, None])
+    if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
+        change = multiply(rows.sensor_matrices[entry.sensor.name], change)
+    return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
+
+
+def _differenced_by_axis(
+    term: Term, rows: DesignRows, values: Mapping[str, Floats], name: str, step: float
+) -> list[Floats]:
+    """Columns of a parameter (axis) each of whose components changes its own axis: one difference for all."""
+    change = _change_of_reading(term, rows, values, name, slice(None), step)
+    direction = rows.directions[term.entry.sensor.name]
+    if term.entry.sensor.name in rows.sensor_matrices:
+        direction = direction @ rows.sensor_matrices[term.entry.sensor.name].reshape(3, 3)
+    return [direction[:, :, axis] * change[:, axis, None] for axis in range(len(AXES))]
+
+
+def _change_of_reading(
+    term: Term,
+    rows: DesignRows,
+    values: Mapping[str, Floats],
+    name: str,
+    index: int | slice,
+    step: float,
+) -> Floats:
+    """Return by how much a step of a parameter changes a corrected reading; (time, axis) or (time,), nT."""
+    entry = term.entry
     reading = np.asarray(rows.samples[entry.sensor.role].values, dtype=np.float64)
     up, down = (
         entry.effect.correct(
@@ -165,12 +202,7 @@ def _differenced(
         )
         for sign in (1.0, -1.0)
     )
-    change = (up - down) / 2.0
-    if entry.sensor.role not in VECTOR_ROLES:
-        return np.asarray(-change[:, None])
-    if not isinstance(entry.effect, SENSOR_EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
-        change = multiply(rows.sensor_matrices[entry.sensor.name], change)
-    return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
+    return np.asarray((up - down) / 2.0)
 
 
 def _affine_columns(
@@ -221,8 +253,13 @@ def design_matrix(terms: Sequence[Term], rows: DesignRows) -> Floats:
         return np.zeros((*rows.residual.shape, 0))
     # Effects only look variables up: a thousand columns would spend their time in a Dataset's indexing.
     light = replace(rows, samples=cast("xr.Dataset", PlainSamples.of(rows.samples)))
-    found = np.concatenate([np.moveaxis(term_columns(term, light), -1, 0) for term in terms])
-    unused = rows.weight <= 0
+    # Columns lie one after another: each is written, and later multiplied, as one run of memory.
+    found = np.empty((sum(len(term.columns) for term in terms), *rows.residual.shape))
+    unused, place = rows.weight <= 0, 0
+    for term in terms:
+        for column in _columns_of(term, light):
+            found[place] = column
+            place += 1
     if unused.any():
         found[:, unused] = 0.0
     for column in found:
@@ -535,22 +572,61 @@ def bin_edges(first: int, last: int, cadence_ns: int) -> Int64:
     return first + cadence_ns * np.arange(count + 1, dtype=np.int64)
 
 
+@dataclass(frozen=True)
+class Bins:
+    """Bins of equal width, and the samples in them.
+
+    Attributes
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000 of the samples, rising.
+    edges : ndarray of int64, shape (bin + 1,)
+    """
+
+    stamps: Int64
+    edges: Int64
+
+    def __len__(self) -> int:
+        return self.edges.size - 1
+
+    @cached_property
+    def _place(self) -> Int64 | None:
+        """Bin of each sample, where none holds more than one; else None."""
+        width = int(self.edges[1] - self.edges[0])
+        place = (self.stamps - self.edges[0]) // width
+        return place if np.all(np.diff(place) > 0) and np.all(np.diff(self.edges) == width) else None
+
+    @cached_property
+    def _starts(self) -> npt.NDArray[np.int64]:
+        return np.searchsorted(self.stamps, self.edges)
+
+    def means(self, values: Floats, good: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Return means (bin, ...) and counts (bin,) of the good samples of each bin; NaN for none."""
+        if self._place is not None:
+            # The one sample of a bin is its mean.
+            held = good & (self._place >= 0) & (self._place < len(self))
+            mean, number = np.full((len(self), *values.shape[1:]), np.nan), np.zeros(len(self))
+            mean[self._place[held]], number[self._place[held]] = values[held], 1.0
+            return mean, number
+        # Stamps rise, so that a bin is a run of samples: sums of runs read the values once.
+        starts = self._starts
+        inside = slice(int(starts[0]), int(starts[-1]))
+        used = good[inside]
+        count, flat = used.astype(np.float64), values[inside].reshape(used.size, -1)
+        if not used.all():
+            flat = np.where(used[:, None], flat, 0.0)
+        total = sums_of_runs(flat, starts - starts[0])
+        number = sums_of_runs(count[:, None], starts - starts[0])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = total / number
+        return mean.reshape(len(self), *values.shape[1:]), number[:, 0]
+
+
 def bin_means(
     values: Floats, stamps: Int64, edges: Int64, good: npt.NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Return means (bin, ...) and counts (bin,) of the good samples in each bin; NaN where there is none."""
-    # Stamps rise, so that a bin is a run of samples: sums of runs read the values once.
-    starts = np.searchsorted(stamps, edges)
-    inside = slice(int(starts[0]), int(starts[-1]))
-    used = good[inside]
-    count, flat = used.astype(np.float64), values[inside].reshape(used.size, -1)
-    if not used.all():
-        flat = np.where(used[:, None], flat, 0.0)
-    total = sums_of_runs(flat, starts - starts[0])
-    number = sums_of_runs(count[:, None], starts - starts[0])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = total / number
-    return mean.reshape(edges.size - 1, *values.shape[1:]), number[:, 0]
+    """Return means (bin, ...) and counts (bin,) of the good samples in each bin; see `Bins.means`."""
+    return Bins(stamps, edges).means(values, good)
 
 
 def find_spikes(residual: Floats) -> npt.NDArray[np.bool_]:
@@ -574,12 +650,27 @@ def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_
     off = np.abs(row - scipy.ndimage.median_filter(row, size=BIN_SETTINGS.neighbours, mode="nearest"))
     second = np.zeros(row.size)
     second[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
-    sigma = np.full(row.size, 1e-6)
+    least = 1e-6
     for size in (off, second):
-        usual = np.median(size[known]) if known.any() else 1.0
-        around = scipy.ndimage.median_filter(size, size=min(BIN_SETTINGS.around, row.size), mode="nearest")
-        sigma = np.maximum(sigma, MAD_TO_SIGMA * np.maximum(usual, around))
-    return np.asarray(off > BIN_SETTINGS.spike * sigma)
+        usual = float(np.median(size[known])) if known.any() else 1.0
+        least = max(least, MAD_TO_SIGMA * usual)
+    # The scatter around is looked at only where the usual one leaves a doubt.
+    found = off > BIN_SETTINGS.spike * least
+    places = np.flatnonzero(found)
+    for size in (off, second):
+        around = MAD_TO_SIGMA * _local_median(size, places)
+        found[places] &= off[places] > BIN_SETTINGS.spike * around
+    return np.asarray(found)
+
+
+def _local_median(values: Floats, places: npt.NDArray[np.intp]) -> Floats:
+    """Return the median of the samples around some places; (place,)."""
+    width = min(BIN_SETTINGS.around, values.size)
+    if places.size * width > values.size or width % 2 == 0:
+        filtered = scipy.ndimage.median_filter(values, size=width, mode="nearest")
+        return np.asarray(filtered[places])
+    padded = np.pad(values, width // 2, mode="edge")
+    return np.asarray(np.median(padded[places[:, None] + np.arange(width)], axis=1))
 
 
 def bin_channel(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
@@ -658,16 +749,15 @@ def coarsen(
     single, burst, report = _find_outliers(rows, usable, stamps, edges, recorded or {})
     out = single if keep_bursts else single | burst
     good = usable & ~out
-    residual, count = bin_means(rows.residual, stamps, edges, good)
+    bins = Bins(stamps, edges)
+    residual, count = bins.means(rows.residual, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
     weight = np.where(count >= BIN_SETTINGS.fewest * usual, np.minimum(count / usual, 1.0), 0.0)
     if "weight" in samples:
         of_samples = np.asarray(samples["weight"].values, dtype=np.float64)
-        weight = np.where(weight > 0, weight * bin_means(of_samples, stamps, edges, good)[0], 0.0)
+        weight = np.where(weight > 0, weight * bins.means(of_samples, good)[0], 0.0)
     seen = weight > 0
-    directions = {
-        name: bin_means(np.asarray(one), stamps, edges, good)[0] for name, one in rows.directions.items()
-    }
+    directions = {name: bins.means(np.asarray(one), good)[0] for name, one in rows.directions.items()}
     residual = np.where(seen[:, None], residual, 0.0)
     square = float(np.sum(rows.residual[good] ** 2))
     inside = square - float(
@@ -680,27 +770,25 @@ def coarsen(
         "inside": max(inside, 0.0) / rows.residual.shape[1],
         "spikes": float((usable & single).sum()),
     } | report
-    binned = _binned(samples, rows, edges, channels, good)
+    binned = _binned(samples, rows, bins, channels, good)
     return DesignRows(binned, residual, directions, matrices, weight, rows.kept), sums
 
 
 def _binned(
     samples: xr.Dataset,
     rows: ResidualRows,
-    edges: Int64,
+    bins: Bins,
     channels: Mapping[str, xr.Variable],
     good: npt.NDArray[np.bool_],
 ) -> xr.Dataset:
     """Return readings and field on the bins, with the channels that are there already."""
-    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    edges = bins.edges
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
     for role in FIELD_ROLES:
         if role in samples:
-            data[role] = xr.Variable(
-                samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
-            )
-    field, _ = bin_means(rows.field, stamps, edges, good)
+            data[role] = xr.Variable(samples[role].dims, bins.means(samples[role].values, good)[0])
+    field, _ = bins.means(rows.field, good)
     data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
     data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
     return xr.Dataset(data)

@@ -106,6 +106,7 @@ class Nonlinearity(Effect):
 
     family = "nonlinearity"
     acts_on = VECTOR_ROLES
+    axis_by_axis = True
     quadratic = Parameter("1/nT", AXES, step=1e-10, sigma=1e-8)
     cubic = Parameter("1/nT^2", AXES, step=1e-15, sigma=1e-12)
     about = Parameter("nT", AXES)
@@ -148,6 +149,7 @@ class ScaledReading(Effect):
     """
 
     acts_on = VECTOR_ROLES
+    axis_by_axis = True
 
     def factor(self, samples: xr.Dataset, values: Values) -> Floats:
         """Return what the corrected reading is of the reading; (time, axis), 1."""

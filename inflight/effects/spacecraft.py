@@ -115,8 +115,11 @@ class Torquer(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the stray field; (time, axis) nT."""
-        current = self.channel(samples, "A")
-        return multiply(values["matrix"], current)
+        return multiply(values["matrix"], self.channel(samples, "A"))
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the currents; (time, source) A."""
+        return self.channel(samples, "A")
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
