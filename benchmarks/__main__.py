@@ -41,9 +41,12 @@ def main() -> None:
         show("month", month(given.days))
     if "growth" in which:
         rows: list[Row] = []
-        for more in growth(given.growth, given.keep):
-            rows += more
-            show("growth", rows)
+        for row in growth(given.growth, given.keep):
+            # Hours of work: what is measured is shown, and kept, at once.
+            rows.append(row)
+            print(f"{row.what}: {row.median:.2f} s, {row.MiB:.0f} MiB", flush=True)
+            keep("growth", rows)
+        show("growth", rows)
     if "ranking" in which:
         show("ranking", [ranking(count) for count in given.candidates])
     if "nine" in which:

@@ -22,8 +22,8 @@ _AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"):
 
 def growth(
     days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100
-) -> Iterator[list[Row]]:
-    """Yield the rows of each length of the record.
+) -> Iterator[Row]:
+    """Yield the rows of each length of the record, as they are measured.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def growth(
         for count in days:
             source = (keep or Path(scratch)) / f"archive-{count}"
             simulated_workspace(source, count)
-            yield list(_rows(source, Path(scratch), count, one_process_up_to))
+            yield from _rows(source, Path(scratch), count, one_process_up_to)
 
 
 def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int) -> Iterator[Row]:
