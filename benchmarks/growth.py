@@ -20,9 +20,7 @@ from inflight.tasks import Workbench
 _AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"): "900 s, 2048 MiB"}
 
 
-def growth(
-    days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100
-) -> Iterator[Row]:
+def growth(days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100) -> Iterator[Row]:
     """Yield the rows of each length of the record, as they are measured.
 
     Parameters

@@ -18,7 +18,7 @@ from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.samples import base_channels
+from inflight.samples import base_channels, parse_channel
 from inflight.time import SECOND, parse_duration
 
 
@@ -52,6 +52,9 @@ OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
 
 #: Effects that are tried with every lag: a field behind its channel, a body that warms after an eclipse.
 SLOW = frozenset({"channel_field", "day_night"})
+
+#: Effects that are tried with every lag of a channel that the model uses inside a sensor's equation.
+OF_RESPONSE = frozenset({"channel_scale", "channel_angle"})
 
 #: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
 AGNOSTIC = frozenset(
@@ -164,14 +167,17 @@ def _add_effect(
                 {"name": mechanism, "family": family, "reason": f"{', '.join(missing)} is not there"}
             )
             continue
-        if _in_model(model, entry):
+        held = _in_model(model, entry)
+        if held and label not in SLOW:
             continue
         if "period" in options:
             period = options["period"]
             seconds = parse_duration(period) / SECOND if isinstance(period, str) else float(period)
             if not periods[0] <= seconds <= periods[1]:
                 continue
-        _add_forms(library, mission, model, label, dict(options), entry, mechanism, family, channels)
+        # Of what the model has, another response is what it may lack.
+        lags = [lag for lag in BANK_SETTINGS.lags if not held or lag != _lag_of(entry)]
+        _add_forms(library, mission, model, label, dict(options), entry, mechanism, family, channels, lags)
 
 
 def _add_forms(
@@ -184,6 +190,7 @@ def _add_forms(
     mechanism: str,
     family: str,
     channels: Mapping[str, ChannelSummary],
+    lags: Sequence[float],
 ) -> None:
     """Add an effect with every lag or width of its bank."""
     base = tuple(dict.fromkeys(one for name in entry.effect.channels if name for one in base_channels(name)))
@@ -197,8 +204,9 @@ def _add_forms(
     if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
-    if label in SLOW and (lone in channels or not lone):
-        for lag in BANK_SETTINGS.lags if lone not in library.unlagged else (0.0,):
+    slow = label in SLOW or (label in OF_RESPONSE and lone in _inside_sensors(model))
+    if slow and (lone in channels or not lone):
+        for lag in lags if lone not in library.unlagged else [one for one in lags if not one]:
             made = _effect_or_none(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
@@ -279,6 +287,24 @@ def _effect_or_none(entry: Mapping[str, Any], mission: Mission, model: Model) ->
         return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:
         return None
+
+
+def _lag_of(entry: ModelEffect) -> float:
+    """Return the lag an effect follows its channel with, s."""
+    parts = parse_channel(entry.effect.channels[0]).parts if any(entry.effect.channels) else ()
+    return float(parts[0].lag_s) if len(parts) == 1 else 0.0
+
+
+def _inside_sensors(model: Model) -> set[str]:
+    """Return the channels that the model uses inside a sensor's equation."""
+    return {
+        one
+        for entry in model.effects
+        if not entry.is_additive
+        for name in entry.effect.channels
+        if name
+        for one in base_channels(name)
+    }
 
 
 def _in_model(model: Model, entry: ModelEffect) -> bool:

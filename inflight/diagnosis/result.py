@@ -40,7 +40,8 @@ class FoundEffect:
 
     `status` is that of its `Entry`, `first_in_nT` what it explains without the others (rms). `cadence_s` is
     that of the samples its coefficients were estimated from; `cadence_shift` by how many of their sigmas the
-    search's own cadence puts the one furthest from them (None where both are one).
+    search's own cadence puts the one furthest from them (None where both are one). `model_effects` are the
+    effects of the model that use its channel already, or are of its kind.
     """
 
     name: str
@@ -65,6 +66,7 @@ class FoundEffect:
     cadence_shift: float | None = None
     status: Status = "sure"
     first_in_nT: float | None = None  # noqa: N815 (a unit)
+    model_effects: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -362,6 +364,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         )
         for one in facts["effects"]
     ]
+    found += _wrong_numbers(facts)
     found.sort(key=lambda one: -one.takes_off_nT)
     if facts["remaining"] == "NOTHING_LEFT":
         return tuple(found)
@@ -377,6 +380,34 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     return (*found[:place], left, *found[place:])
 
 
+def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
+    """Return the parameters of the model that data moved further than what was stated of them allows."""
+    parameters: dict[str, list[Mapping[str, Any]]] = {}
+    for one in facts.get("refined", ()):
+        parameters.setdefault(str(one["name"]).partition("[")[0], []).append(one)
+    found = []
+    for name, components in parameters.items():
+        wrong = [one for one in components if one["wrong"]]
+        if not wrong:
+            continue
+        worst = max(wrong, key=lambda one: abs(one["moved"]) / one["known"])
+        times = abs(worst["moved"]) / worst["known"]
+        found.append(
+            Entry(
+                name=name,
+                words=(
+                    f"a number of the model's own, {worst['name']}, off by {worst['moved']:.3g} +- "
+                    f"{worst['sigma']:.2g}, {times:.1f} times the sigma it states"
+                ),
+                # What stands beside it may have moved it, as long as something is left.
+                status="sure" if facts["remaining"] == "NOTHING_LEFT" else "weak",
+                takes_off_nT=sqrt(sum(float(one["rms_nT"]) ** 2 for one in wrong)),
+                command="inflight model show",
+            )
+        )
+    return found
+
+
 def _size_left(residual: Mapping[str, Any], signature: Signature | None) -> float:
     """Return the rms of what is left above the noise, nT: its slow structure, or what its signature is."""
     size = float(residual.get("structure_nT") or 0.0)
@@ -390,6 +421,8 @@ def _size_left(residual: Mapping[str, Any], signature: Signature | None) -> floa
 
 def _substitute_text(facts: Mapping[str, Any]) -> str:
     """Return a caution about the smallest effect when as much structure remains as a large part of it."""
+    if not facts["effects"]:
+        return ""
     smallest = min(facts["effects"], key=lambda one: one.rms_nT)
     left = float(facts["residual"].get("structure_nT") or 0.0)
     switches = facts["signature"] is not None and facts["signature"].switchings
@@ -492,6 +525,9 @@ def _effect_text(effect: FoundEffect) -> str:
     lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
+    if effect.model_effects:
+        own = " and ".join(effect.model_effects)
+        text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.rivals:
         text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE_SETTINGS.rivals])}"
     return text

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
@@ -59,7 +60,9 @@ from inflight.diagnosis.stepwise import (
 )
 from inflight.effects import coefficient_unit
 from inflight.mission import Mission
+from inflight.model import Model
 from inflight.residual import NoiseFloor
+from inflight.samples import base_channels
 from inflight.time import SECOND, utc_text
 
 
@@ -75,11 +78,14 @@ class ReportSettings:
         Blocks named that separate two rivals; assumed.
     mimics : int
         Parameters of the calibration named that mimic an effect; assumed.
+    chance : float
+        Records without a wrong number in which one of the model's own is called wrong; stated.
     """
 
     candidates: int = 40
     separating: int = 3
     mimics: int = 3
+    chance: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,6 +151,7 @@ def run_search(
         "outliers": data.outliers.as_json(),
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
+        "refined": refined_parameters(search),
     }
     entries = ranked_entries(facts)
     verdict = entries[0].verdict if entries else after
@@ -173,7 +180,7 @@ def run_search(
         residual=facts["residual"],
         rounds=tuple(one.as_json() for one in search.rounds),
         candidates=candidate_rows(search, first, last),
-        refined=refined_parameters(search),
+        refined=facts["refined"],
         blocks=blocks,
         stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
         comparison=data.model.comparison,
@@ -269,8 +276,23 @@ def describe_effect(
         cadence_s=native_s if native else data.cadence_s,
         cadence_shift=native.shift_in_sigmas(found) if native else None,
         status=_status(search, check, rivals),
+        model_effects=_sharing(data.model, option),
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def _sharing(model: Model, option: Option) -> tuple[str, ...]:
+    """Return the effects of the model that use a channel of an option; without one, those of its kind."""
+    label, own = option.mechanism.split("(")[0], set(option.channels)
+    return tuple(
+        entry.name
+        for entry in model.effects
+        if (own & _base_channels(entry.effect.channels) if own else entry.effect.label() == label)
+    )
+
+
+def _base_channels(names: Sequence[str]) -> set[str]:
+    return {one for name in names if name for one in base_channels(name)}
 
 
 def _status(search: Search, check: RivalCheck, rivals: Sequence[str]) -> Status:
@@ -425,17 +447,23 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     if not names:
         return ()
     value, covariance = joint_fit(grams, present, search.y())
-    scale = grams.scale[present.columns]
+    scale, total = grams.scale[present.columns], np.diagonal(grams.total)[present.columns]
+    rows = max(float(grams.count.sum()), 1.0)
+    # Of so many numbers one is further off by chance in one record of a hundred.
+    far = float(scipy.stats.norm.isf(REPORT_SETTINGS.chance / (2.0 * len(names))))
     out = []
     for place, name in enumerate(names):
         moved = float(value[place] * scale[place])
         error = float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place])
+        known = float(sigma[place])
         out.append(
             {
                 "name": name.removeprefix("model:"),
                 "moved": moved,
                 "sigma": error,
-                "known": float(sigma[place]),
+                "known": known,
+                "rms_nT": float(np.sqrt(max(total[place], 0.0) * value[place] ** 2 / rows)),
+                "wrong": bool(abs(moved) > far * np.hypot(known, error)),
             }
         )
     return tuple(out)

@@ -61,6 +61,16 @@ def _beyond() -> list[Scenario]:
     ]
 
 
+def _wrong_numbers() -> list[Scenario]:
+    """Return models that hold a right effect by wrong numbers: with a stated sigma, and without."""
+    names = ("torquer", "temperature_scale", "nonlinearity", "clock")
+    return [
+        Scenario(f"wrong_{name}{'_held' if held else ''}", wrong=name, held=held, orbit="polar", known=3)
+        for name in names
+        for held in (False, True)
+    ]
+
+
 def _nothing() -> list[Scenario]:
     """Return missions with nothing to be found, on different orbits."""
     return [
@@ -111,5 +121,14 @@ def _turning() -> list[TurningScenario]:
 
 def scenarios() -> dict[str, Scenario | TurningScenario]:
     """Return every scenario by name."""
-    groups = (_alone(), _together(), _beyond(), _nothing(), _inseparable(), _hard_data(), _turning())
+    groups = (
+        _alone(),
+        _together(),
+        _beyond(),
+        _wrong_numbers(),
+        _nothing(),
+        _inseparable(),
+        _hard_data(),
+        _turning(),
+    )
     return {scenario.name: scenario for group in groups for scenario in group}

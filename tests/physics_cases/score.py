@@ -153,6 +153,8 @@ def base_channels(channels: Sequence[str] | str | None) -> set[str]:
 def is_named(true: Json, effect: Json, told: Json) -> bool:
     """Tell whether an effect of the diagnosis is a hidden one: its family and its channels."""
     own, family = base_channels(effect.get("channels")), effect.get("family")
+    if true.get("held") and true["held"] in (effect.get("model_effects") or ()):
+        return True
     if true.get("product"):
         # One factor alone is half an answer: right only where the rest is said to be unknown.
         rest = (told.get("remaining") or {}).get("verdict") == "UNKNOWN_EFFECT"
@@ -195,12 +197,19 @@ def _family(truth: Json, hidden: Sequence[Json], named: Sequence[Any], told: Jso
     silent = [*rivals, *(told.get("unscorable") or [])]
     seen = [
         one is not None
+        or _is_wrong_number(true, told)
         or in_set(true, rivals)
         or (bool(set(true["families"]) & {"unknown"}) and _is_unknown(true, told))
         for true, one in zip(hidden, named, strict=True)
     ]
     blind = [in_set(true, silent, True) for true in truth["effects"] if not true["identifiable"]]
     return all([*seen, *blind])
+
+
+def _is_wrong_number(true: Json, told: Json) -> bool:
+    """Tell whether an entry says that the model's own number is wrong which is."""
+    held = true.get("held")
+    return bool(held) and any(one["name"].startswith(f"{held}.") for one in told.get("entries") or [])
 
 
 def _is_unknown(true: Json, told: Json) -> bool:
@@ -219,6 +228,7 @@ def _channel(hidden: Sequence[Json], effects: Sequence[Json], told: Json) -> boo
     return _all(
         any(base_channels(one.get("channels")) & set(true["channels"]) for one in effects)
         or in_set(true, rivals)
+        or _is_wrong_number(true, told)
         or _is_unknown(true, told)
         for true in following
     )

@@ -19,7 +19,7 @@ from .causes import CAUSES, Cause, World
 from .decoys import make_decoys, near_copy
 from .field import draw_field, main_field
 from .house import Channel, keep_house
-from .known import draw_known, model_tree
+from .known import Error, draw_known, model_tree
 from .orbit import ATTITUDES, Orbit, fly
 from .readings import RESOLUTION, Nine, Noise, Readings, read
 from .rivals import ALIKE, equivalents, retained
@@ -102,7 +102,7 @@ def make_case(scenario: Scenario, seed: int) -> Case:
     world, turn = _fly(scenario, start, orbit, attitude, orientation, rng)
     noise = Noise(rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1), scenario.red, scenario.outliers)
     nine = Nine.draw(rng)
-    known = draw_known(world, scenario.hidden, scenario.known, rng)
+    known = draw_known(world, scenario.hidden, scenario.known, rng, scenario.wrong)
     hidden = tuple(
         _sized(CAUSES[name](world, rng), world, noise.size, scenario, rng) for name in scenario.hidden
     )
@@ -111,14 +111,38 @@ def make_case(scenario: Scenario, seed: int) -> Case:
     sensors = SENSORS[rng.integers(len(SENSORS))]
     geometry = _geometry(world, turn)
     mission = _mission(scenario, sensors, orientation, orbit, hidden, delivered, geometry, seed)
-    model = model_tree(mission["mission"], sensors, nine, known, world, names, noise.size, rng)
+    wrong, errors = _wrong(scenario, known, world, noise.size, rng)
+    model = model_tree(mission["mission"], sensors, nine, known, world, names, noise.size, rng, errors)
     tables = _tables(scenario, start, world, readings, sensors, [*delivered.values(), *geometry], rng)
     truth = _truth(scenario, seed, start, world, orbit, attitude, noise, readings, nine, known, sensors)
     shown = {**delivered, "sunlit": Channel("sunlit", world.track.sunlit, "1", "sunlight", "", 1e-3)}
-    truth["effects"] = [_told(one, hidden, world, shown, names, noise.size, scenario.kinds) for one in hidden]
+    missing = (*hidden, *wrong)
+    told = [_told(one, missing, world, shown, names, noise.size, scenario.kinds) for one in missing]
+    truth["effects"] = told
+    if wrong:
+        told[-1]["held"] = model["effects"][_place(model, scenario.wrong)]["effect"]
     return Case(
         scenario, seed, start, world, readings, nine, noise, mission, model, tables, truth, hidden, known
     )
+
+
+def _wrong(
+    scenario: Scenario, known: dict[str, Cause], world: World, sigma: float, rng: np.random.Generator
+) -> tuple[tuple[Cause, ...], dict[str, Error]]:
+    """Return what the wrong numbers of a known cause leave, and how wrong they are."""
+    if not scenario.wrong:
+        return (), {}
+    cause = known[scenario.wrong]
+    left = _sized(cause, world, sigma, scenario, rng)
+    part = float(np.sqrt(np.mean(left.seen(world) ** 2) / np.mean(cause.seen(world) ** 2)))
+    return (left,), {scenario.wrong: Error(part, rng.uniform(3.0, 10.0), scenario.held)}
+
+
+def _place(model: dict[str, Any], name: str) -> int:
+    """Return which effect of the model a known cause is."""
+    labels = {"temperature_scale": "temperature", "clock": "time_shift"}
+    wanted = labels.get(name, name)
+    return next(at for at, one in enumerate(model["effects"]) if one["effect"] == wanted)
 
 
 def _draw_flight(scenario: Scenario, start: np.datetime64, rng: np.random.Generator) -> tuple[Orbit, str]:

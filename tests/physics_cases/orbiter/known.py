@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,15 +21,36 @@ KNOWABLE = {
 LEFT = 0.03
 
 
+@dataclass(frozen=True)
+class Error:
+    """By what part of themselves numbers are wrong, and how many stated sigmas that is."""
+
+    part: float
+    sigmas: float
+    held: bool
+
+
+def _held(entry: dict[str, Any]) -> dict[str, Any]:
+    """Return an effect of the model YAML whose parameters have no sigma."""
+    return {
+        key: {name: one for name, one in value.items() if name != "sigma"} | {"free": False}
+        if isinstance(value, dict)
+        else value
+        for key, value in entry.items()
+    }
+
+
 def draw_known(
-    world: World, hidden: tuple[str, ...], count: int, rng: np.random.Generator
+    world: World, hidden: tuple[str, ...], count: int, rng: np.random.Generator, wrong: str = ""
 ) -> dict[str, Cause]:
-    """Return so many known causes by name, none of them like a hidden one."""
+    """Return so many known causes by name, none of them like a hidden one, the wrong one among them."""
     taken = set(hidden) | ({"clock"} if {"clock_episode", "eddy"} & set(hidden) else set())
     free = [name for name in KNOWABLE if name not in taken]
-    chosen = rng.permutation(free)[:count]
+    chosen = rng.permutation(free)[:count].tolist()
+    if wrong:
+        chosen = [wrong, *(name for name in chosen if name != wrong)][: max(count, 1)]
     made = {}
-    for name in chosen.tolist():
+    for name in chosen:
         cause = CAUSES[name](world, rng)
         rms = float(np.sqrt(np.mean(cause.seen(world) ** 2)))
         low, high = KNOWABLE[name]
@@ -45,6 +67,7 @@ def model_tree(
     names: dict[str, str],
     noise: float,
     rng: np.random.Generator,
+    errors: dict[str, Error] | None = None,
 ) -> dict[str, Any]:
     """Return the pre-flight model; every value is off by about its stated sigma.
 
@@ -56,6 +79,8 @@ def model_tree(
         Telling name of a channel -> the name it is delivered under.
     noise : float
         White noise of the residual, nT.
+    errors : dict of str to Error
+        Of known causes whose numbers are wrong.
     """
     near = Nine(
         nine.scale_factor + rng.normal(0, 2e-5, 3),
@@ -64,7 +89,8 @@ def model_tree(
     )
     before, behind = [], []
     for name, cause in known.items():
-        entry = _entry(name, cause, sensors, nine.offset, world, names, noise, rng)
+        error = (errors or {}).get(name)
+        entry = _entry(name, cause, sensors, nine.offset, world, names, noise, rng, error)
         (behind if name in ("torquer", "clock") else before).append(entry)
     order = ("nonlinearity", "temperature")
     before.sort(key=lambda entry: order.index(entry["effect"]))
@@ -92,13 +118,21 @@ def _entry(
     names: dict[str, str],
     noise: float,
     rng: np.random.Generator,
+    error: Error | None,
 ) -> dict[str, Any]:
     """Return one effect of the model YAML."""
     true = np.array([one["value"] for one in cause.coefficients])
     off = LEFT * noise / max(float(np.sqrt(np.mean(cause.seen(world) ** 2))), 1e-12)
     sigma = np.abs(true).max() * off / np.sqrt(true.size) * np.ones_like(true)
     value = true + rng.normal(0, 1, true.size) * sigma
+    if error is not None:
+        value = true - error.part * true
+        sigma = np.maximum(np.abs(error.part * true), np.abs(error.part * true).max() / 10.0) / error.sigmas
     fixed = {"value": about.tolist(), "unit": "nT", "free": False}
+    if error is not None and error.held:
+        return _held(
+            _entry(name, cause, sensors, about, world, names, noise, rng, replace(error, held=False))
+        )
     if name == "torquer":
         stated = {"unit": "nT/A", "value": (1e3 * value).tolist(), "sigma": (1e3 * sigma).tolist()}
         return {

@@ -11,7 +11,8 @@ class Scenario:
 
     `hidden` names causes of `causes.CAUSE_SETTINGS`; `orbit` is one of `case.ORBITS`; `attitude`
     one of `orbit.ATTITUDES` or empty for any; `size` is the range of the contribution the nine
-    parameters leave, in tenths of the noise (a gain of 1 % is what is called detectable).
+    parameters leave, in tenths of the noise (a gain of 1 % is what is called detectable). `wrong` names a
+    cause that the model knows by wrong numbers, off by that size; where `held`, it states no sigma of them.
     """
 
     name: str
@@ -31,3 +32,5 @@ class Scenario:
     red: float = 0.0
     near_copy: bool = False
     files: bool = False
+    wrong: str = ""
+    held: bool = False
