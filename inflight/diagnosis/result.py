@@ -413,10 +413,16 @@ def _size_left(residual: Mapping[str, Any], signature: Signature | None) -> floa
     size = float(residual.get("structure_nT") or 0.0)
     if signature is None or signature.amplitude_nT is None:
         return size
-    if signature.faster_than_s or signature.switchings:
-        return max(size, signature.amplitude_nT)
-    # Of a sine of this amplitude.
-    return max(size, signature.amplitude_nT / sqrt(2.0)) if signature.period_s else size
+    # Half of peak to peak of a sine, a whole step of what switches, an rms of what is fast.
+    part = 0.5 if signature.switchings else sqrt(0.5) if signature.period_s else 1.0
+    known = signature.faster_than_s or signature.switchings or signature.period_s
+    return max(size, min(part * signature.amplitude_nT, _above_noise(residual))) if known else size
+
+
+def _above_noise(residual: Mapping[str, Any]) -> float:
+    """Return the rms that is left above the noise floor, nT; all that is left where there is no floor."""
+    floor, after = float(residual["noise_floor_nT"]), float(residual["held_out_after_nT"])
+    return sqrt(max(after**2 - floor**2, 0.0)) if isfinite(floor) else after
 
 
 def _substitute_text(facts: Mapping[str, Any]) -> str:

