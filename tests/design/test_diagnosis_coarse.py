@@ -38,6 +38,21 @@ def test_means_of_bins_keep_linear_statements():
     assert (count == 0).sum() == 3
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_a_bin_of_one_sample_is_that_sample(offset):
+    g = np.random.default_rng(2)
+    values, good = g.normal(size=(500, 3)), g.random(500) > 0.1
+    stamps = stamps_of(500) + int(offset * SECOND)
+    # Some bins have no sample at all.
+    there = g.random(500) > 0.2
+    edges = bin_edges(START, START + 500 * SECOND, SECOND)
+    mean, count = bin_means(values[there], stamps[there], edges, good[there])
+    held = there & good
+    np.testing.assert_array_equal(count, held * 1.0)
+    np.testing.assert_array_equal(mean[held], values[held])
+    assert np.isnan(mean[~held]).all()
+
+
 def test_samples_outside_the_bins_are_left_out():
     edges = bin_edges(START, START + 20 * SECOND, 10 * SECOND)
     mean, count = bin_means(np.arange(60.0), stamps_of(60) - 10 * SECOND, edges, np.ones(60, dtype=bool))

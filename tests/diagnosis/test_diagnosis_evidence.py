@@ -239,6 +239,25 @@ def test_a_calibration_that_blocks_hardly_determine_costs_no_digits():
     )
 
 
+def test_restricted_blocks_are_those_of_fewer_columns_and_columns_join_them_alone():
+    grams, base = row_case(2).grams, ["n0", "n1", "n2"]
+    whole = FactoredGrams.of(grams, base)
+    small = whole.restricted({"z1", "z3"})
+    assert small.names == tuple(
+        name for name in grams.names if name in (*base, "z1", "z3") or name.startswith("residual")
+    )
+    told = [list(range(7)), list(range(7, 20))]
+    np.testing.assert_array_equal(
+        small.rows(["z1", "z3"]), whole.rows(["z1", "z3"])[:, :, whole.index(small.names)]
+    )
+    left, same = small.marginalise(base, told), whole.marginalise(base, told)
+    at = same.index(left.names)
+    np.testing.assert_allclose(left.total, same.total[np.ix_(at, at)], rtol=1e-12)
+    width = whole.shared.width
+    small.expand({"later": ("z1", np.arange(20.0))})
+    assert whole.shared.width == width
+
+
 def test_columns_join_factored_blocks_as_if_they_had_been_there():
     grams, base, fresh = row_case(1).grams, ["n0", "n1", "n2"], ["z3", "z4"]
     small = FactoredGrams.of(grams.select([name for name in grams.columns if name not in fresh]), base)

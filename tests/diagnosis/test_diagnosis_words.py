@@ -159,6 +159,27 @@ def test_what_is_left_stands_in_its_place_by_size_and_leads_when_it_is_the_large
     assert sentence(given).startswith("Most of what is there no effect of the library explains")
 
 
+def test_a_number_of_the_model_that_data_contradict_is_told_with_how_far_it_is_off():
+    wrong = {"name": "torquer.matrix[yy]", "moved": -3.0, "sigma": 0.01, "known": 0.3, "rms_nT": 0.12}
+    right = wrong | {"name": "torquer.matrix[xx]", "moved": 0.1, "wrong": False}
+    given = told("NOTHING_LEFT", refined=[wrong | {"wrong": True}, right])
+    (entry,) = ranked_entries(given)
+    assert (entry.name, entry.status, entry.takes_off_nT) == ("torquer.matrix", "sure", 0.12)
+    assert "torquer.matrix[yy], off by -3 +- 0.01, 10.0 times the sigma it states" in sentence(given)
+    assert not ranked_entries(told("NOTHING_LEFT", refined=[right]))
+
+
+def test_an_effect_beside_one_of_the_model_names_it():
+    said = sentence(told("NOTHING_LEFT", effects=(effect(0.1, model_effects=("panels",)),)))
+    assert "beside panels of the model, whose numbers or response may be what is wrong" in said
+
+
+def test_what_is_left_is_not_told_larger_than_all_that_is_left():
+    switches = Signature(**(vars(SWITCH) | {"switchings": 3, "period_s": None}))
+    (left,) = ranked_entries(told("UNKNOWN_EFFECT", signature=switches, residual=SIZES))
+    assert left.takes_off_nT == pytest.approx(np.hypot(0.2, 0.0) * np.sqrt(1 - (0.198 / 0.2) ** 2))
+
+
 def test_what_is_left_beside_effects_and_is_not_sure_comes_last():
     given = told("NOT_IDENTIFIABLE", effects=(effect(0.01),), residual=SIZES | {"structure_nT": 0.5})
     assert [one.status for one in ranked_entries(given)] == ["sure", "weak"]
