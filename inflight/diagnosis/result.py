@@ -39,9 +39,9 @@ class FoundEffect:
     """An effect the search took: values with errors, significance, and rivals.
 
     `status` is that of its `Entry`, `first_in_nT` what it explains without the others (rms). `cadence_s` is
-    that of the samples its coefficients were estimated from; `cadence_shift` by how many of their sigmas the
-    search's own cadence puts the one furthest from them (None where both are one). `model_effects` are the
-    effects of the model that use its channel already, or are of its kind.
+    that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
+    the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
+    `model_effects` are the effects of the model that use its channel already, or are of its kind.
     """
 
     name: str

@@ -121,6 +121,12 @@ class Estimate:
         known = self.sigma > 0
         return float(np.max(np.abs(self.value - other.value)[known] / self.sigma[known], initial=0.0))
 
+    def covering(self, other: Estimate) -> Estimate:
+        """Return the estimate with sigmas that reach as far as another estimate of the same data."""
+        sigma = np.maximum(self.sigma, np.abs(self.value - other.value))
+        wider = np.divide(sigma, self.sigma, out=np.ones_like(sigma), where=self.sigma > 0)
+        return replace(self, sigma=sigma, covariance=self.covariance * np.outer(wider, wider))
+
 
 def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).

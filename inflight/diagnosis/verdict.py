@@ -244,7 +244,9 @@ def describe_effect(
     option = check.option
     found = estimate(search, option)
     terms = [search.library.by_key[key] for key in option.terms]
-    coefficients = _coefficients(search, data, option, terms, native or found)
+    # What depends on the cadence of the samples is known no better than that.
+    told = native.covering(found) if native else found
+    coefficients = _coefficients(search, data, option, terms, told)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION_SETTINGS.weak:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -449,6 +451,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     value, covariance = joint_fit(grams, present, search.y())
     scale, total = grams.scale[present.columns], np.diagonal(grams.total)[present.columns]
     rows = max(float(grams.count.sum()), 1.0)
+    square = float(grams.total[search.y(), search.y()]) / rows
     # Of so many numbers one is further off by chance in one record of a hundred.
     far = float(scipy.stats.norm.isf(REPORT_SETTINGS.chance / (2.0 * len(names))))
     out = []
@@ -456,14 +459,17 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
         moved = float(value[place] * scale[place])
         error = float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place])
         known = float(sigma[place])
+        explained = max(float(total[place]), 0.0) * float(value[place]) ** 2 / rows
+        # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
+        matters = explained > search.rules.gain * square
         out.append(
             {
                 "name": name.removeprefix("model:"),
                 "moved": moved,
                 "sigma": error,
                 "known": known,
-                "rms_nT": float(np.sqrt(max(total[place], 0.0) * value[place] ** 2 / rows)),
-                "wrong": bool(abs(moved) > far * np.hypot(known, error)),
+                "rms_nT": float(np.sqrt(explained)),
+                "wrong": bool(matters and abs(moved) > far * np.hypot(known, error)),
             }
         )
     return tuple(out)

@@ -10,7 +10,13 @@ from scipy.signal import lfilter
 
 from inflight.design import design_matrix
 from inflight.diagnosis import Search
-from inflight.diagnosis.stepwise import calibration_shifts, detectable_amplitude, estimate, form_disagreement
+from inflight.diagnosis.stepwise import (
+    Estimate,
+    calibration_shifts,
+    detectable_amplitude,
+    estimate,
+    form_disagreement,
+)
 
 TRUTH = np.array([0.5, -0.4, -0.8])
 SEEDS, EVERY, DAYS = 200, 3, 40
@@ -171,3 +177,19 @@ def test_an_ignored_bias_of_400_pt_passes_for_scale_factors():
     assert kept < 0.02
     real = fitted_shift(case, np.full(case.flight.tt2000.size, -0.4))
     np.testing.assert_allclose(list(shifts.values()), real, rtol=1e-5)
+
+
+def test_sigmas_of_an_estimate_reach_as_far_as_another_of_the_same_data():
+    one = Estimate(
+        columns=("a", "b"),
+        value=np.array([1.0, 2.0]),
+        sigma=np.array([0.1, 0.5]),
+        covariance=np.diag([0.01, 0.25]),
+        retained=0.9,
+        rms=0.1,
+    )
+    other = replace(one, value=np.array([1.4, 2.2]))
+    told = one.covering(other)
+    np.testing.assert_allclose(told.value, one.value)
+    np.testing.assert_allclose(told.sigma, [0.4, 0.5])
+    np.testing.assert_allclose(np.sqrt(np.diag(told.covariance)), told.sigma)
