@@ -452,26 +452,31 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     scale, total = grams.scale[present.columns], np.diagonal(grams.total)[present.columns]
     rows = max(float(grams.count.sum()), 1.0)
     square = float(grams.total[search.y(), search.y()]) / rows
-    # Of so many numbers one is further off by chance in one record of a hundred.
-    far = float(scipy.stats.norm.isf(REPORT_SETTINGS.chance / (2.0 * len(names))))
-    out = []
+    out: list[dict[str, Any]] = []
     for place, name in enumerate(names):
-        moved = float(value[place] * scale[place])
         error = float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place])
-        known = float(sigma[place])
         explained = max(float(total[place]), 0.0) * float(value[place]) ** 2 / rows
-        # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
-        matters = explained > search.rules.gain * square
         out.append(
             {
                 "name": name.removeprefix("model:"),
-                "moved": moved,
+                "moved": float(value[place] * scale[place]),
                 "sigma": error,
-                "known": known,
+                "known": float(sigma[place]),
                 "rms_nT": float(np.sqrt(explained)),
-                "wrong": bool(matters and abs(moved) > far * np.hypot(known, error)),
+                "wrong": False,
             }
         )
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for one in out:
+        groups.setdefault(one["name"].partition("[")[0], []).append(one)
+    for group in groups.values():
+        # In one record of a hundred one of all the parameters is further off by chance.
+        off = sum((one["moved"] / np.hypot(one["known"], one["sigma"])) ** 2 for one in group)
+        far = off > scipy.stats.chi2.isf(REPORT_SETTINGS.chance / len(groups), len(group))
+        # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
+        matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
+        for one in group:
+            one["wrong"] = bool(far and matters)
     return tuple(out)
 
 
