@@ -5,14 +5,33 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-_ALL = ["month", "growth", "ranking", "nine", "spin_fits", "spin_eight"]
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from benchmarks.measured import Row, keep, table
+
+_ALL = ["month", "growth", "fast", "ranking", "nine", "spin_fits", "spin_eight"]
+
+
+def _show(name: str, rows: Sequence[Row]) -> None:
+    print("\n".join(table(rows)), flush=True)
+    print(f"kept in {keep(name, rows)}", flush=True)
+
+
+def _show_each(name: str, measured: Iterable[Row]) -> None:
+    """Hours of work: what is measured is shown, and kept, at once."""
+    rows: list[Row] = []
+    for row in measured:
+        rows.append(row)
+        print(f"{row.what}: {row.median:.2f} s, {row.MiB:.0f} MiB", flush=True)
+        keep(name, rows)
+    _show(name, rows)
 
 
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
     parser.add_argument("which", nargs="*", choices=[*_ALL, []], help="all when absent")
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
@@ -26,33 +45,24 @@ def main() -> None:
 
     from benchmarks.archive import simulated_workspace
     from benchmarks.growth import growth
-    from benchmarks.measured import Row, keep, table
     from benchmarks.month import month
     from benchmarks.nine import nine_parameters
     from benchmarks.search import ranking
     from benchmarks.spin_eight import spin_eight
     from benchmarks.spin_fits import spin_fit_ratios
 
-    def show(name: str, rows: list[Row]) -> None:
-        print("\n".join(table(rows)), flush=True)
-        print(f"kept in {keep(name, rows)}", flush=True)
-
     if "month" in which:
-        show("month", month(given.days))
+        _show("month", month(given.days))
     if "growth" in which:
-        rows: list[Row] = []
-        for row in growth(given.growth, given.keep):
-            # Hours of work: what is measured is shown, and kept, at once.
-            rows.append(row)
-            print(f"{row.what}: {row.median:.2f} s, {row.MiB:.0f} MiB", flush=True)
-            keep("growth", rows)
-        show("growth", rows)
+        _show_each("growth", growth(given.growth, given.keep))
+    if "fast" in which:
+        _show_each("fast", growth([10], given.keep, one_process_up_to=0, vector_hz=50))
     if "ranking" in which:
-        show("ranking", [ranking(count) for count in given.candidates])
+        _show("ranking", [ranking(count) for count in given.candidates])
     if "nine" in which:
         with tempfile.TemporaryDirectory() as scratch:
             cat = simulated_workspace((given.keep or Path(scratch)) / "archive-10", 10)
-            show("nine", nine_parameters(cat))
+            _show("nine", nine_parameters(cat))
     if "spin_fits" in which:
         print("\n".join(spin_fit_ratios()), flush=True)
     if "spin_eight" in which:

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.interpolate import CubicSpline
 
 from inflight.catalog import Catalog, DayData, Segment, Workspace, write_segment
 from inflight.mission import Mission
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.time import day_range
+from inflight.time import SECOND, day_range
 
 _BATCH = 15
 #: Models that come with the project.
@@ -31,6 +32,7 @@ def simulated_workspace(
     settings: SimulationSettings | None = None,
     model: str = "",
     workers: int = 2,
+    vector_hz: int = 0,
 ) -> Catalog:
     """Return a workspace whose archive holds so many simulated days; an existing one is kept.
 
@@ -42,6 +44,8 @@ def simulated_workspace(
         File of the shipped models that stands for the pre-flight one.
     workers : int
         Processes; 1 stays in this one.
+    vector_hz : int
+        Readings of the vector magnetometer a second; 0 is the simulation's own cadence.
     """
     if (folder / "mission.yaml").is_file():
         return Catalog(folder)
@@ -49,12 +53,12 @@ def simulated_workspace(
         update={"start": dt.date.fromisoformat(start), "days": days}
     )
     workspace = Workspace.create(folder, "champ")
-    _adapt(folder, settings.cadence, model)
+    _adapt(folder, settings.cadence, model, vector_hz)
     mission, catalog = workspace.mission(), Catalog(folder)
     dates = day_range(start, np.datetime64(start) + np.timedelta64(days, "D"))
     batches = [dates[at : at + _BATCH] for at in range(0, days, _BATCH)]
     with catalog.run("simulate", {"days": days}) as run:
-        jobs = [(folder, run.id, mission.text, settings, batch) for batch in batches]
+        jobs = [(folder, run.id, mission.text, settings, vector_hz, batch) for batch in batches]
         for segments in _spread(jobs, workers):
             for segment in segments:
                 run.attach(segment)
@@ -62,10 +66,13 @@ def simulated_workspace(
     return catalog
 
 
-def _adapt(folder: Path, cadence: int, model: str) -> None:
+def _adapt(folder: Path, cadence: int, model: str, vector_hz: int) -> None:
     """Let the mission's file tell the cadence of the simulation and the model to start from."""
     path = folder / "mission.yaml"
     text = path.read_text(encoding="utf-8").replace("cadence: 1 s", f"cadence: {cadence} s")
+    if vector_hz:
+        head, vector, rest = text.partition("  fgm:")
+        text = head + vector + rest.replace(f"cadence: {cadence} s", f"cadence: {1000 / vector_hz:g} ms", 1)
     if model:
         shutil.copy(SHIPPED / model, folder / "models" / model)
         text = text.replace("models/champ-preflight.yaml", f"models/{model}")
@@ -81,9 +88,11 @@ def _spread(jobs: list[tuple[Any, ...]], workers: int) -> Iterator[list[Segment]
 
 
 def _write_batch(job: tuple[Any, ...]) -> list[Segment]:
-    folder, run, text, settings, batch = job
+    folder, run, text, settings, vector_hz, batch = job
     mission = Mission.parse(text)
-    made = [simulate_day(settings, day).instruments for day in batch]
+    made = [dict(simulate_day(settings, day).instruments) for day in batch]
+    if vector_hz:
+        made = [{**one, "fgm": _at_rate(one["fgm"], vector_hz)} for one in made]
     return [
         write_segment(
             folder,
@@ -96,6 +105,28 @@ def _write_batch(job: tuple[Any, ...]) -> list[Segment]:
         )
         for name in mission.instruments
     ]
+
+
+def _at_rate(delivered: xr.Dataset, hertz: int) -> xr.Dataset:
+    """Return an instrument's day with so many readings a second, by splines through those simulated."""
+    stamps = delivered["Epoch"].values
+    step = SECOND // hertz
+    faster = np.arange(stamps[0], stamps[-1] + 1, step)
+    noise = np.random.default_rng(int(stamps[0] // SECOND)).normal
+    out: dict[str, Any] = {"Epoch": ("record", faster)}
+    for name, variable in delivered.data_vars.items():
+        if name == "Epoch":
+            continue
+        values = np.asarray(variable.values)
+        if values.dtype.kind != "f":
+            made = values[np.searchsorted(stamps, faster, side="right") - 1]
+        else:
+            made = CubicSpline((stamps - stamps[0]) / SECOND, values)((faster - stamps[0]) / SECOND)
+            if values.ndim > 1:
+                # White noise of 0.1 nT a reading, which the mean of a second's readings hardly shows.
+                made = made + noise(0.0, 0.1, made.shape)
+        out[str(name)] = (("record", *variable.dims[1:]), made, variable.attrs)
+    return xr.Dataset(out)
 
 
 def _delivered(mission: Mission, name: str) -> str:

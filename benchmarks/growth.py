@@ -1,4 +1,7 @@
-"""How time and memory grow with the mission: 30 to 3000 days at 1 Hz, written into the archive directly."""
+"""How time and memory grow with the mission: 30 to 3000 days, written into the archive directly.
+
+At 1 Hz, or with a vector magnetometer of so many readings a second (`growth` with `vector_hz`).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ from inflight.tasks import Workbench
 _AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"): "900 s, 2048 MiB"}
 
 
-def growth(days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100) -> Iterator[Row]:
+def growth(
+    days: Sequence[int], keep: Path | None = None, one_process_up_to: int = 100, vector_hz: int = 0
+) -> Iterator[Row]:
     """Yield the rows of each length of the record, as they are measured.
 
     Parameters
@@ -30,12 +35,15 @@ def growth(days: Sequence[int], keep: Path | None = None, one_process_up_to: int
         Folder of the simulated archives, made once and kept.
     one_process_up_to : int
         Records of so many days are reprocessed with one process, too.
+    vector_hz : int
+        Readings of the vector magnetometer a second; 0 is 1 Hz.
     """
     with tempfile.TemporaryDirectory() as scratch:
         for count in days:
-            source = (keep or Path(scratch)) / f"archive-{count}"
-            simulated_workspace(source, count)
-            yield from _rows(source, Path(scratch), count, one_process_up_to)
+            source = (keep or Path(scratch)) / f"archive-{count}{f'-{vector_hz}-Hz' if vector_hz else ''}"
+            simulated_workspace(source, count, vector_hz=vector_hz)
+            for row in _rows(source, Path(scratch), count, one_process_up_to):
+                yield replace(row, what=f"{vector_hz} Hz, {row.what}") if vector_hz else row
 
 
 def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int) -> Iterator[Row]:

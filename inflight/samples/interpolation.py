@@ -58,6 +58,29 @@ def _whole(
 
 
 @numba.njit(cache=True, nogil=True)
+def _sinc_weight(x: float, cutoff: float, half: float, kaiser_beta: float) -> float:  # pragma: no cover
+    """Return the weight of a sample `x` cadences away, of a window of half-width `half`."""
+    window = _bessel_i0(kaiser_beta * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / _bessel_i0(kaiser_beta)
+    return float(np.sinc(cutoff * x) * window)
+
+
+@numba.njit(cache=True, nogil=True)
+def _under_window(
+    stamps: Int64, middle: int, target: int, half: float, cadence: float
+) -> tuple[int, int]:  # pragma: no cover
+    """Return the first and last sample closer to a target than `half`, ns; (0, -1) where one is missing."""
+    first, last = middle, middle - 1
+    while first > 0 and target - stamps[first - 1] < half:
+        first -= 1
+    while last + 1 < stamps.size and stamps[last + 1] - target < half:
+        last += 1
+    whole = last - first + 1 >= int(2 * half / cadence) - 1 and _whole(
+        stamps, first, last, target, half, cadence
+    )
+    return (first, last) if whole else (0, -1)
+
+
+@numba.njit(cache=True, nogil=True)
 def sinc(
     stamps: Int64,
     values: Floats,
@@ -70,31 +93,40 @@ def sinc(
     """Windowed-sinc interpolation at each target.
 
     Weights are normalised to keep a constant, and the line through the ends of the window is taken
-    off and put back, so that the main field's slope along the orbit leaves no error.
+    off and put back, so that the main field's slope along the orbit leaves no error. A weight holds for
+    the next target, too, where the sample lies as far from it: always, where both are regular.
     """
-    out = np.full((target.size, values.shape[1]), np.nan)
+    columns = values.shape[1]
+    out = np.full((target.size, columns), np.nan)
     half = lobes / cutoff
-    peak = _bessel_i0(kaiser_beta)
+    weights = np.zeros(2 * int(half) + 4)
+    distances = np.full(weights.size, np.iinfo(np.int64).max)
+    slope, sums = np.zeros(columns), np.zeros(columns)
     middle = np.searchsorted(stamps, target)
     for i in range(target.size):
-        first, last = middle[i], middle[i] - 1
-        while first > 0 and target[i] - stamps[first - 1] < half * cadence:
-            first -= 1
-        while last + 1 < stamps.size and stamps[last + 1] - target[i] < half * cadence:
-            last += 1
-        if last - first + 1 < int(2 * half) - 1 or not _whole(
-            stamps, first, last, target[i], half * cadence, cadence
-        ):
+        first, last = _under_window(stamps, middle[i], target[i], half * cadence, cadence)
+        if last < first:
             continue
+        if last - first >= weights.size:
+            # Stamps closer than the cadence: more of them are under the window.
+            weights = np.zeros(2 * (last - first))
+            distances = np.full(weights.size, np.iinfo(np.int64).max)
         total = 0.0
         width = float(stamps[last] - stamps[first])
-        slope = (values[last] - values[first]) / width
-        sums = np.zeros(values.shape[1])
+        for column in range(columns):
+            slope[column] = (values[last, column] - values[first, column]) / width
+            sums[column] = 0.0
         for j in range(first, last + 1):
-            x = (target[i] - stamps[j]) / cadence
-            window = _bessel_i0(kaiser_beta * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
-            weight = np.sinc(cutoff * x) * window
-            total += weight
-            sums += weight * (values[j] - values[first] - slope * float(stamps[j] - stamps[first]))
-        out[i] = sums / total + values[first] + slope * float(target[i] - stamps[first])
+            tap, distance = j - first, target[i] - stamps[j]
+            if distances[tap] != distance:
+                weights[tap] = _sinc_weight(distance / cadence, cutoff, half, kaiser_beta)
+                distances[tap] = distance
+            total += weights[tap]
+            along = float(stamps[j] - stamps[first])
+            for column in range(columns):
+                above = values[j, column] - values[first, column] - slope[column] * along
+                sums[column] += weights[tap] * above
+        along = float(target[i] - stamps[first])
+        for column in range(columns):
+            out[i, column] = sums[column] / total + values[first, column] + slope[column] * along
     return out
