@@ -1,4 +1,4 @@
-"""The score table: ``python -m tests.physics_cases --seeds 3 [--only NAME] [--jobs 2] [--json out]``."""
+"""The score table: ``python -m tests.physics_cases [--seeds 3] [--only NAME] [--json FILE]``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from rich.table import Table
 
 from .run import Outcome, run_cases
 from .scenarios import scenarios
+from .score import is_named
 
 MARKS = {True: "[green]yes[/]", False: "[red]NO[/]", None: "[dim]-[/]"}
 COLUMNS = ("case", "seed", "hidden", "verdict", "named", "family", "channel", "coeff. pull", "lag", "period")
@@ -46,6 +48,11 @@ def main() -> int:
             told = {"summary": summary(outcomes), "cases": [one.as_json() for one in outcomes]}
             given.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
     console.print(_timing_table(outcomes) if given.simulate_only else score_table(outcomes))
+    if not given.simulate_only:
+        console.print(family_table(outcomes))
+    if given.against:
+        before = json.loads(given.against.read_text(encoding="utf-8"))["cases"]
+        console.print(side_by_side(before, outcomes))
     told = summary(outcomes)
     console.print(json.dumps(told, indent=1))
     return int(bool(told["confident_wrong"] or told["errors"]))
@@ -58,6 +65,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--only", action="append", metavar="NAME", help="this case; may be given again")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--json", type=Path, help="write truths, diagnoses and scores here")
+    parser.add_argument("--against", type=Path, help="JSON of an earlier run, shown beside this one")
     parser.add_argument("--keep", type=Path, help="folder that keeps the workspaces")
     parser.add_argument("--simulate-only", action="store_true", help="make the cases, diagnose nothing")
     parser.add_argument("--width", type=int, default=None, help="of the table, characters")
@@ -101,6 +109,57 @@ def _row(one: Outcome) -> list[str]:
     answers = [MARKS[found.family], MARKS[found.channel], pull, MARKS[found.lag], MARKS[found.period], floor]
     end = [", ".join(found.false_additions), wrong, MARKS[found.passed], f"{one.diagnose_s:.1f}"]
     return [one.name, str(one.seed), hidden, verdict, named, *answers, *end]
+
+
+def side_by_side(before: list[dict[str, Any]], outcomes: list[Outcome]) -> Table:
+    """Return verdicts, names and times of an earlier run of the cases beside those of this one."""
+    earlier = {(one["name"], one["seed"]): one for one in before}
+    pairs = ("verdict", "taken", "passed", "confident wrong", "s")
+    table = Table("case", "seed", *(f"{name}, {when}" for name in pairs for when in ("before", "now")))
+    for outcome in outcomes:
+        now = outcome.as_json()
+        then = earlier.get((outcome.name, outcome.seed))
+        cells = [_cells(then) if then else ["not run"] * len(pairs), _cells(now)]
+        row = [text for both in zip(*cells, strict=True) for text in both]
+        table.add_row(outcome.name, str(outcome.seed), *row)
+    return table
+
+
+def _cells(case: dict[str, Any]) -> list[str]:
+    """Return what `side_by_side` shows of a case, from its JSON."""
+    score, told = case["score"] or {}, case["told"] or {}
+    taken = ", ".join(effect["name"] for effect in told.get("effects") or [])
+    marks = [MARKS[score.get("passed")], "[red]YES[/]" if score.get("confident_wrong") else "no"]
+    return [score.get("verdict", "error"), taken, *marks, f"{case['seconds']['diagnose']:.0f}"]
+
+
+def family_table(outcomes: list[Outcome]) -> Table:
+    """Return what each family of candidates adds to what is found, and what it costs to try."""
+    counts = {name: Counter[str]() for name in ("candidates", "right", "wrong", "rival", "leading")}
+    told_cases = [(one.truth, one.told) for one in outcomes if one.told]
+    for truth, told in told_cases:
+        tried = [one for one in told["candidates"] if not one["placebo"]]
+        family = {one["name"]: one["family"] for one in tried}
+        counts["candidates"].update(family.values())
+        counts["leading"].update(one["family"] for one in tried[:1])
+        for effect in told["effects"]:
+            right = any(is_named(true, effect, told) for true in truth["effects"])
+            counts["right" if right else "wrong"][effect["family"]] += 1
+        rivals = {name for effect in told["effects"] for name in effect.get("rivals") or ()}
+        counts["rival"].update(family[name] for name in rivals if name in family)
+    headings = (
+        "family",
+        "candidates a case",
+        "taken, right",
+        "taken, wrong",
+        "named as a rival",
+        "ranked first",
+    )
+    table = Table(*headings, title="what each family adds")
+    for name in sorted(set().union(*counts.values()), key=lambda one: (-counts["right"][one], one)):
+        shown = (counts[column][name] for column in ("right", "wrong", "rival", "leading"))
+        table.add_row(name, f"{counts['candidates'][name] / len(told_cases):.1f}", *map(str, shown))
+    return table
 
 
 def _timing_table(outcomes: list[Outcome]) -> Table:
