@@ -8,12 +8,12 @@ chance, the residual along the field, around an event, folded by phase, and by l
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import LagProfile
 from inflight.figures.page import render
 from inflight.figures.style import (
     AFTER,
@@ -29,6 +29,9 @@ from inflight.figures.style import (
     short_name,
 )
 from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
+
+if TYPE_CHECKING:
+    from inflight.diagnosis import LagProfile
 
 
 def dependence_figure(found: Dependence) -> figure:

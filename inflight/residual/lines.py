@@ -356,12 +356,31 @@ def _peaks(ratio: Floats, stretches: int, settings: LineSettings) -> list[int]:
     # A median lies below the mean of such a spectrum by its own ratio.
     shape = max(stretches, 1)
     limit = max(
-        scipy.stats.gamma.isf(chance, shape) / scipy.stats.gamma.ppf(0.5, shape), settings.least_ratio
+        scipy.special.gammainccinv(shape, chance) / scipy.special.gammaincinv(shape, 0.5),
+        settings.least_ratio,
     )
     found: set[int] = set()
     for row in ratio:
-        found |= set(scipy.signal.find_peaks(row, height=limit, distance=settings.spread)[0].tolist())
+        found |= set(local_maxima(row, limit, settings.spread))
     return sorted(found)
+
+
+def local_maxima(values: Floats, least: float, distance: int) -> list[int]:
+    """Return where values have maxima of at least `least`: the larger one of two nearer than `distance`.
+
+    Of equal neighbours the middle counts. (`scipy.signal.find_peaks` finds the same; to import it takes a
+    third of the time of a whole comparison.)
+    """
+    edges = np.flatnonzero(np.diff(values)) + 1
+    first, last = np.append(0, edges), np.append(edges, values.size) - 1
+    level = values[first]
+    highest = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:]) & (level[1:-1] >= least)
+    places = (first[1:-1] + last[1:-1])[highest] // 2
+    kept: list[int] = []
+    for place in places[np.argsort(values[places])[::-1]].tolist():
+        if all(abs(place - other) >= distance for other in kept):
+            kept.append(place)
+    return sorted(kept)
 
 
 def _centre(frequency: Floats, density: Floats, peak: int) -> float:
@@ -523,7 +542,7 @@ def _line_equations(
 def _select_lines(gram: Floats, right: Floats, noise: Floats, chance: float) -> list[int]:
     """Return which lines are taken, one after the other: each explains most of what the others leave."""
     count = noise.size
-    limit = float(scipy.stats.chi2.isf(chance / count, 6))
+    limit = float(scipy.special.chdtri(6, chance / count))
     own = [gram[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(count)]
     taken: list[int] = []
     while len(taken) < count:

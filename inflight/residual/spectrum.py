@@ -106,6 +106,29 @@ class SpectrumSum:
         return np.asarray(self.square / max(self.stretches, 1))
 
 
+def hann_power(series: Floats, cadence: float) -> Floats:
+    """Return the two-sided power densities of whole series; (..., frequency), from zero to Nyquist.
+
+    A straight line is taken off each, and a Hann window is laid over it.
+
+    Parameters
+    ----------
+    series : ndarray, shape (..., time)
+    cadence : float
+        Seconds between samples.
+    """
+    count = series.shape[-1]
+    # The straight line of least squares about the middle, where level and slope are independent.
+    place = np.arange(count) - 0.5 * (count - 1)
+    slope = (series @ place) / max(float(place @ place), 1.0)
+    levelled = series - series.mean(axis=-1, keepdims=True) - slope[..., None] * place
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
+    levelled *= window
+    transform = np.fft.rfft(levelled, axis=-1)
+    scale = cadence / float(window @ window)
+    return np.asarray((transform.real**2 + transform.imag**2) * scale, dtype=np.float64)
+
+
 def density_with_gaps(
     values: Floats,
     known: npt.NDArray[np.bool_],
@@ -134,9 +157,9 @@ def density_with_gaps(
     """
     if known.sum() < max(settings.least_samples, settings.least_part * known.size):
         return None
-    series = np.array([_bridged(one, known, settings.bridge) for one in values])
-    levelled = scipy.signal.detrend(series, axis=1)
-    _, power = scipy.signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
+    power = hann_power(_bridged(values, known, settings.bridge), cadence)
+    # Of a real series both signs of a frequency hold as much; zero and Nyquist have one sign.
+    power[:, 1 : (known.size + 1) // 2] *= 2.0
     return np.asarray(power / known.mean(), dtype=np.float64)
 
 
@@ -163,17 +186,20 @@ def stretch_power(
     """
     rows = residual.reshape(len(residual), -1)
     factors = direction.reshape(*rows.shape, 3)
-    known = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2)))
+    known = np.ones(len(rows), dtype=np.bool_)
+    for column in (*rows.T, *factors.reshape(len(rows), -1).T):
+        known &= np.isfinite(column)
     if not known.any():
         return None
-    measured, factors = rows[known] - rows[known].mean(axis=0), factors[known]
+    measured, factors = (rows, factors) if known.all() else (rows[known], factors[known])
+    measured = measured - measured.mean(axis=0)
     demodulated = np.einsum("tr,tra->at", measured, factors)
     density = density_with_gaps(np.concatenate([measured.T, demodulated]), known, cadence, settings)
     if density is None:
         return None
     count = rows.shape[1]
     total = np.concatenate([density[:count].sum(axis=0)[None], density[count:]])
-    square = np.append(1.0, np.mean(np.sum(factors**2, axis=1), axis=0))
+    square = np.append(1.0, np.einsum("tra,tra->a", factors, factors) / len(factors))
     return SpectrumSum(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
 
 
@@ -194,20 +220,20 @@ def finest_power(sums: Mapping[tuple[int, float], SpectrumSum]) -> SpectrumSum |
 
 
 def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Floats:
-    """Return a whole series (time,) from its known values: gaps are filled with means of what is around.
+    """Return whole series (series, time) from their known values: gaps are filled with means around them.
 
     Straight lines between neighbours would repeat their noise, which is then no longer white.
     """
-    whole = np.zeros(known.size)
-    whole[known] = values
+    whole = np.zeros((len(values), known.size))
+    whole[:, known] = values
     if known.all():
         return whole
     share = scipy.ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
-    around = scipy.ndimage.uniform_filter1d(whole, bridge, mode="constant")
-    near = share > 0.5 / bridge
-    index = np.arange(known.size)
-    smooth = np.interp(index, index[near], around[near] / share[near])
-    return np.where(known, whole, smooth)
+    near, gaps = np.flatnonzero(share > 0.5 / bridge), np.flatnonzero(~known)
+    around = scipy.ndimage.uniform_filter1d(whole, bridge, axis=1, mode="constant")
+    for row, means in zip(whole, around, strict=True):
+        row[gaps] = np.interp(gaps, near, means[near] / share[near])
+    return whole
 
 
 def on_grid(seconds: Floats, values: Floats, step: float) -> Floats:
