@@ -21,6 +21,7 @@ from inflight.figures.style import (
     COMPONENTS,
     HIGHLIGHT,
     REFERENCE,
+    curve_with_errors,
     error_band,
     error_bars,
     legend_below,
@@ -55,10 +56,7 @@ def dependence_figure(found: Dependence) -> figure:
         legend_below(plot)
         return plot
     met = np.isfinite(found.mean)
-    error_band(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
-    error_bars(plot, found.centre, found.mean, found.sigma, AFTER, 0.5)
-    plot.line(found.centre[met], found.mean[met], color=AFTER)
-    plot.scatter(found.centre, found.mean, color=AFTER, size=5)
+    curve_with_errors(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
     return plot
 
 

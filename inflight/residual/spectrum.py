@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -118,15 +119,20 @@ def hann_power(series: Floats, cadence: float) -> Floats:
         Seconds between samples.
     """
     count = series.shape[-1]
-    # The straight line of least squares about the middle, where level and slope are independent.
-    place = np.arange(count) - 0.5 * (count - 1)
+    place, window = _line_and_window(count)
     slope = (series @ place) / max(float(place @ place), 1.0)
-    levelled = series - series.mean(axis=-1, keepdims=True) - slope[..., None] * place
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
+    levelled = series - (series.mean(axis=-1)[..., None] + slope[..., None] * place)
     levelled *= window
     transform = np.fft.rfft(levelled, axis=-1)
     scale = cadence / float(window @ window)
     return np.asarray((transform.real**2 + transform.imag**2) * scale, dtype=np.float64)
+
+
+@lru_cache(maxsize=4)
+def _line_and_window(count: int) -> tuple[Floats, Floats]:
+    """Return a straight line about the middle, where level and slope are independent, and a Hann window."""
+    place = np.arange(count) - 0.5 * (count - 1)
+    return place, 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
 
 
 def density_with_gaps(
@@ -155,9 +161,19 @@ def density_with_gaps(
         In the square of the unit for each Hz. None when too little of the stretch is measured
         (`SpectrumSettings.least_part`, `least_samples`).
     """
+    whole = np.zeros((len(values), known.size))
+    whole[:, known] = values
+    return _density_of_whole(whole, known, cadence, settings)
+
+
+def _density_of_whole(
+    whole: Floats, known: npt.NDArray[np.bool_], cadence: float, settings: SpectrumSettings
+) -> Floats | None:
+    """Return `density_with_gaps` of whole series (series, time) with zeros in the gaps, which are bridged."""
     if known.sum() < max(settings.least_samples, settings.least_part * known.size):
         return None
-    power = hann_power(_bridged(values, known, settings.bridge), cadence)
+    _bridge_gaps(whole, known, settings.bridge)
+    power = hann_power(whole, cadence)
     # Of a real series both signs of a frequency hold as much; zero and Nyquist have one sign.
     power[:, 1 : (known.size + 1) // 2] *= 2.0
     return np.asarray(power / known.mean(), dtype=np.float64)
@@ -191,15 +207,20 @@ def stretch_power(
         known &= np.isfinite(column)
     if not known.any():
         return None
-    measured, factors = (rows, factors) if known.all() else (rows[known], factors[known])
-    measured = measured - measured.mean(axis=0)
-    demodulated = np.einsum("tr,tra->at", measured, factors)
-    density = density_with_gaps(np.concatenate([measured.T, demodulated]), known, cadence, settings)
+    count = rows.shape[1]
+    whole, part = np.zeros((count + 3, known.size)), np.zeros(known.size)
+    square = np.ones(len(SERIES))
+    for index, row in enumerate(rows.T):
+        np.subtract(row, row[known].mean(), out=whole[index], where=known)
+    for axis in range(3):
+        for index in range(count):
+            np.multiply(whole[index], factors[:, index, axis], out=part, where=known)
+            whole[count + axis] += part
+        square[axis + 1] = np.mean(np.sum(factors[known, :, axis] ** 2, axis=1))
+    density = _density_of_whole(whole, known, cadence, settings)
     if density is None:
         return None
-    count = rows.shape[1]
     total = np.concatenate([density[:count].sum(axis=0)[None], density[count:]])
-    square = np.append(1.0, np.einsum("tra,tra->a", factors, factors) / len(factors))
     return SpectrumSum(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
 
 
@@ -219,21 +240,21 @@ def finest_power(sums: Mapping[tuple[int, float], SpectrumSum]) -> SpectrumSum |
     return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
 
 
-def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Floats:
-    """Return whole series (series, time) from their known values: gaps are filled with means around them.
+def _bridge_gaps(whole: Floats, known: npt.NDArray[np.bool_], bridge: int) -> None:
+    """Fill the gaps of series (series, time), which hold zeros there, with means of what is around.
 
     Straight lines between neighbours would repeat their noise, which is then no longer white.
     """
-    whole = np.zeros((len(values), known.size))
-    whole[:, known] = values
-    if known.all():
-        return whole
-    share = scipy.ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
-    near, gaps = np.flatnonzero(share > 0.5 / bridge), np.flatnonzero(~known)
-    around = scipy.ndimage.uniform_filter1d(whole, bridge, axis=1, mode="constant")
-    for row, means in zip(whole, around, strict=True):
-        row[gaps] = np.interp(gaps, near, means[near] / share[near])
-    return whole
+    gaps = np.flatnonzero(~known)
+    if not gaps.size:
+        return
+    sides, windows = (bridge // 2, bridge - 1 - bridge // 2), np.lib.stride_tricks.sliding_window_view
+    near = windows(np.pad(known, sides), bridge)[gaps].sum(axis=1)
+    # A long gap is bridged from what its ends reach.
+    reached, near = gaps[near > 0], near[near > 0]
+    for row in whole:
+        total = windows(np.pad(row, sides), bridge)[reached].sum(axis=1)
+        row[gaps] = np.interp(gaps, reached, total / near)
 
 
 def on_grid(seconds: Floats, values: Floats, step: float) -> Floats:
