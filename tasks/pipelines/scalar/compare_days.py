@@ -236,13 +236,13 @@ def bin_edges() -> Floats:
 
 def count_bins(values: Floats) -> Int64:
     """Return how many values, nT, lie in each bin of `bin_edges`; far ones are not counted."""
-    half = (bin_edges().size - 1) // 2
-    part, octave = np.frexp(np.abs(values))
+    half, magnitude = (bin_edges().size - 1) // 2, np.abs(values)
     # Of a magnitude f * 2**e with f from a half to one: the octave's number, and the place in it.
-    octave -= _LEAST_WIDTH + _BINS
-    place = (2 ** (_BINS + 1) * part).astype(np.int64) + (octave.astype(np.int64) - 1) * 2**_BINS
-    small = octave <= 0
-    place[small] = np.abs(values[small]) * 2.0**-_LEAST_WIDTH
+    part, octave = np.frexp(magnitude)
+    octave = octave.astype(np.int64) - (_LEAST_WIDTH + _BINS + 1)
+    place = (2 ** (_BINS + 1) * part).astype(np.int64) + octave * 2**_BINS
+    small = magnitude < 2.0 ** (_LEAST_WIDTH + _BINS)
+    place[small] = magnitude[small] * 2.0**-_LEAST_WIDTH
     place = np.where(values < 0, half - 1 - place, half + place)
     return np.bincount(place[(place >= 0) & (place < 2 * half)], minlength=2 * half)
 
