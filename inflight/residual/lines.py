@@ -477,7 +477,7 @@ def resolve_lines(
     # White noise of this variance a row has the background's density.
     noise = background[at] * power.frequency[-1]
     taken = _select_lines(gram, right, noise, settings.chance)
-    found = [_line_of_fit(lines, gram, right, noise, taken, place) for place in range(len(taken))]
+    found = _lines_of_fit(lines, gram, right, noise, taken)
     found = [_check_daily_name(line, found, settings) for line in found]
     return [_as_multiple(line, found[:place], power.step, settings) for place, line in enumerate(found)]
 
@@ -567,23 +567,26 @@ def _solved(gram: Floats, right: Floats) -> Floats:
     return np.asarray(np.linalg.solve(gram + ridge * np.eye(len(gram)), right))
 
 
-def _line_of_fit(
-    lines: Sequence[Line], gram: Floats, right: Floats, noise: Floats, taken: list[int], place: int
-) -> Line:
-    """Return one taken line with the amplitudes of the common fit."""
+def _lines_of_fit(
+    lines: Sequence[Line], gram: Floats, right: Floats, noise: Floats, taken: list[int]
+) -> list[Line]:
+    """Return the taken lines with the amplitudes of the common fit."""
     columns = [6 * i + j for i in taken for j in range(6)]
     whole = gram[np.ix_(columns, columns)]
-    mine = slice(6 * place, 6 * place + 6)
-    value = _solved(whole, right[columns])[mine]
-    spread = np.sqrt(noise[taken[place]] * np.diag(np.linalg.pinv(whole, hermitian=True))[mine])
-    along, sigma = np.hypot(value[0::2], value[1::2]), np.hypot(spread[0::2], spread[1::2]) / np.sqrt(2.0)
-    own = whole[mine, mine]
-    rows = float(np.trace(own))  # The six columns' squares sum to the number of rows.
-    seen = np.sqrt(2.0 * max(float(value @ own @ value), 0.0) / rows)
-    line = lines[taken[place]]
-    amplitude = np.append(seen, along)
-    deviation = np.append(np.sqrt(2.0 * noise[taken[place]] / rows), sigma)
-    return replace(line, follows="", amplitude=amplitude, sigma=deviation)
+    values = _solved(whole, right[columns])
+    spreads = np.diag(np.linalg.pinv(whole, hermitian=True))
+    found = []
+    for place, number in enumerate(taken):
+        mine = slice(6 * place, 6 * place + 6)
+        value, spread = values[mine], np.sqrt(noise[number] * spreads[mine])
+        along, sigma = np.hypot(value[0::2], value[1::2]), np.hypot(spread[0::2], spread[1::2]) / np.sqrt(2.0)
+        own = whole[mine, mine]
+        rows = float(np.trace(own))  # The six columns' squares sum to the number of rows.
+        seen = np.sqrt(2.0 * max(float(value @ own @ value), 0.0) / rows)
+        amplitude = np.append(seen, along)
+        deviation = np.append(np.sqrt(2.0 * noise[number] / rows), sigma)
+        found.append(replace(lines[number], follows="", amplitude=amplitude, sigma=deviation))
+    return found
 
 
 def record_lines(
