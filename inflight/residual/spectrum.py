@@ -356,12 +356,24 @@ def thin_spectrum(
 
     `density` has shape (..., frequency).
     """
-    if frequency.size <= points:
-        return frequency, density
-    edges = np.geomspace(1.0, frequency.size, points).astype(np.int64) - 1
-    first = np.unique(edges)
-    count = np.diff(np.append(first, frequency.size))
+    first, count = _groups(frequency.size, points)
     return (
         np.add.reduceat(frequency, first) / count,
         np.add.reduceat(density, first, axis=-1) / count,
     )
+
+
+def as_drawn(density: Floats, points: int = SPECTRUM_SETTINGS.points) -> Floats:
+    """Return a spectrum (..., frequency) with the means that are drawn in place of all it is drawn of.
+
+    What is only drawn is kept so: it takes hardly any space.
+    """
+    first, count = _groups(density.shape[-1], points)
+    return np.repeat(np.add.reduceat(density, first, axis=-1) / count, count, axis=-1)
+
+
+def _groups(size: int, points: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the first of each group of frequencies that makes one point of a drawing, and its size."""
+    edges = np.geomspace(1.0, size, points).astype(np.int64) - 1 if size > points else np.arange(size)
+    first = np.unique(edges)
+    return first, np.diff(np.append(first, size))

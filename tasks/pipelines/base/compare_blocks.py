@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -24,8 +25,7 @@ from threadpoolctl import threadpool_limits
 from inflight.catalog import Catalog, Day, DayData, Run, Segment, idempotency_key, write_segment
 from inflight.errors import CatalogError, StorageError
 from inflight.mission import Mission
-from inflight.tasks.archive import cached_readings
-from inflight.tasks.batches import iter_results
+from inflight.tasks.batches import few_at_once, iter_results
 from inflight.tasks.pipelines.base.compare_rows import Sources
 from inflight.tasks.pipelines.base.publication import reuse_interrupted_days
 from inflight.tasks.report import Progress
@@ -39,6 +39,9 @@ BLOCK_DAYS = 8
 
 #: Days to make from which on processes are started for them: they take some three seconds to start. Assumed.
 DAYS_FOR_PROCESSES = 200
+
+#: Threads that make fewer days. Assumed: what they do is bound by memory.
+THREADS = 2
 
 _ONE_DAY = np.timedelta64(1, "D")
 
@@ -119,8 +122,7 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
             kept |= reuse_interrupted_days(run, plan.dataset, missing, missing)
             blocks = [replace(one, run=run.id) if one.first in missing else one for one in blocks]
         todo = [block for block in blocks if not (block.key and block.first in kept)]
-        many = sum(len(block.days) for block in todo) >= DAYS_FOR_PROCESSES
-        made = iter_results(client if many else None, digest_and_keep, [(plan, block) for block in todo])
+        made = _made_blocks(plan, todo, client, stack)
         for block in blocks:
             if block.key and block.first in kept:
                 digest = plan.kind.of_dataset(plan.cat.read(kept[block.first]))
@@ -135,9 +137,23 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
             run.publish()
 
 
+def _made_blocks(
+    plan: DigestPlan[D], blocks: Sequence[_Block], client: Any, stack: ExitStack
+) -> Iterator[tuple[D, Segment | None]]:
+    """Return what makes the blocks in order: on the processes of the client where they are many."""
+    jobs = [(plan, block) for block in blocks]
+    if client is not None and sum(len(block.days) for block in blocks) >= DAYS_FOR_PROCESSES:
+        return iter_results(client, digest_and_keep, jobs)
+    # Decompression, transforms and sums let other threads run; they start at once. Limited here, too: the
+    # limits of the threads begin and end at any time.
+    stack.enter_context(threadpool_limits(1))
+    pool = stack.enter_context(ThreadPoolExecutor(min(THREADS, max(len(jobs), 1))))
+    return few_at_once(lambda job: pool.submit(digest_and_keep, *job), lambda future: future.result(), jobs)
+
+
 def digest_and_keep(plan: DigestPlan[D], block: _Block) -> tuple[D, Segment | None]:
     """Make the digest of a block, on one BLAS thread; write it as a segment when it belongs to a run."""
-    with threadpool_limits(1), cached_readings():
+    with threadpool_limits(1):
         digest = plan.make(plan.cat, plan.mission, plan.comparison, block.sources, block.days, *plan.options)
     if not block.run:
         return digest, None

@@ -24,6 +24,7 @@ from inflight.residual import (
     ResidualStatistics,
     SpectrumSum,
     add_power,
+    as_drawn,
     noise_floor,
     residual_statistics,
     stretch_power,
@@ -89,7 +90,7 @@ class BlockDigest:
         Means over short spans, as `rows_of_day`, of all days.
     days : list of DayNumbers
     power_before, power : dict
-        Sums of the days' spectra by the length of their stretches.
+        Sums of the days' spectra by the length of their stretches; before only as fine as it is drawn.
     counts : ndarray of int64, shape (2, bin)
         Histograms before and after, each about its day's mean; bins as `bins_of`.
     """
@@ -187,6 +188,8 @@ def digest_block(
                 *sizes, floor, int((~good).sum()), int((good & ~clear).sum()), int(rows[-1]["tt2000"].size)
             )
         )
+    for one in power_before.values():
+        one.total = as_drawn(one.total)
     joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     return BlockDigest(joined, numbers, power_before, power, counts)
 
