@@ -65,7 +65,8 @@ def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
     footer : str
         Plain text, such as an acknowledgement of the data.
     """
-    figures, shown = [], []
+    figures: list[dict[str, str]] = []
+    shown = []
     for heading, paragraphs, plots in sections:
         # One document a figure: the time Bokeh takes grows with the square of what a document holds.
         own = [figure_parts(plot, f"figure-{at}") for at, plot in enumerate(plots, start=len(figures))]
@@ -104,7 +105,7 @@ def figure_parts(plot: Model, place: str) -> dict[str, str]:
     return {"place": place, "root": plot.id, "document": text, "drawn": serialize_json([drawn])}
 
 
-class _FigureSerializer(Serializer):
+class _FigureSerializer(Serializer):  # type: ignore[misc]  # Bokeh is untyped here
     """Bokeh's own, but it looks only at the properties of a model that were set.
 
     Bokeh makes the default of every other one first, which takes five times as long as all the rest.

@@ -131,8 +131,8 @@ def hann_power(series: Floats, cadence: float) -> Floats:
 @lru_cache(maxsize=4)
 def _line_and_window(count: int) -> tuple[Floats, Floats]:
     """Return a straight line about the middle, where level and slope are independent, and a Hann window."""
-    place = np.arange(count) - 0.5 * (count - 1)
-    return place, 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
+    number = np.arange(count, dtype=np.float64)
+    return number - 0.5 * (count - 1), 0.5 - 0.5 * np.cos(2.0 * np.pi * number / count)
 
 
 def density_with_gaps(

@@ -69,10 +69,10 @@ class DayNumbers:
     @classmethod
     def of_list(cls, values: Sequence[float]) -> DayNumbers:
         """Return what `as_list` gave the numbers of."""
-        names = [one.name for one in fields(ResidualStatistics)]
-        size = len(names)
+        names = [one.name for one in fields(ResidualStatistics)][1:]
+        size = 1 + len(names)
         before, after = (
-            ResidualStatistics(**{**dict(zip(names, part, strict=True)), "count": int(part[0])})
+            ResidualStatistics(count=int(part[0]), **dict(zip(names, part[1:], strict=True)))
             for part in (values[:size], values[size : 2 * size])
         )
         level, low, high, samples, *counts = values[2 * size :]
@@ -183,11 +183,8 @@ def digest_block(
         floor = _add_spectra(stamps, (before, after), direction, (power_before, power))
         spans = Spans.of(stamps, length)
         rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
-        numbers.append(
-            DayNumbers(
-                *sizes, floor, int((~good).sum()), int((good & ~clear).sum()), int(rows[-1]["tt2000"].size)
-            )
-        )
+        left_out = int((~good).sum()), int((good & ~clear).sum())
+        numbers.append(DayNumbers(sizes[0], sizes[1], floor, *left_out, int(rows[-1]["tt2000"].size)))
     for one in power_before.values():
         one.total = as_drawn(one.total)
     joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
@@ -252,10 +249,10 @@ def count_bins(values: Floats) -> Int64:
 
 def drawn_histogram(counts: Int64, half_width: float, bins: int) -> tuple[Floats, Floats]:
     """Return edges, nT, and counts (..., bin) of at most so many bins of one width over +- `half_width`."""
-    width = 2.0 ** np.ceil(np.log2(2.0 * half_width / bins))
+    width = float(2.0 ** np.ceil(np.log2(2.0 * half_width / bins)))
     reach = int(np.ceil(half_width / width))
     middle = 0.5 * (bin_edges()[:-1] + bin_edges()[1:])
     place = np.floor(middle / width).astype(np.int64) + reach
     shown = (place >= 0) & (place < 2 * reach)
-    out = np.stack([np.bincount(place[shown], row[shown], 2 * reach) for row in counts])
-    return np.arange(-reach, reach + 1) * width, out
+    out = np.stack([np.bincount(place[shown], row[shown], 2 * reach) for row in counts]).astype(np.float64)
+    return np.arange(-reach, reach + 1, dtype=np.float64) * width, out
