@@ -93,7 +93,10 @@ class ExplorerSession:
         published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
         key = (comparison, *span, *(day.id for day in published))
         if key not in self._measured:
-            self._measured[key] = measure_comparison(self.cat, self.mission(), *span, comparison, progress)
+            with lazy_client() as client:
+                self._measured[key] = measure_comparison(
+                    self.cat, self.mission(), *span, comparison, progress, client
+                )
             for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
         return self._measured[key].parts

@@ -66,7 +66,7 @@ def compare_span(
     StorageError
         When the page cannot be written to `output`.
     """
-    from inflight.flows import DaySpan
+    from inflight.flows import DaySpan, lazy_client
     from inflight.tasks.analysis import compare as measure
 
     mission = workspace.mission()
@@ -80,8 +80,10 @@ def compare_span(
             raise
         page = None
     catalog = command.open_catalog()
-    with command.progress() as progress:
-        return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
+    with command.progress() as progress, lazy_client() as client:
+        return measure(
+            catalog, mission, *span, comparison=comparison, output=page, progress=progress, client=client
+        )
 
 
 def _page_path(path: Path) -> Path:

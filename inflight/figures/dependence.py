@@ -8,12 +8,12 @@ chance, the residual along the field, around an event, folded by phase, and by l
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import LagProfile
 from inflight.figures.page import render
 from inflight.figures.style import (
     AFTER,
@@ -21,6 +21,7 @@ from inflight.figures.style import (
     COMPONENTS,
     HIGHLIGHT,
     REFERENCE,
+    curve_with_errors,
     error_band,
     error_bars,
     legend_below,
@@ -29,6 +30,9 @@ from inflight.figures.style import (
     short_name,
 )
 from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
+
+if TYPE_CHECKING:
+    from inflight.diagnosis import LagProfile
 
 
 def dependence_figure(found: Dependence) -> figure:
@@ -52,10 +56,7 @@ def dependence_figure(found: Dependence) -> figure:
         legend_below(plot)
         return plot
     met = np.isfinite(found.mean)
-    error_band(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
-    error_bars(plot, found.centre, found.mean, found.sigma, AFTER, 0.5)
-    plot.line(found.centre[met], found.mean[met], color=AFTER)
-    plot.scatter(found.centre, found.mean, color=AFTER, size=5)
+    curve_with_errors(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
     return plot
 
 

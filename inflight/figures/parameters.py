@@ -14,6 +14,7 @@ Figures of how daily parameters behave: spectra, running means, loops, steps, cl
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -21,8 +22,6 @@ from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.calibration import BoundarySteps
-from inflight.diagnosis import CalibrationBias, CrossTalk
 from inflight.figures.page import html_table
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import (
@@ -40,18 +39,21 @@ from inflight.figures.style import (
     short_parameter,
     unique_labels,
 )
-from inflight.mission_fit import (
-    DISPLAY_UNITS,
-    ClockFaults,
-    CrossTalkTable,
-    EventSteps,
-    HysteresisLoop,
-    ParameterSpectrum,
-    RunningMean,
-    TrendComparison,
-)
 from inflight.residual import ParameterScatter
 from inflight.time import mjd2000, to_utc
+
+if TYPE_CHECKING:
+    from inflight.calibration import BoundarySteps
+    from inflight.diagnosis import CalibrationBias, CrossTalk
+    from inflight.mission_fit import (
+        ClockFaults,
+        CrossTalkTable,
+        EventSteps,
+        HysteresisLoop,
+        ParameterSpectrum,
+        RunningMean,
+        TrendComparison,
+    )
 
 #: How parts of the nine parameters are called; others by their own name.
 _TITLES = {"scale_factor": "Scale factors", "misalignment": "Misalignment angles", "offset": "Offsets"}
@@ -271,6 +273,8 @@ def _two_digits(value: float) -> str:
 
 
 def _unit(name: str) -> tuple[float, str]:
+    from inflight.mission_fit import DISPLAY_UNITS
+
     for part, unit in _UNIT_OF_PARAMETER.items():
         if part in name:
             return DISPLAY_UNITS[unit]

@@ -6,6 +6,8 @@ and after share one scale of colours.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
 from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Range1d
@@ -13,9 +15,11 @@ from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.diagnosis import HeatMap
 from inflight.figures.style import AFTER, BEFORE, REFERENCE, log_ticks, place_legend, plain_figure
 from inflight.time import to_utc
+
+if TYPE_CHECKING:
+    from inflight.diagnosis import HeatMap
 
 Days = npt.NDArray[np.datetime64]
 

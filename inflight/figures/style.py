@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, Whisker
+from bokeh.models import ColumnDataSource, FixedTicker, Line, Scatter, Segment, VArea
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
@@ -83,19 +83,38 @@ def log_ticks(values: Floats) -> FixedTicker | None:
 def error_band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
     """Draw a band of one sigma around a curve."""
     source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
-    plot.varea(x="x", y1="low", y2="high", source=source, color=colour, alpha=0.18)
+    _draw_band(plot, source, colour)
 
 
 def error_bars(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str, alpha: float = 1.0) -> None:
     """Draw error bars of one sigma that the figure's range takes in."""
-    ends = ColumnDataSource({"x": x, "up": value + sigma, "down": value - sigma})
-    bars = Whisker(base="x", upper="up", lower="down", source=ends, line_color=colour, line_alpha=alpha)
-    for head in (bars.upper_head, bars.lower_head):
-        head.line_color, head.line_alpha, head.size = colour, alpha, 6
-    plot.add_layout(bars)
-    # Annotations do not widen the range; marks that nobody sees do.
-    for end in ("up", "down"):
-        plot.scatter("x", end, source=ends, size=0, alpha=0.0)
+    source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
+    _draw_bars(plot, source, colour, alpha)
+
+
+def curve_with_errors(
+    plot: figure, x: Floats, value: Floats, sigma: Floats, colour: str, bars: float = 0.5
+) -> None:
+    """Draw a curve through points, with a band and bars (of opacity `bars`) of one sigma."""
+    ends = {"x": x, "value": value, "low": value - sigma, "high": value + sigma}
+    source = ColumnDataSource(ends)
+    _draw_band(plot, source, colour)
+    _draw_bars(plot, source, colour, bars)
+    plot.add_glyph(source, Line(x="x", y="value", line_color=colour))
+    plot.add_glyph(source, Scatter(x="x", y="value", line_color=colour, fill_color=colour, size=5))
+
+
+# Glyphs of a source they share, and no whiskers: a page has hundreds, of which Bokeh's own methods make
+# models for states that nothing here has (selected, muted), and whiskers need marks that widen the range.
+
+
+def _draw_band(plot: figure, source: ColumnDataSource, colour: str) -> None:
+    plot.add_glyph(source, VArea(x="x", y1="low", y2="high", fill_color=colour, fill_alpha=0.18))
+
+
+def _draw_bars(plot: figure, source: ColumnDataSource, colour: str, alpha: float) -> None:
+    ends = {"x0": "x", "y0": "low", "x1": "x", "y1": "high"}
+    plot.add_glyph(source, Segment(**ends, line_color=colour, line_alpha=alpha))
 
 
 _FIELD = re.compile(r"channel_(field|rate|scale)\((?P<channel>.*)\)(?P<rest>(@.*)?)$")

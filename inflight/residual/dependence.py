@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -338,27 +339,62 @@ def dependence(
         None when the coordinate does not vary, or there are too few blocks
         (`DependenceSettings.min_blocks`).
     """
-    good = np.isfinite(coordinate) & np.isfinite(residual)
-    x, y = coordinate[good], residual[good]
-    blocks, which = np.unique(block[good], return_inverse=True)
-    edges = bin_edges(x, bins)
-    if blocks.size < DEPENDENCE_SETTINGS.min_blocks or edges is None:
-        return None
-    index, count = bin_indices(x, edges), edges.size - 1
+    cut = _Cut.of(coordinate, residual, block, bins)
+    return None if cut is None else _measure_in_bins(name, unit, cut, residual, rising)
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """The samples of a coordinate cut into bins and blocks: the same for every residual of these samples.
+
+    Attributes
+    ----------
+    good : ndarray of bool, shape (sample,)
+        Where coordinate and residual are known.
+    index, block : ndarray of int, shape (good sample,)
+        Bin, and block counted from zero.
+    centre : ndarray, shape (bin,)
+        Mean of the coordinate.
+    """
+
+    good: Bools
+    index: Ints
+    block: Ints
+    centre: Floats
+
+    @classmethod
+    def of(cls, coordinate: Floats, residual: Floats, block: Ints, bins: int) -> _Cut | None:
+        """Return None when the coordinate does not vary, or there are too few blocks."""
+        good = np.isfinite(coordinate) & np.isfinite(residual)
+        x = coordinate[good]
+        blocks, which = np.unique(block[good], return_inverse=True)
+        edges = bin_edges(x, bins)
+        if blocks.size < DEPENDENCE_SETTINGS.min_blocks or edges is None:
+            return None
+        index, count = bin_indices(x, edges), edges.size - 1
+        centre = np.bincount(index, weights=x, minlength=count) / np.bincount(index, minlength=count)
+        return cls(good, index, which, centre)
+
+
+def _measure_in_bins(
+    name: str, unit: str, cut: _Cut, residual: Floats, rising: Floats | None
+) -> Dependence | None:
+    """Return `dependence` of samples that are cut into bins; None when too few bins are met."""
+    y, count = residual[cut.good], cut.centre.size
     y = y - y.mean()
-    cells = _means(y, which, index, count)
+    cells = _means(y, cut.block, cut.index, count)
     met, mean, without = _branch(cells)
     if met.sum() < 2:
         return None
     amplitude, sigma_amplitude = excess_rms(np.nan_to_num(mean), without, cells.share(met))
     loop = None
     if rising is not None:
-        sides = [rising[good] * sign > 0 for sign in (1.0, -1.0)]
-        loop = _loop([_means(y[side], which[side], index[side], count, blocks.size) for side in sides])
+        sides, blocks = [rising[cut.good] * sign > 0 for sign in (1.0, -1.0)], len(cells.count)
+        loop = _loop([_means(y[side], cut.block[side], cut.index[side], count, blocks) for side in sides])
     return Dependence(
         coordinate=name,
         unit=unit,
-        centre=np.bincount(index, weights=x, minlength=count) / np.bincount(index, minlength=count),
+        centre=cut.centre,
         mean=mean,
         sigma=np.where(met, jackknife(without), np.nan),
         amplitude=amplitude,
@@ -858,8 +894,22 @@ def rank_dependences(
     """
     varying = [coordinates[one.coordinate] for one in found]
 
+    @cache
+    def cut(name: str) -> _Cut | None:
+        # What is taken off leaves the samples as they are: they are cut once.
+        one = coordinates[name]
+        return _Cut.of(one.values, residual, block, bin_count(one.kind, block))
+
     def measured(rest: Floats) -> list[Dependence]:
-        return found if rest is residual else measure_dependences(varying, rest, block)
+        if rest is residual:
+            return found
+        cuts = ((one, cut(one.name)) for one in varying)
+        each = (
+            _measure_in_bins(one.name, one.unit, bins, rest, one.rising)
+            for one, bins in cuts
+            if bins is not None
+        )
+        return [one for one in each if one is not None]
 
     def response(of: Floats, best: Dependence) -> AxisResponse | None:
         one = coordinates[best.coordinate]

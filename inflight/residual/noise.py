@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.lsq import MAD_TO_SIGMA
+from inflight.residual.spectrum import hann_power
 from inflight.time import SECOND
 
 
@@ -212,14 +212,7 @@ def _segment_powers(values: Floats) -> Floats | None:
         long_enough = shortest or whole.size * stride >= NOISE_SETTINGS.enough * count
         if spans >= (NOISE_SETTINGS.fewest_segments if shortest else NOISE_SETTINGS.segments) and long_enough:
             parts = np.lib.stride_tricks.sliding_window_view(values, length)[whole]
-            _, power = scipy.signal.periodogram(
-                scipy.signal.detrend(parts, axis=1),
-                window="hann",
-                detrend=False,
-                return_onesided=False,
-                axis=1,
-            )
-            power = np.asarray(power[:, : length // 2 + 1])
+            power = hann_power(parts, 1.0)
             # Segments with a burst in them are left out.
             loud = power[:, _first(power) :].mean(axis=1)
             usual = float(np.median(loud))
@@ -255,8 +248,9 @@ def _white(power: Floats, segments: float) -> float:
     band = slice(_first(power[None]), power.size - 1)
     frequency = np.linspace(0.0, 1.0, power.size)[band]
     seen = power[band]
-    model = np.full_like(seen, np.median(seen))
-    if not model[0] > 0:
+    usual = float(np.median(seen))
+    model = np.full_like(seen, usual)
+    if not usual > 0:
         return float(seen.mean())
     # A frequency may scatter by this much: half the overlapping segments count.
     most = 1.0 + NOISE_SETTINGS.lines / np.sqrt(max(0.5 * segments, 1.0))
@@ -265,7 +259,7 @@ def _white(power: Floats, segments: float) -> float:
     for _ in range(4):
         kept = seen <= most * model
         part = np.linalg.lstsq(shapes[kept] / model[kept, None], seen[kept] / model[kept])[0]
-        model = np.maximum(shapes @ part, 0.1 * float(np.median(seen)))
+        model = np.maximum(shapes @ part, 0.1 * usual)
     return max(float(part[0]), 0.0)
 
 

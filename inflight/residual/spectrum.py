@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -106,6 +107,34 @@ class SpectrumSum:
         return np.asarray(self.square / max(self.stretches, 1))
 
 
+def hann_power(series: Floats, cadence: float) -> Floats:
+    """Return the two-sided power densities of whole series; (..., frequency), from zero to Nyquist.
+
+    A straight line is taken off each, and a Hann window is laid over it.
+
+    Parameters
+    ----------
+    series : ndarray, shape (..., time)
+    cadence : float
+        Seconds between samples.
+    """
+    count = series.shape[-1]
+    place, window = _line_and_window(count)
+    slope = (series @ place) / max(float(place @ place), 1.0)
+    levelled = series - (series.mean(axis=-1)[..., None] + slope[..., None] * place)
+    levelled *= window
+    transform = np.fft.rfft(levelled, axis=-1)
+    scale = cadence / float(window @ window)
+    return np.asarray((transform.real**2 + transform.imag**2) * scale, dtype=np.float64)
+
+
+@lru_cache(maxsize=4)
+def _line_and_window(count: int) -> tuple[Floats, Floats]:
+    """Return a straight line about the middle, where level and slope are independent, and a Hann window."""
+    number = np.arange(count, dtype=np.float64)
+    return number - 0.5 * (count - 1), 0.5 - 0.5 * np.cos(2.0 * np.pi * number / count)
+
+
 def density_with_gaps(
     values: Floats,
     known: npt.NDArray[np.bool_],
@@ -132,11 +161,21 @@ def density_with_gaps(
         In the square of the unit for each Hz. None when too little of the stretch is measured
         (`SpectrumSettings.least_part`, `least_samples`).
     """
+    whole = np.zeros((len(values), known.size))
+    whole[:, known] = values
+    return _density_of_whole(whole, known, cadence, settings)
+
+
+def _density_of_whole(
+    whole: Floats, known: npt.NDArray[np.bool_], cadence: float, settings: SpectrumSettings
+) -> Floats | None:
+    """Return `density_with_gaps` of whole series (series, time) with zeros in the gaps, which are bridged."""
     if known.sum() < max(settings.least_samples, settings.least_part * known.size):
         return None
-    series = np.array([_bridged(one, known, settings.bridge) for one in values])
-    levelled = scipy.signal.detrend(series, axis=1)
-    _, power = scipy.signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
+    _bridge_gaps(whole, known, settings.bridge)
+    power = hann_power(whole, cadence)
+    # Of a real series both signs of a frequency hold as much; zero and Nyquist have one sign.
+    power[:, 1 : (known.size + 1) // 2] *= 2.0
     return np.asarray(power / known.mean(), dtype=np.float64)
 
 
@@ -163,17 +202,25 @@ def stretch_power(
     """
     rows = residual.reshape(len(residual), -1)
     factors = direction.reshape(*rows.shape, 3)
-    known = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2)))
+    known = np.ones(len(rows), dtype=np.bool_)
+    for column in (*rows.T, *factors.reshape(len(rows), -1).T):
+        known &= np.isfinite(column)
     if not known.any():
         return None
-    measured, factors = rows[known] - rows[known].mean(axis=0), factors[known]
-    demodulated = np.einsum("tr,tra->at", measured, factors)
-    density = density_with_gaps(np.concatenate([measured.T, demodulated]), known, cadence, settings)
+    count = rows.shape[1]
+    whole, part = np.zeros((count + 3, known.size)), np.zeros(known.size)
+    square = np.ones(len(SERIES))
+    for index, row in enumerate(rows.T):
+        np.subtract(row, row[known].mean(), out=whole[index], where=known)
+    for axis in range(3):
+        for index in range(count):
+            np.multiply(whole[index], factors[:, index, axis], out=part, where=known)
+            whole[count + axis] += part
+        square[axis + 1] = np.mean(np.sum(factors[known, :, axis] ** 2, axis=1))
+    density = _density_of_whole(whole, known, cadence, settings)
     if density is None:
         return None
-    count = rows.shape[1]
     total = np.concatenate([density[:count].sum(axis=0)[None], density[count:]])
-    square = np.append(1.0, np.mean(np.sum(factors**2, axis=1), axis=0))
     return SpectrumSum(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
 
 
@@ -193,21 +240,21 @@ def finest_power(sums: Mapping[tuple[int, float], SpectrumSum]) -> SpectrumSum |
     return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
 
 
-def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Floats:
-    """Return a whole series (time,) from its known values: gaps are filled with means of what is around.
+def _bridge_gaps(whole: Floats, known: npt.NDArray[np.bool_], bridge: int) -> None:
+    """Fill the gaps of series (series, time), which hold zeros there, with means of what is around.
 
     Straight lines between neighbours would repeat their noise, which is then no longer white.
     """
-    whole = np.zeros(known.size)
-    whole[known] = values
-    if known.all():
-        return whole
-    share = scipy.ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
-    around = scipy.ndimage.uniform_filter1d(whole, bridge, mode="constant")
-    near = share > 0.5 / bridge
-    index = np.arange(known.size)
-    smooth = np.interp(index, index[near], around[near] / share[near])
-    return np.where(known, whole, smooth)
+    gaps = np.flatnonzero(~known)
+    if not gaps.size:
+        return
+    sides, windows = (bridge // 2, bridge - 1 - bridge // 2), np.lib.stride_tricks.sliding_window_view
+    near = windows(np.pad(known, sides), bridge)[gaps].sum(axis=1)
+    # A long gap is bridged from what its ends reach.
+    reached, near = gaps[near > 0], near[near > 0]
+    for row in whole:
+        total = windows(np.pad(row, sides), bridge)[reached].sum(axis=1)
+        row[gaps] = np.interp(gaps, reached, total / near)
 
 
 def on_grid(seconds: Floats, values: Floats, step: float) -> Floats:
@@ -309,12 +356,24 @@ def thin_spectrum(
 
     `density` has shape (..., frequency).
     """
-    if frequency.size <= points:
-        return frequency, density
-    edges = np.geomspace(1.0, frequency.size, points).astype(np.int64) - 1
-    first = np.unique(edges)
-    count = np.diff(np.append(first, frequency.size))
+    first, count = _groups(frequency.size, points)
     return (
         np.add.reduceat(frequency, first) / count,
         np.add.reduceat(density, first, axis=-1) / count,
     )
+
+
+def as_drawn(density: Floats, points: int = SPECTRUM_SETTINGS.points) -> Floats:
+    """Return a spectrum (..., frequency) with the means that are drawn in place of all it is drawn of.
+
+    What is only drawn is kept so: it takes hardly any space.
+    """
+    first, count = _groups(density.shape[-1], points)
+    return np.repeat(np.add.reduceat(density, first, axis=-1) / count, count, axis=-1)
+
+
+def _groups(size: int, points: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the first of each group of frequencies that makes one point of a drawing, and its size."""
+    edges = np.geomspace(1.0, size, points).astype(np.int64) - 1 if size > points else np.arange(size)
+    first = np.unique(edges)
+    return first, np.diff(np.append(first, size))

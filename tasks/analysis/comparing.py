@@ -22,6 +22,7 @@ def compare(
     comparison: str = "main",
     output: Path | None = None,
     progress: Progress | None = None,
+    client: Any = None,
 ) -> Report:
     """Measure the residual of published products before and after calibration, and draw it.
 
@@ -35,6 +36,8 @@ def compare(
         Half-open span of days; all published days when absent.
     output : Path, optional
         Where to write the static page; none is written when absent.
+    client : dask Client, optional
+        On whose processes many days are read.
 
     Returns
     -------
@@ -46,7 +49,7 @@ def compare(
     CatalogError
         When no product of the comparison is published in the span.
     """
-    found = measure_comparison(cat, mission, start, end, comparison, progress)
+    found = measure_comparison(cat, mission, start, end, comparison, progress, client)
     if output is not None:
         from inflight.figures import html_page
 
@@ -63,6 +66,7 @@ def measure_comparison(
     end: DayLike | None = None,
     comparison: str = "main",
     progress: Progress | None = None,
+    client: Any = None,
 ) -> CompareResult[Any]:
     """Measure as `compare` does; return with the report what its figures are drawn from."""
     from inflight.tasks.pipelines import pipeline_of, published_products
@@ -70,4 +74,4 @@ def measure_comparison(
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = published_products(cat, comparison, span)
     tell = progress or (lambda stage, done, total: None)
-    return pipeline_of(mission, comparison).compare(cat, mission, comparison, days, span, tell)
+    return pipeline_of(mission, comparison).compare(cat, mission, comparison, days, span, tell, client)

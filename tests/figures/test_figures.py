@@ -1,5 +1,6 @@
 """Figures are built from minimal and awkward data, and a page needs nothing but itself."""
 
+import html
 import json
 from html.parser import HTMLParser
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from bokeh.embed import json_item
-from bokeh.models import Legend, Whisker
+from bokeh.models import Legend, Segment
 
 from inflight.figures import (
     axis_figure,
@@ -21,6 +22,7 @@ from inflight.figures import (
     series_figure,
     spectrum_figure,
 )
+from inflight.figures.page import figure_parts
 from inflight.residual import AxisResponse, Dependence, Line, ParameterScatter, daily_scatter
 from inflight.residual.dependence import Branch, Loop
 from inflight.time import day_bounds
@@ -156,16 +158,12 @@ def test_dependence_takes_its_error_bars_into_the_range():
     centre, mean = np.array([1.0, 2.0]), np.array([0.0, NAN])
     plot = dependence_figure(followed("current", "A", centre, mean, np.array([5.0, NAN])))
     assert written(plot)
-    (bars,) = [item for item in plot.center if isinstance(item, Whisker)]
-    drawn = np.concatenate(
-        [
-            plot_values
-            for renderer in plot.renderers
-            for name, plot_values in renderer.data_source.data.items()
-            if name in {"up", "down"}
-        ]
-    )
-    assert np.nanmax(drawn) == np.nanmax(bars.source.data["up"]) == 5.0
+    (bars,) = [one for one in plot.renderers if isinstance(one.glyph, Segment)]
+    # A range that nobody stated takes in all that is drawn.
+    assert plot.y_range.renderers == []
+    ends = [bars.data_source.data[getattr(bars.glyph, end)] for end in ("y0", "y1")]
+    assert np.nanmax(np.concatenate(ends)) == 5.0
+    assert np.nanmin(np.concatenate(ends)) == -5.0
 
 
 def table(intervals, known=True):
@@ -240,3 +238,14 @@ def test_a_page_loads_nothing_from_elsewhere_and_escapes_what_it_is_told():
 
 def test_a_page_without_figures_is_a_page():
     assert "<h2>Nothing</h2>" in html_page("Title", [("Nothing", ["no data"], [])])
+
+
+def test_a_figure_is_written_as_bokeh_writes_it():
+    """Only what was set is looked at; what is written are the same models with the same attributes."""
+    plot = dependence_figure(followed("current", "A", np.array([1.0, 2.0]), np.array([0.0, 3.0]), np.ones(2)))
+    parts = figure_parts(plot, "place")
+    text = html.unescape(parts["document"].replace("\\\\", "\\"))
+    assert json.loads(text)["place"] == json.loads(json.dumps(plot.document.to_json(deferred=False)))
+    assert json.loads(parts["drawn"]) == [
+        {"docid": "place", "roots": {plot.id: "place"}, "root_ids": [plot.id]}
+    ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bokeh.embed import file_html
-from bokeh.models import Legend, Whisker
+from bokeh.models import Legend, Segment
 from bokeh.resources import CDN
 from epoch_cases import epochs_of_days, stored_epochs
 
@@ -39,7 +39,7 @@ def test_local_time_falls_and_models_are_lines():
     choice = select_panel_model(epochs, hours)
     plot = local_time_figure(fit_by_local_time(epochs, hours), choice.chosen)
     assert (plot.x_range.start, plot.x_range.end) == (24.0, 0.0)
-    assert len(list(plot.select(Whisker))) == 3
+    assert len(list(plot.select(Segment))) == 3
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy
 
 from inflight.residual import (
     SpectrumSum,
@@ -16,6 +17,8 @@ from inflight.residual import (
     stretch_power,
     thin_spectrum,
 )
+from inflight.residual.lines import local_maxima
+from inflight.residual.spectrum import hann_power
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
 KNOWN = known_periods({"orbit": 5580.0, "torquer": 20.0, "local_time": 2.2e7}, ORBIT)
@@ -179,3 +182,26 @@ def test_sums_of_spectra_are_means():
     add_power(sums, None)
     assert finest_power(sums).density == pytest.approx(np.full((4, 2), 2.0))
     assert finest_power({}) is None
+
+
+def test_local_maxima_are_those_of_scipy():
+    random = np.random.default_rng(5)
+    values = np.round(random.gamma(1.0, 1.0, 5000), 1)  # rounded: with equal neighbours
+    apart = values + 1e-9 * np.arange(5000)
+    for least, distance in ((0.5, 1), (2.0, 3), (3.0, 40)):
+        expected, _ = scipy.signal.find_peaks(apart, height=least, distance=distance)
+        assert local_maxima(apart, least, distance) == expected.tolist()
+    assert local_maxima(values, 1.0, 1) == scipy.signal.find_peaks(values, height=1.0)[0].tolist()
+    assert local_maxima(np.ones(3), 1.0, 1) == []
+
+
+@pytest.mark.parametrize("count", [16, 1440, 1441])
+def test_the_power_of_a_series_is_that_of_scipy(count):
+    series = np.random.default_rng(6).normal(3.0, 1.0, (2, count)) + 0.1 * np.arange(count)
+    levelled = scipy.signal.detrend(series, axis=1)
+    _, expected = scipy.signal.periodogram(
+        levelled, fs=1.0 / STEP, window="hann", detrend=False, return_onesided=False
+    )
+    found = hann_power(series, STEP)
+    assert found.shape == (2, count // 2 + 1)
+    assert found == pytest.approx(expected[:, : count // 2 + 1], rel=1e-9, abs=1e-9 * expected.max())

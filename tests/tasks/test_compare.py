@@ -187,8 +187,8 @@ def test_an_injected_error_shows_where_the_model_fails(four_days, monkeypatch):
     catalog, mission = four_days
     read, along = Catalog.read, []
 
-    def with_structure(self, day, variables=None):
-        product = read(self, day, variables)
+    def with_structure(self, day, variables=None, **options):
+        product = read(self, day, variables, **options)
         if day.dataset == "l2/field":
             field = product["field_sensor"].values
             along.append(field[:, 0] / np.linalg.norm(field, axis=1))

@@ -1,3 +1,4 @@
+from .compare_blocks import DigestPlan, iter_digests
 from .compare_report import (
     CompareReport,
     CompareResult,
@@ -49,6 +50,7 @@ __all__ = [
     "Batch",
     "CompareReport",
     "CompareResult",
+    "DigestPlan",
     "Failure",
     "Job",
     "Outcome",
@@ -75,6 +77,7 @@ __all__ = [
     "equations_of",
     "failure_of",
     "geometry_means",
+    "iter_digests",
     "make_days",
     "month_edges",
     "newest_record",

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -96,6 +96,11 @@ class Sources:
             }
         )
 
+    def of_days(self, days: Iterable[np.datetime64]) -> Sources:
+        """Return those of some days."""
+        wanted = set(days)
+        return Sources({place: day for place, day in self.days.items() if place[1] in wanted})
+
 
 def scalar_channels(mission: Mission, flags: bool = False) -> dict[str, tuple[str, str, Channel]]:
     """Return the coordinates that channels make: name -> (instrument, channel, description).
@@ -143,7 +148,17 @@ class Spans:
     @cached_property
     def numbers(self) -> Int64:
         """Numbers of the spans that hold samples."""
-        return np.unique(self.number(self.stamps))
+        number = self.number(self.stamps)
+        return number[np.flatnonzero(np.diff(number, prepend=number[0] - 1))]
+
+    def edges(self, stamps: Int64) -> Int64:
+        """Return the first stamp of each span and the one after its last, in turn; (2 * span,).
+
+        `stamps` increase; of a span without any of them both are the same.
+        """
+        step = round(self.length * SECOND)
+        begin = self.midnight + self.numbers * step
+        return np.searchsorted(stamps, np.stack([begin, begin + step], axis=1).ravel()).astype(np.int64)
 
     @property
     def middle(self) -> Int64:
@@ -152,28 +167,30 @@ class Spans:
 
     def mean(self, values: Floats, stamps: Int64 | None = None) -> Floats:
         """Return means of finite values; (span,), or (span, component); NaN where there are none."""
-        number = self.number(self.stamps if stamps is None else stamps)
-        place = np.searchsorted(self.numbers, number)
-        inside = (place < self.numbers.size) & (
-            self.numbers[np.minimum(place, self.numbers.size - 1)] == number
-        )
-        columns = values.reshape(len(values), -1)
-        out = np.full((self.numbers.size, columns.shape[1]), np.nan)
-        for index, column in enumerate(columns.T):
-            used = inside & np.isfinite(column)
-            count = np.bincount(place[used], minlength=self.numbers.size)
-            total = np.bincount(place[used], weights=column[used], minlength=self.numbers.size)
-            out[:, index] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        return out.reshape(self.numbers.size, *values.shape[1:])
+        edges = self.edges(self.stamps if stamps is None else stamps)
+        columns = np.ascontiguousarray(values.reshape(len(values), -1).T, dtype=np.float64)
+        count = np.diff(edges)[::2].astype(np.float64)
+        finite = np.isfinite(columns)
+        if not finite.all():
+            columns = np.where(finite, columns, 0.0)
+            count = _sums(finite.astype(np.float64), edges)
+        with np.errstate(invalid="ignore"):
+            means = np.where(count > 0, _sums(columns, edges) / np.maximum(count, 1), np.nan)
+        return means.T.reshape(self.numbers.size, *values.shape[1:])
 
     def extremes(self, values: Floats) -> tuple[Floats, Floats]:
         """Return least and largest finite value of each span; NaN where there are none."""
-        place = np.searchsorted(self.numbers, self.number(self.stamps))
-        used = np.isfinite(values)
-        low, high = np.full(self.numbers.size, np.inf), np.full(self.numbers.size, -np.inf)
-        np.minimum.at(low, place[used], values[used])
-        np.maximum.at(high, place[used], values[used])
-        return np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
+        first = self.edges(self.stamps)[::2]
+        values = np.where(np.isfinite(values), values, np.nan)
+        return np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+
+
+def _sums(columns: Floats, edges: Int64) -> Floats:
+    """Return the sums of (component, time) between the first and the second, third and fourth ... edge."""
+    # The sum of no samples would be a sample; one after the last is there for the last edge.
+    padded = np.concatenate([columns, np.zeros((len(columns), 1))], axis=1)
+    sums = np.add.reduceat(padded, edges, axis=1)[:, ::2]
+    return np.where(np.diff(edges)[::2] > 0, sums, 0.0)
 
 
 def rows_of_day(
@@ -198,7 +215,7 @@ def rows_of_day(
         Of the product's stamps.
     """
     field_ = np.where(np.isfinite(after)[:, None], product["field_sensor"].values, np.nan)
-    size = np.linalg.norm(field_, axis=1)
+    size = np.sqrt(np.einsum("ta,ta->t", field_, field_))
     low, high = spans.extremes(after)
     # Coordinates are those of the span's middle: a day's rows stay within their day.
     out = {
@@ -235,20 +252,24 @@ def channel_means(
         for name, (home, own, _) in channels.items():
             if home == instrument:
                 components.setdefault(own, []).append(name)
-        data = cat.read(source, list(components))
+        data = cat.read(source, list(components), with_time=False)
         stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
+        if not stamps.size:
+            continue
         cadence = mission.instruments[instrument].cadence
-        for own, names in components.items():
-            values = np.asarray(data[own].values, dtype=np.float64)
-            if cadence <= spans.length * SECOND:
-                means = spans.mean(values, stamps)
-            elif stamps.size:
-                index, distance = _nearest(stamps, spans.middle)
-                near = (distance <= cadence).reshape(-1, *(1,) * (values.ndim - 1))
-                means = np.where(near, values[index], np.nan)
-            else:
-                continue
-            found |= dict(zip(names, means.reshape(len(means), -1).T, strict=False))
+        # All at once: where the spans begin is looked for once an instrument.
+        names, columns = [], []
+        for own, parts in components.items():
+            values = np.asarray(data[own].values, dtype=np.float64).reshape(stamps.size, -1)
+            names += parts[: values.shape[1]]
+            columns += list(values.T[: len(parts)])
+        values = np.stack(columns, axis=1)
+        if cadence <= spans.length * SECOND:
+            means = spans.mean(values, stamps)
+        else:
+            index, distance = _nearest(stamps, spans.middle)
+            means = np.where((distance <= cadence)[:, None], values[index], np.nan)
+        found |= dict(zip(names, means.T, strict=True))
     return found
 
 
@@ -321,7 +342,7 @@ def _at_middles(
     source = sources.days.get((instrument, day))
     if source is None:
         return None
-    data = cat.read(source, [channel])
+    data = cat.read(source, [channel], with_time=False)
     stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
     values = np.asarray(data[channel].values, dtype=np.float64)
     if stamps.size < 2:

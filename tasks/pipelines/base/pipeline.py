@@ -249,6 +249,7 @@ class Pipeline(ABC):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
     ) -> CompareResult[Any]:
         """Measure the residual of products, before and after calibration, and what it follows.
 
@@ -258,6 +259,8 @@ class Pipeline(ABC):
             The published products of the span, at least one.
         span : slice
             First day and the day after the last one, as text; None for an open end.
+        client : dask Client, optional
+            On whose processes many days may be read.
         """
         raise NotImplementedError(f"pipeline '{self.tag}' has no products")
 

@@ -144,9 +144,10 @@ class MissionPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
     ) -> CompareResult[Any]:
         """Measure the residual of each sample, as for tables of days and windows."""
-        return ScalarPipeline().compare(cat, mission, comparison, days, span, progress)
+        return ScalarPipeline().compare(cat, mission, comparison, days, span, progress, client)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""

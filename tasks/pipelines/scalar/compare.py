@@ -1,28 +1,25 @@
 """Compare the model with a scalar instrument: size of the residual before and after, and where it fails.
 
-In go the products of days, out comes a `CompareReport` with what is drawn of it. Products are read one day
-after the other into a `Digest`: means of short spans, histograms, spectra. Structures of the residual are
-found in these means (`inflight.residual`).
+In go the products of days, out comes a `CompareReport` with what is drawn of it. Products are read, or what
+the catalog keeps of them (`compare_days.py`), into a `Digest`: means of short spans, histograms, spectra.
+Structures of the residual are found in these means (`inflight.residual`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.flags import UNUSABLE, Flag
-from inflight.frames import direction_of
 from inflight.mission import Mission
 from inflight.residual import (
     Coordinate,
     Line,
-    NoiseFloor,
-    ResidualStatistics,
     SpectrumSum,
     add_power,
     daily_scatter,
@@ -32,32 +29,34 @@ from inflight.residual import (
     known_periods,
     measure_dependences,
     merge_statistics,
-    noise_floor,
     orbit_period,
     rank_dependences,
     record_lines,
-    residual_statistics,
     rising_or_falling,
-    stretch_power,
 )
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
-    Sources,
-    Spans,
+    DigestPlan,
     blocks_of,
     day_summary,
-    each_day,
     equations_of,
-    rows_of_day,
+    iter_digests,
     scalar_channels,
     tables_in_use,
+)
+from inflight.tasks.pipelines.scalar.compare_days import (
+    DIGEST_VERSION,
+    BlockDigest,
+    DayNumbers,
+    digest_block,
+    drawn_histogram,
 )
 from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
 from inflight.tasks.report import Progress
-from inflight.time import DAY, SECOND, Int64, day_bounds, usual_step
+from inflight.time import DAY, SECOND, Int64, day_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +68,12 @@ class CompareSettings:
     most_rows : int
         Means of short spans that dependences and figures are made from, at most, in all; assumed.
     shortest_span_s : float
-        Least length of such a span, s; assumed.
+        Least length of such a span, s, which is doubled until there are few enough; assumed.
     least_spans : float
         Means show periods of so many of their lengths and more; spectra of days show the shorter ones;
         assumed.
     bins : int
-        Bins of a histogram; assumed.
+        Bins of a histogram at most, of a power of two wide; assumed.
     half_width : float
         Of a histogram, in standard deviations of the first day; assumed.
     branch_rows : int
@@ -109,7 +108,13 @@ _UNITS = {
 
 
 def compare_samples(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], span: slice, progress: Progress
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    days: Sequence[Day],
+    span: slice,
+    progress: Progress,
+    client: Any = None,
 ) -> CompareResult[CompareReport]:
     """Measure the residual of each sample of published products, before and after calibration.
 
@@ -121,8 +126,10 @@ def compare_samples(
         Of the normal equations that show what the data determine.
     progress : callable
         Called with (stage, done, total).
+    client : dask Client, optional
+        On whose processes many days are read.
     """
-    digest = digest_days(cat, mission, comparison, days, progress)
+    digest = digest_days(cat, mission, comparison, days, progress, client)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
     block, block_name = blocks_of(rows["tt2000"], len(days))
@@ -131,23 +138,24 @@ def compare_samples(
     spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
     daily, used = tables_in_use(cat, comparison, days[0])
+    before, after = ([getattr(one, state) for one in digest.days] for state in ("before", "after"))
     report = CompareReport(
         comparison=comparison,
         context=days[-1].context or "",
-        before=merge_statistics(digest.before),
-        after=merge_statistics(digest.after),
-        floor=join_floors(digest.floors),
-        by_day=[day_summary(*of_day) for of_day in zip(days, digest.before, digest.after, strict=True)],
+        before=merge_statistics(before),
+        after=merge_statistics(after),
+        floor=join_floors([one.floor for one in digest.days]),
+        by_day=[day_summary(*of_day) for of_day in zip(days, before, after, strict=True)],
         fails_where=rank_dependences(coordinates, found, rows["after"], direction, block),
         directions=directions,
         determined=determined,
         block=block_name,
         lines=spectra.lines,
         daily_scatter=daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
-        skipped=digest.skipped,
-        outliers=digest.outliers,
+        skipped=sum(one.skipped for one in digest.days),
+        outliers=sum(one.outliers for one in digest.days),
     )
-    data = FigureData(digest.counts, rows, spectra, found, (daily, used))
+    data = FigureData(digest.histograms(), rows, spectra, found, (daily, used))
     return CompareResult(report, page_title(report, mission), compare_parts(report, data))
 
 
@@ -161,94 +169,74 @@ class Digest:
         Of the short spans, s.
     rows : list of dict
         Of each day, means over the short spans, as `rows_of_day`.
-    before, after : list of Size
-    floors : list of NoiseFloor
-        Of the residual after calibration.
+    days : list of DayNumbers
     power_before, power : dict
         Spectra by the length of their stretches.
-    counts : dict of str to ndarray
-        Histograms ``before`` and ``after`` over ``edges``, nT, each about the day's mean.
-    skipped, outliers : int
-        Samples without a usable measurement, and outliers.
+    counts : ndarray of int64, shape (2, bin)
+        Histograms before and after, each about the day's mean; bins as `bin_edges`.
     """
 
     length: float
     rows: list[dict[str, Floats]] = field(default_factory=list)
-    before: list[ResidualStatistics] = field(default_factory=list)
-    after: list[ResidualStatistics] = field(default_factory=list)
-    floors: list[NoiseFloor] = field(default_factory=list)
+    days: list[DayNumbers] = field(default_factory=list)
     power_before: dict[tuple[int, float], SpectrumSum] = field(default_factory=dict)
     power: dict[tuple[int, float], SpectrumSum] = field(default_factory=dict)
-    counts: dict[str, Floats] = field(default_factory=dict)
-    skipped: int = 0
-    outliers: int = 0
+    counts: Int64 | None = None
 
-    def add_sizes(self, before: Floats, after: Floats) -> None:
-        """Add a day's sizes and histograms; the first day sets the range."""
-        self.before.append(residual_statistics(before))
-        self.after.append(residual_statistics(after))
-        if "edges" not in self.counts:
-            wide = COMPARE_SETTINGS.half_width * max(self.after[-1].std, 1e-3)
-            self.counts["edges"] = np.linspace(-wide, wide, COMPARE_SETTINGS.bins + 1)
-            self.counts |= {
-                "before": np.zeros(COMPARE_SETTINGS.bins),
-                "after": np.zeros(COMPARE_SETTINGS.bins),
-            }
-        for name, values, size in (
-            ("before", before, self.before[-1]),
-            ("after", after, self.after[-1]),
-        ):
-            shifted = values[np.isfinite(values)] - size.mean
-            self.counts[name] += np.histogram(shifted, self.counts["edges"])[0]
+    def add(self, block: BlockDigest) -> None:
+        """Add the days of a block."""
+        edges = np.cumsum([one.rows for one in block.days])[:-1]
+        parts = {name: np.split(values, edges) for name, values in block.rows.items()}
+        self.rows += [{name: part[at] for name, part in parts.items()} for at in range(len(block.days))]
+        self.days += block.days
+        for sums, own in ((self.power_before, block.power_before), (self.power, block.power)):
+            for power in own.values():
+                add_power(sums, power)
+        self.counts = block.counts if self.counts is None else self.counts + block.counts
 
-    def add_spectra(self, stamps: Int64, before: Floats, after: Floats, direction: Floats) -> None:
-        """Add a day's noise floor and spectra; missing rows are gaps there too.
+    def histograms(self) -> dict[str, Floats]:
+        """Return histograms ``before`` and ``after`` over ``edges``, nT; the first day sets the range."""
+        spread = next((one.after.std for one in self.days if one.after.count), 0.0)
+        half_width = COMPARE_SETTINGS.half_width * max(spread, 1e-3)
+        assert self.counts is not None  # there is at least one day
+        edges, (before, after) = drawn_histogram(self.counts, half_width, COMPARE_SETTINGS.bins)
+        return {"edges": edges, "before": before, "after": after}
 
-        Parameters
-        ----------
-        stamps : ndarray of int64, shape (time,)
-            TT2000.
-        before, after : ndarray, shape (time,)
-            nT; NaN where they are not to be used.
-        direction : ndarray, shape (time, 3)
-            Of the field.
-        """
-        step = usual_step(stamps, SECOND)
-        slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
-        grid = np.full((int(slot[-1]) + 1, 5), np.nan)
-        grid[slot] = np.column_stack([before, after, direction])
-        cadence = step / SECOND
-        self.floors.append(noise_floor(grid[:, 1], cadence))
-        # Only whole days share their frequencies: a day with a leap second, or begun late, is cut or padded.
-        whole = np.full((max(DAY // step, 1), 5), np.nan)
-        count = min(len(whole), len(grid))
-        whole[:count] = grid[:count]
-        add_power(self.power_before, stretch_power(whole[:, 0], whole[:, 2:], cadence))
-        add_power(self.power, stretch_power(whole[:, 1], whole[:, 2:], cadence))
+
+def span_length(days: int) -> float:
+    """Return the length of the short spans of a record of so many days, s.
+
+    Twice as long where the record has twice the days, and the same in between, so that what is kept of a
+    record serves when it grows.
+    """
+    length = COMPARE_SETTINGS.shortest_span_s
+    while 86_400.0 * days / length > COMPARE_SETTINGS.most_rows:
+        length *= 2.0
+    return length
 
 
 def digest_days(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    days: Sequence[Day],
+    progress: Progress,
+    client: Any = None,
 ) -> Digest:
-    """Read the products of days one after the other and return what is kept of them."""
-    digest = Digest(max(COMPARE_SETTINGS.shortest_span_s, 86_400.0 * len(days) / COMPARE_SETTINGS.most_rows))
-    sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
-    for day in each_day(days, progress):
-        product = cat.read(day)
-        stamps, flag = np.asarray(product["tt2000"].values, dtype=np.int64), product["flag"].values
-        good = (flag & np.uint32(UNUSABLE)) == 0
-        before, after = (
-            np.where(good, product[name].values, np.nan) for name in ("residual_preflight", "residual")
-        )
-        digest.add_sizes(before, after)
-        # Outliers belong to the size of the residual, but would hide its structure.
-        clear = (flag & np.uint32(Flag.OUTLIER)) == 0
-        digest.skipped += int((~good).sum())
-        digest.outliers += int((good & ~clear).sum())
-        before, after = (np.where(clear, values, np.nan) for values in (before, after))
-        digest.add_spectra(stamps, before, after, direction_of(product["field_sensor"].values))
-        spans = Spans.of(stamps, digest.length)
-        digest.rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
+    """Read the products of days, or what is kept of them, and return what is compared."""
+    digest = Digest(span_length(len(days)))
+    plan = DigestPlan(
+        cat=cat,
+        mission=mission,
+        comparison=comparison,
+        dataset=f"comparison/{comparison}/{digest.length:.0f}s",
+        version=DIGEST_VERSION,
+        kind=BlockDigest,
+        make=digest_block,
+        options=(digest.length,),
+    )
+    for block in iter_digests(plan, days, client, progress):
+        digest.add(block)
     return digest
 
 

@@ -102,11 +102,12 @@ class ScalarPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
     ) -> CompareResult[Any]:
         """Measure the residual of each sample; see `compare_samples`."""
         from inflight.tasks.pipelines.scalar.compare import compare_samples
 
-        return compare_samples(cat, mission, comparison, days, span, progress)
+        return compare_samples(cat, mission, comparison, days, span, progress, client)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""

@@ -142,6 +142,7 @@ class SpinPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
     ) -> CompareResult[Any]:
         """Measure the tones of the products; see `compare_spin`."""
         from inflight.tasks.pipelines.spin.compare import compare_spin

@@ -151,6 +151,7 @@ class StatesPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
     ) -> CompareResult[Any]:
         """Measure the steps of the products where the spacecraft switches; see `compare_dual`."""
         from inflight.tasks.pipelines.two_sensor.compare import compare_dual
