@@ -167,7 +167,8 @@ def open_store(folder: str) -> Store:
     return _read_metadata(folder, stamp)
 
 
-@lru_cache(maxsize=512)
+# The hashes of all chunks come with each: those in use at a time are kept, not a mission's.
+@lru_cache(maxsize=64)
 def _read_metadata(folder: str, _stamp: int) -> Store:
     path = Path(folder)
     try:
