@@ -29,8 +29,13 @@ _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THR
 
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
 #: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead; 32 MiB
-#: is the most that glibc takes for the second.
-_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "67108864", "MALLOC_MMAP_THRESHOLD_": "33554432"}
+#: is the most that glibc takes for the second. One thread of a worker does its work: it gets what the others
+#: leave free.
+_KEEP_MEMORY = {
+    "MALLOC_TRIM_THRESHOLD_": "67108864",
+    "MALLOC_MMAP_THRESHOLD_": "33554432",
+    "MALLOC_ARENA_MAX": "1",
+}
 
 #: Imported once for all processes: what most of their tasks need.
 _IMPORTED = [
@@ -41,7 +46,6 @@ _IMPORTED = [
     "inflight.tasks.pipelines.scalar.product",
     "inflight.samples.interpolation",
     "inflight.calibration.residual_loops",
-    "zarr.codecs.numcodecs",
 ]
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the

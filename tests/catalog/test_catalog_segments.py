@@ -285,7 +285,7 @@ def _other_unit(monkeypatch):
 @pytest.mark.parametrize("disturb", [_flipped_value, _other_unit])
 def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch, disturb):
     disturb(monkeypatch)
-    with pytest.raises(IntegrityError, match="read.* back differently"):
+    with pytest.raises(IntegrityError, match=r"reads? back differently"):
         write_segment(tmp_path, "run", "l1/fgm", [DayData(DAYS[0], samples(DAYS[0]))])
     assert not (tmp_path / "stores").exists()
     assert not list((tmp_path / "staging" / "run").iterdir())
