@@ -1,7 +1,7 @@
 """How the steps of a flow run: their batches on Dask processes, with or without Prefect tasks around them.
 
 A step asks `runner()` how to run its batches and where to show progress. Inside a Prefect flow every step
-and every batch is a Prefect task with retries (`PrefectRunner`); elsewhere they are plain calls
+and every group of batches is a Prefect task with retries (`PrefectRunner`); elsewhere they are plain calls
 (`PlainRunner`). What is computed, and every byte that is written, is the same.
 
 Prefect plans, retries and shows; what was done is in the catalog alone. So tasks use no cache and keep no
@@ -187,5 +187,5 @@ def _run_batches(
     except BaseException:
         # Another try submits all of them again.
         for future in futures:
-            future.cancel()
+            future.cancel()  # type: ignore[no-untyped-call]
         raise
