@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.catalog import provenance
 from inflight.catalog.database import Database
 from inflight.catalog.days import current_day, day_of_version, published_days, released_days, status_of_days
-from inflight.catalog.opening import open_days, read_one_day, read_table
+from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import freeze_release
@@ -214,9 +215,23 @@ class Catalog:
 
     def read(self, day: Day, variables: Iterable[str] | None = None, *, with_time: bool = True) -> xr.Dataset:
         """Read a day by its record; no database access. Without `with_time` it lacks ``time``, costs less."""
-        if not day.segment:
-            raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
+        _require_data(day)
         return read_one_day(self.workspace, day, variables, with_time)
+
+    def read_variable(self, day: Day, name: str) -> tuple[npt.NDArray[Any], dict[str, Any]]:
+        """Read values and attributes of one variable of a day by its record, as plain ones.
+
+        For code that reads some variables of thousands of days: a Dataset of them costs as much again.
+
+        Raises
+        ------
+        CatalogError
+            When the day has no data, or no such variable.
+        IntegrityError
+            When its store is damaged.
+        """
+        _require_data(day)
+        return read_variable(self.workspace, day, name)
 
     # --- calibration tables --------------------------------------------------------------------
 
@@ -388,3 +403,8 @@ class Catalog:
         """
         target = Path(destination) if destination is not None else self.workspace / "releases"
         return freeze_release(self.workspace, self._database, version, context, datasets, notes, target)
+
+
+def _require_data(day: Day) -> None:
+    if not day.segment:
+        raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))

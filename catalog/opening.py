@@ -51,8 +51,17 @@ def read_one_day(
     start, stop = day.rows
     dataset = store.dataset_of_day(start // store.chunk, names, start, stop)
     if store.row_dim == "time" and dated:
-        dataset = dataset.assign_coords(time=("time", utc_of_day(dataset["tt2000"].values)))
+        dataset = dataset.assign_coords(time=("time", to_utc(dataset["tt2000"].values)))
     return dataset
+
+
+def read_variable(workspace: Path, day: Day, name: str) -> tuple[Array, dict[str, Any]]:
+    """Read one variable of a day; the parameters and errors are those of `Catalog.read_variable`."""
+    store = open_store(str(workspace / day.segment))
+    _names_to_read([store], day.dataset, [name])
+    start, stop = day.rows
+    values = store.rows(name, start, stop) if store.in_rows(name) else store.whole(name)
+    return values, store.attributes_on(name, start // store.chunk)
 
 
 def open_days(
@@ -80,7 +89,7 @@ def open_days(
         return opened.assign_coords(xr.Coordinates({"time": time}, indexes={}))
     stamps = [_row_times(piece) for piece in pieces]
     opened["tt2000"] = ("time", np.concatenate(stamps), opened["tt2000"].attrs)
-    return opened.assign_coords(time=("time", np.concatenate([utc_of_day(part) for part in stamps])))
+    return opened.assign_coords(time=("time", np.concatenate([to_utc(part) for part in stamps])))
 
 
 def load_rows(folder: str, name: str, start: int, stop: int) -> Array:
@@ -90,22 +99,7 @@ def load_rows(folder: str, name: str, start: int, stop: int) -> Array:
 
 def load_times(folder: str, start: int, stop: int) -> npt.NDArray[np.datetime64]:
     """Read the UTC stamps of rows of one day."""
-    return utc_of_day(open_store(folder).rows("tt2000", start, stop))
-
-
-def utc_of_day(stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.datetime64]:
-    """Return the UTC stamps of increasing TT2000 within one day.
-
-    TAI - UTC only grows: where both ends have one offset, no leap second lies between, and a shift
-    does what the table of leap seconds would take five times as long for.
-    """
-    if not stamps.size:
-        return to_utc(stamps)
-    shifts = to_utc(stamps[[0, -1]]).astype(np.int64) - stamps[[0, -1]]
-    if shifts[0] != shifts[1]:
-        return to_utc(stamps)
-    utc: npt.NDArray[np.datetime64] = (stamps + shifts[0]).view("datetime64[ns]")
-    return utc
+    return to_utc(open_store(folder).rows("tt2000", start, stop))
 
 
 def _cut(piece: _Piece, span: Span) -> _Piece:

@@ -1,13 +1,21 @@
-"""The Dask cluster of a run: processes on this machine, or a scheduler that exists already."""
+"""The Dask cluster of a run: processes on this machine, or a scheduler that exists already.
+
+The processes are forks of one that has imported what they need (Python's fork server): what is imported is
+read once and in memory once, however many there are.
+"""
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
+import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,8 +29,24 @@ _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THR
 
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
 #: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead; 32 MiB
-#: is the most that glibc takes for the second.
-_KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "67108864", "MALLOC_MMAP_THRESHOLD_": "33554432"}
+#: is the most that glibc takes for the second. One thread of a worker does its work: it gets what the others
+#: leave free.
+_KEEP_MEMORY = {
+    "MALLOC_TRIM_THRESHOLD_": "67108864",
+    "MALLOC_MMAP_THRESHOLD_": "33554432",
+    "MALLOC_ARENA_MAX": "1",
+}
+
+#: Imported once for all processes: what most of their tasks need.
+_IMPORTED = [
+    "distributed",
+    "distributed.nanny",
+    "inflight.tasks.pipelines.base.job",
+    "inflight.tasks.pipelines.scalar.day",
+    "inflight.tasks.pipelines.scalar.product",
+    "inflight.samples.interpolation",
+    "inflight.calibration.residual_loops",
+]
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the
 #: 1000 that Dask keeps by itself are more than a mission of 3000 days has.
@@ -30,9 +54,14 @@ _MESSAGES_KEPT = 16
 
 
 def dask_setup(worker: Any) -> None:
-    """Let a worker ignore Ctrl-C, which is for the command: it ends the workers. Dask calls this in each."""
+    """Let a worker ignore Ctrl-C, which is for the command: it ends the workers. Dask calls this in each.
+
+    What is imported stays: Python need not look again and again which of it could go, nor touch, and so copy,
+    memory that the processes share.
+    """
     del worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()
 
 
 def available_cores() -> int:
@@ -54,14 +83,18 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    # Workers import numpy before any task can set these, so they are part of how they are started.
     settings = {
-        "distributed.nanny.pre-spawn-environ": _ONE_THREAD | _KEEP_MEMORY,
+        "distributed.worker.multiprocessing-method": "forkserver",
+        # The fork server's environment is that of its start.
+        "distributed.nanny.environ": {**os.environ, **_ONE_THREAD},
         "distributed.worker.memory.spill": False,
         "distributed.worker.preload": [__name__],
         "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
     }
     address = os.environ.get(SCHEDULER_VARIABLE)
+    if not address:
+        # Numpy and the system read these before any task can set them.
+        _start_fork_server(_ONE_THREAD | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"})
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:
         scheduler: Any = address or stack.enter_context(
             LocalCluster(  # type: ignore[no-untyped-call]
@@ -74,6 +107,25 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
             )
         )
         yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
+
+
+def _start_fork_server(environment: Mapping[str, str]) -> None:
+    """Start the process that workers are forks of, unless it runs; it ends with this one."""
+    before = dict(os.environ)
+    multiprocessing.set_forkserver_preload(_IMPORTED)
+    os.environ.update(environment)
+    try:
+        forkserver.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+    # It would end by itself, a moment later than its command.
+    atexit.unregister(_end_fork_server)
+    atexit.register(_end_fork_server)
+
+
+def _end_fork_server() -> None:
+    forkserver._forkserver._stop()  # type: ignore[attr-defined]
 
 
 class _LazyClient:

@@ -1,7 +1,7 @@
 """How the steps of a flow run: their batches on Dask processes, with or without Prefect tasks around them.
 
 A step asks `runner()` how to run its batches and where to show progress. Inside a Prefect flow every step
-and every batch is a Prefect task with retries (`PrefectRunner`); elsewhere they are plain calls
+and every group of batches is a Prefect task with retries (`PrefectRunner`); elsewhere they are plain calls
 (`PlainRunner`). What is computed, and every byte that is written, is the same.
 
 Prefect plans, retries and shows; what was done is in the catalog alone. So tasks use no cache and keep no
@@ -10,6 +10,7 @@ result.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 #: Seconds before the second, third and fourth try.
 RETRY_DELAYS: list[float] = [1.0, 10.0, 60.0]
+
+#: Prefect tasks of a stage at most; assumed: enough to show how far a run is, and to try little again.
+TASKS_OF_A_STAGE = 100
 
 R = TypeVar("R")
 
@@ -81,19 +85,25 @@ class PrefectRunner:
         return cast(R, _as_task(name, function)(*map(_as_is, arguments)))
 
     def mapper(self, client: Client) -> Mapper:
-        """Return what runs every batch as a task whose work a Dask process does."""
+        """Return what runs batches as tasks whose work Dask processes do.
+
+        A task costs the server and this process as much as half a day's calibration: each stage of a long
+        mission has some hundred tasks, of several batches, and that of a short one a task a batch.
+        """
 
         def run_batches(
             stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
         ) -> Iterator[Any]:
-            run_batch = _as_task(stage, _run_batch)
+            run_group = _as_task(stage, _run_batches)
             shared = (_as_is(client), _as_is(function))
+            size = -(-len(arguments) // TASKS_OF_A_STAGE) or 1
             results = few_at_once(
-                lambda batch: run_batch.submit(*shared, _as_is(batch)),
+                lambda group: run_group.submit(*shared, _as_is(group)),
                 lambda future: future.result(),
-                arguments,
+                [arguments[at : at + size] for at in range(0, len(arguments), size)],
             )
-            return with_progress(self.progress, stage, results, len(arguments))
+            each = itertools.chain.from_iterable(results)
+            return with_progress(self.progress, stage, each, len(arguments))
 
         return run_batches
 
@@ -163,10 +173,19 @@ def _as_is(value: R) -> R:
     return cast(R, quote(value))
 
 
-def _run_batch(client: Client, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """Run a plain function in one of the client's processes and wait for its result.
+def _run_batches(
+    client: Client, function: Callable[..., Any], batches: Sequence[tuple[Any, ...]]
+) -> list[Any]:
+    """Run a plain function on some batches in the client's processes and wait for the results.
 
     The function is not pure to Dask: it writes a store, so an equal call is never answered from
     memory.
     """
-    return result_of(client.submit(function, *arguments, pure=False))
+    futures = [client.submit(function, *arguments, pure=False) for arguments in batches]
+    try:
+        return [result_of(future) for future in futures]
+    except BaseException:
+        # Another try submits all of them again.
+        for future in futures:
+            future.cancel()  # type: ignore[no-untyped-call]
+        raise

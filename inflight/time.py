@@ -59,6 +59,8 @@ _TT_MINUS_TAI = 32_184_000_000
 #: TT2000 at which each offset begins: the first instant after the inserted second.
 _LEAP_TT2000 = (_LEAP_DATES - _J2000_UTC_LABEL).astype(np.int64) + _TAI_MINUS_UTC * SECOND + _TT_MINUS_TAI
 
+_LAST_TICK = np.iinfo(np.int64).max
+
 Int64 = npt.NDArray[np.int64]
 
 Datetimes = npt.NDArray[np.datetime64]
@@ -98,6 +100,10 @@ def to_utc(tt2000: npt.ArrayLike) -> Datetimes:
     ndarray of datetime64[ns]
     """
     ticks = np.asarray(tt2000, dtype=np.int64)
+    offset = _one_offset(ticks)
+    if offset is not None:
+        shift = _J2000_UTC_LABEL.astype(np.int64) - _TT_MINUS_TAI - offset * SECOND
+        return np.asarray((ticks + shift).view("datetime64[ns]"))
     missing = ticks <= TT2000_PAD
     ticks = np.where(missing, 0, ticks)
     index = np.clip(np.searchsorted(_LEAP_TT2000, ticks, side="right") - 1, 0, None)
@@ -114,9 +120,25 @@ def utc_text(tt2000: int) -> str:
 def in_leap_second(tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Return True where a TT2000 lies inside an inserted second (23:59:60)."""
     ticks = np.asarray(tt2000, dtype=np.int64)
+    if _one_offset(ticks) is not None:
+        return np.zeros(ticks.shape, dtype=bool)
     following = np.searchsorted(_LEAP_TT2000, ticks, side="right")
     upcoming = _LEAP_TT2000[np.minimum(following, _LEAP_TT2000.size - 1)]
     return (following < _LEAP_TT2000.size) & (following > 0) & (upcoming - ticks <= SECOND)
+
+
+def _one_offset(ticks: Int64) -> int | None:
+    """Return TAI - UTC in seconds where all times have one and none is in an inserted second; None otherwise.
+
+    So it is on nearly every day: two looks at the table of leap seconds instead of one a sample.
+    """
+    if ticks.ndim == 0 or ticks.size == 0:
+        return None
+    low, high = int(ticks.min()), int(ticks.max())
+    if low <= TT2000_PAD or high > _LAST_TICK - SECOND:
+        return None
+    first, last = np.searchsorted(_LEAP_TT2000, [low, high + SECOND], side="right")
+    return int(_TAI_MINUS_UTC[max(first - 1, 0)]) if first == last else None
 
 
 _UTC_TEXT = re.compile(r"^\d{4}(-\d\d){0,2}([T ]\d\d(:\d\d){1,2}(\.\d{1,9})?)?$")

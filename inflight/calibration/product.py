@@ -441,17 +441,18 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: ParameterPrior) ->
             f"the calibration table holds nothing at {to_utc(tt2000)}",
             remedy="reprocess the span with its table",
         )
-    row = table.isel(interval=int(np.flatnonzero(inside)[-1])).sel(
-        parameter=reference.columns, other=reference.columns
-    )
+    row = int(np.flatnonzero(inside)[-1])
+    places = {name: place for place, name in enumerate(table["parameter"].values.tolist())}
+    columns = [places[name] for name in reference.columns]
     free = reference.sigma > 0
-    noise, known = float(row["after"]), table["after"].values
+    known = table["after"].values
+    noise = float(known[row])
     known = known[np.isfinite(known)]
     if not np.isfinite(noise) and known.size:
         noise = float(np.median(known))
     return DayParameters(
-        np.asarray(row["value"].values, dtype=np.float64),
-        np.asarray(row["covariance"].values, dtype=np.float64),
-        bool(np.all(row["determined"].values[free])),
+        np.array(table["value"].values[row, columns], dtype=np.float64),
+        np.array(table["covariance"].values[row][np.ix_(columns, columns)], dtype=np.float64),
+        bool(np.all(table["determined"].values[row, columns][free])),
         noise,
     )

@@ -1,4 +1,4 @@
-from .alignment import FIELD_ROLES, PlainSamples, align
+from .alignment import FIELD_ROLES, PlainSamples, Series, align
 from .derived import (
     ChannelFactor,
     DerivedChannel,
@@ -19,6 +19,7 @@ __all__ = [
     "DerivedChannel",
     "Folding",
     "PlainSamples",
+    "Series",
     "align",
     "base_channels",
     "channel_product",

@@ -11,14 +11,14 @@ band_limited
 linear
     Everything else: between two samples no further apart than one and a half cadences.
 
-A target without the samples it needs is NaN. `PlainSamples` holds samples as plain variables, for code that
-reads thousands of them.
+A target without the samples it needs is NaN. `Series` holds a channel as plain arrays, `PlainSamples` samples
+as plain variables, for code that reads thousands of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,14 +73,51 @@ _MISSING = dict.fromkeys(("vector", "inboard", "outboard"), Flag.VECTOR_MISSING)
 _MISSING["scalar"] = Flag.SCALAR_MISSING
 
 
+@dataclass(frozen=True)
+class Series:
+    """A channel at its own stamps.
+
+    Attributes
+    ----------
+    values : ndarray, shape (time,) or (time, component)
+    stamps : ndarray of int64, shape (time,)
+        TT2000. Channels of one instrument may hold the same array: what follows from it is worked out once.
+    attrs : mapping
+        With `cadence_ns`, `lag_ns` and `units`.
+    flag : ndarray of uint32, shape (time,), optional
+        The instrument's own.
+    """
+
+    values: npt.NDArray[Any]
+    stamps: Int64
+    attrs: Mapping[Any, Any]
+    flag: npt.NDArray[np.uint32] | None = None
+
+    @classmethod
+    def of(cls, name: str, array: xr.DataArray) -> Series:
+        """Return it from an array with the coordinate `tt2000`, and `flag` where there is one.
+
+        Raises
+        ------
+        SamplesError
+            When it has no stamps.
+        """
+        if "tt2000" not in array.coords:
+            raise SamplesError(
+                "the channel has no stamps", channel=name, remedy="give it a coordinate 'tt2000'"
+            )
+        flag = np.asarray(array["flag"].values, dtype=np.uint32) if "flag" in array.coords else None
+        return cls(array.values, np.asarray(array["tt2000"].values, dtype=np.int64), array.attrs, flag)
+
+
 def align(
-    channels: Mapping[str, xr.DataArray], base: str | Int64, lags: Mapping[str, int] | None = None
+    channels: Mapping[str, xr.DataArray | Series], base: str | Int64, lags: Mapping[str, int] | None = None
 ) -> xr.Dataset:
     """Put channels on one time base; the only maker of samples.
 
     Parameters
     ----------
-    channels : mapping of str to DataArray
+    channels : mapping of str to DataArray or Series
         By name in the samples (roles such as `vector`, `scalar`, and housekeeping names); dims
         (time,) or (time, axis), a coordinate `tt2000` (time) int64, attributes `cadence_ns` and
         `units`; attribute `lag_ns` is the channel's own lag. A coordinate `flag` is carried along.
@@ -103,19 +140,23 @@ def align(
     import xarray as xr
 
     lags = lags or {}
-    stamps = _stamps(base, channels[base]) if isinstance(base, str) else np.asarray(base, dtype=np.int64)
+    known = {name: one if isinstance(one, Series) else Series.of(name, one) for name, one in channels.items()}
+    stamps = known[base].stamps if isinstance(base, str) else np.asarray(base, dtype=np.int64)
+    if isinstance(base, str):
+        _require_increase(base, stamps)
+    places = _Places(stamps)
     flag = np.where(in_leap_second(stamps), np.uint32(Flag.LEAP_SECOND), np.uint32(0)).astype(np.uint32)
     variables: dict[str, xr.Variable] = {}
-    for name, series in channels.items():
+    for name, series in known.items():
         lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
-        values, method = _resample(name, series, stamps - lag)
+        values, method = _resample(name, series, places, lag)
         if name in _MISSING:
             lost = ~finite_rows(values)
             flag[lost] |= np.uint32(_MISSING[name])
             if name == "scalar":
                 # No place near the Earth or in the solar wind has no field: the instrument failed.
                 flag[values <= 0] |= np.uint32(Flag.OUT_OF_RANGE)
-            flag |= _flags_at(series, stamps - lag)
+            flag |= _flags_at(series, places.target(lag))
         attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
         # `axis` belongs to vectors of three, other components get a dimension of their own.
         component = "axis" if values.ndim > 1 and values.shape[1] == 3 else f"{name}_component"
@@ -126,23 +167,66 @@ def align(
     return xr.Dataset(variables, coords={"time": to_utc(stamps)})
 
 
-def _stamps(name: str, series: xr.DataArray) -> Int64:
-    if "tt2000" not in series.coords:
-        raise SamplesError("the channel has no stamps", channel=name, remedy="give it a coordinate 'tt2000'")
-    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+def _require_increase(name: str, stamps: Int64) -> None:
     if stamps.size > 1 and np.any(np.diff(stamps) <= 0):
         raise SamplesError("stamps do not increase", channel=name, remedy="ingest sorts and merges stamps")
-    return stamps
 
 
-def _resample(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]:
+#: Where targets are among stamps, and which of them are there; None when they run between them.
+_Picked = tuple[Int64, npt.NDArray[np.bool_]] | None
+
+
+@dataclass
+class _Places:
+    """Where the samples' stamps are among those of channels: worked out once for an instrument's channels.
+
+    Attributes
+    ----------
+    base : ndarray of int64, shape (time,)
+        Stamps of the samples, TT2000.
+    """
+
+    base: Int64
+    _targets: dict[int, Int64] = field(default_factory=dict)
+    _slices: dict[tuple[int, int], slice | None] = field(default_factory=dict)
+    _picked: dict[tuple[int, int, int], _Picked] = field(default_factory=dict)
+
+    def target(self, lag: int) -> Int64:
+        """Return the times asked for of channels with a lag, ns."""
+        if lag not in self._targets:
+            self._targets[lag] = self.base - lag
+        return self._targets[lag]
+
+    def slice_of(self, name: str, stamps: Int64, lag: int) -> slice | None:
+        """Return where the targets are among the stamps when they are a stretch of them, else None.
+
+        Raises
+        ------
+        SamplesError
+            When the stamps, those of a channel, do not increase.
+        """
+        key = (id(stamps), lag)
+        if key not in self._slices:
+            _require_increase(name, stamps)
+            self._slices[key] = _slice_of(stamps, self.target(lag))
+        return self._slices[key]
+
+    def picked(self, stamps: Int64, lag: int, cadence: int) -> _Picked:
+        """Return where the targets are among the stamps, or None when they run between them."""
+        key = (id(stamps), lag, cadence)
+        if key not in self._picked:
+            self._picked[key] = _pick(stamps, self.target(lag), cadence)
+        return self._picked[key]
+
+
+def _resample(name: str, series: Series, places: _Places, lag: int) -> tuple[Floats, str]:
     """Return values at the targets, (time,) or (time, axis), and the method used."""
-    stamps = _stamps(name, series)
     values = np.asarray(series.values, dtype=np.float64)
     if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
-        found, method = _resample_values(name, series.attrs, stamps, _continuous_sign(values), target)
+        plain = Series(_continuous_sign(values), series.stamps, series.attrs)
+        found, method = _resample_values(name, plain, places, lag)
         return found / np.linalg.norm(found, axis=1, keepdims=True), method
-    return _resample_values(name, series.attrs, stamps, values, target, _own_flags(series))
+    return _resample_values(name, replace(series, values=values), places, lag)
 
 
 def _continuous_sign(quaternion: Floats) -> Floats:
@@ -154,35 +238,30 @@ def _continuous_sign(quaternion: Floats) -> Floats:
     return quaternion * sign[:, None]
 
 
-def _resample_values(
-    name: str,
-    attrs: Mapping[Any, Any],
-    stamps: Int64,
-    values: Floats,
-    target: Int64,
-    own_flags: npt.NDArray[np.uint32] | None = None,
-) -> tuple[Floats, str]:
+def _resample_values(name: str, series: Series, places: _Places, lag: int) -> tuple[Floats, str]:
     """Resample values from stamps to targets by the method that fits name and cadence."""
     from inflight.samples.interpolation import linear, sinc  # compiled: who only plans does not wait for it
 
-    same = _slice_of(stamps, target)
+    values, stamps, target = series.values, series.stamps, places.target(lag)
+    same = places.slice_of(name, stamps, lag)
     if same is not None:
         return values[same], "exact"
     shape = (target.size, *values.shape[1:])
     if stamps.size == 0:
         return np.full(shape, np.nan), "none"
-    cadence = int(attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
     base_step = _usual_step(target)
     is_field = name in FIELD_ROLES
     # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
     faster = is_field and target.size > 1 and cadence < base_step * (1 - ALIGNMENT_SETTINGS.same_cadence)
-    picked = None if faster else _pick(stamps, target, cadence)
+    picked = None if faster else places.picked(stamps, lag, cadence)
     if picked is not None:
         index, there = picked
         chosen = values[index]
         chosen[~there] = np.nan
         return chosen, "exact"
     wide = values.reshape(values.shape[0], -1)
+    own_flags = _own_flags(series)
     if own_flags is not None:
         # A reading its own instrument rejects would spread under the window to good ones.
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
@@ -236,13 +315,13 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
     return None if between.any() else (nearest.astype(np.int64), there)
 
 
-def _flags_at(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
+def _flags_at(series: Series, target: Int64) -> npt.NDArray[np.uint32]:
     """Return the instrument's own flags at the targets: those of the samples on both sides."""
     out = np.zeros(target.size, dtype=np.uint32)
     own = _own_flags(series)
     if own is None:
         return out
-    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    stamps = series.stamps
     cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
     same = int(ALIGNMENT_SETTINGS.same_stamp * cadence)
     left = np.searchsorted(stamps, target + same, side="right") - 1
@@ -254,12 +333,9 @@ def _flags_at(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
     return out
 
 
-def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
+def _own_flags(series: Series) -> npt.NDArray[np.uint32] | None:
     """Return the flags a series carries, or None when there are none."""
-    if "flag" not in series.coords or series.sizes["time"] == 0:
-        return None
-    own = np.asarray(series["flag"].values, dtype=np.uint32)
-    return own if own.any() else None
+    return series.flag if series.flag is not None and series.flag.any() else None
 
 
 class PlainSamples(dict[str, "xr.Variable"]):

@@ -47,8 +47,9 @@ class InputSettings:
         Other days are searched this far on both sides (assumed).
     readings_per_turn : int
         A channel resolves the spin with this many readings a turn (derived: twice the second harmonic).
-    cached_channels : int
-        Channels kept by `inflight.tasks.archive.samples.cached_readings`: those of some three days (assumed).
+    cached_arrays : int
+        Arrays kept by `inflight.tasks.archive.samples.cached_readings`: channels and stamps of some three
+        days (assumed).
     cached_days : int
         Days kept by `inflight.tasks.archive.channels.ChannelReader`: a day, its history, and those of
         placebos (assumed).
@@ -58,7 +59,7 @@ class InputSettings:
     least_coverage: float = 0.1
     typical_value_days: int = 15
     readings_per_turn: int = 4
-    cached_channels: int = 48
+    cached_arrays: int = 72
     cached_days: int = 12
 
 

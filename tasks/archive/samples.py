@@ -12,10 +12,10 @@ from __future__ import annotations
 import itertools
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,15 @@ from inflight.model import (
     missing_rows,
     substitute,
 )
-from inflight.samples import FIELD_ROLES, ChannelFactor, align, channel_product, fold_spins, parse_channel
+from inflight.samples import (
+    FIELD_ROLES,
+    ChannelFactor,
+    Series,
+    align,
+    channel_product,
+    fold_spins,
+    parse_channel,
+)
 from inflight.spin import PhaseFault, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
     INPUT_SETTINGS,
@@ -55,55 +63,63 @@ from inflight.units import parse_unit
 if TYPE_CHECKING:
     import xarray as xr
 
-
-class _Rows(NamedTuple):
-    """Rows of one day of a channel, as plain arrays: xarray is slow for many small pieces."""
-
-    values: np.ndarray[Any, Any]
-    stamps: np.ndarray[Any, np.dtype[np.int64]]
-    flag: np.ndarray[Any, np.dtype[np.uint32]] | None
-    attrs: dict[str, Any]
-
-    def between(self, low: int, high: int) -> _Rows:
-        """Return the rows of a half-open TT2000 span."""
-        first, last = np.searchsorted(self.stamps, (low, high))
-        rows = slice(int(first), int(last))
-        flag = self.flag[rows] if self.flag is not None else None
-        return _Rows(self.values[rows], self.stamps[rows], flag, self.attrs)
+_Read = TypeVar("_Read")
 
 
 def channel_series(
     cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, margins: bool = True
-) -> xr.DataArray | None:
+) -> Series | None:
     """Return a channel of a day, with margins of its neighbours where asked for; None without the day."""
-    import xarray as xr
-
     today = index.get(need, day)
     if today is None:
         return None
-    rows = _read(cat, today, need)
-    parts = [rows]
-    if margins:
-        reach = need.margin_ns
-        start, end = day_bounds(day)
-        for step in range(1, need.days_before + 1):
-            before = index.get(need, day - step * _DAY)
-            if before is not None:
-                parts.insert(0, _read(cat, before, need).between(start - reach - need.history_ns, start))
-        after = index.get(need, day + _DAY)
-        if after is not None:
-            parts.append(_read(cat, after, need).between(end, end + reach))
-    # The mission's lag and cadence hold, not those of the day the files were taken in.
-    attrs = {**rows.attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
-    values = np.concatenate([part.values for part in parts])
+    around = _around(cat, need, day, index) if margins else [(today, None)]
+    stamps = _joined_stamps(cat, around)
+    values = _joined(cat, around, need.channel)
     if need.smooth_ns:
-        values = _smoothed(values, np.concatenate([part.stamps for part in parts]), need.smooth_ns)
-    coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
-    flags = [part.flag for part in parts if part.flag is not None]
-    if len(flags) == len(parts):
-        coords["flag"] = ("time", np.concatenate(flags))
-    series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
+        values = _smoothed(values, stamps, need.smooth_ns)
+    flag = _joined(cat, around, "flag") if need.name in FIELD_ROLES else None
+    # The mission's lag and cadence hold, not those of the day the files were taken in.
+    attrs = {**_read(cat, today, need.channel)[1], "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
+    series = Series(values, stamps, attrs, flag)
     return _derived(series, need.part) if need.part else series
+
+
+#: A day of the archive and which of its rows are used; None for all.
+_Part = tuple[Day, tuple[int, int] | None]
+
+
+def _around(cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex) -> list[_Part]:
+    """Return the days that a day of a series is made from, in order, with their rows."""
+    reach, (start, end) = need.margin_ns, day_bounds(day)
+    spans = [
+        *((-step, start - reach - need.history_ns, start) for step in range(need.days_before, 0, -1)),
+        (0, start, end),
+        (1, end, end + reach),
+    ]
+    out: list[_Part] = []
+    for step, low, high in spans:
+        found = index.get(need, day + step * _DAY)
+        if found is None:
+            continue
+        if step == 0:
+            out.append((found, None))
+        else:
+            first, last = np.searchsorted(_read(cat, found, "tt2000")[0], (low, high))
+            out.append((found, (int(first), int(last))))
+    return out
+
+
+def _joined(cat: Catalog, parts: Sequence[_Part], name: str) -> npt.NDArray[Any]:
+    """Return a variable of the parts, one after the other, as an array of its own."""
+    pieces = [(_read(cat, day, name)[0], rows) for day, rows in parts]
+    return np.concatenate([values if rows is None else values[slice(*rows)] for values, rows in pieces])
+
+
+def _joined_stamps(cat: Catalog, parts: Sequence[_Part]) -> Int64:
+    """Return the stamps of the parts; inside `cached_readings` channels of one instrument get one array."""
+    key = ("tt2000", *((day.segment, day.rows, rows) for day, rows in parts))
+    return _CACHE.get(key, lambda: _joined(cat, parts, "tt2000"))
 
 
 def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
@@ -124,12 +140,9 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
     return out.reshape(np.shape(values))
 
 
-def _derived(series: xr.DataArray, part: ChannelFactor) -> xr.DataArray:
+def _derived(series: Series, part: ChannelFactor) -> Series:
     """Return a slow response or a play of a channel, or of geometry from positions, at its own stamps."""
-    import xarray as xr
-
-    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
-    attrs = dict(series.attrs)
+    stamps, attrs = series.stamps, dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
     if part.channel in GEOMETRY and attrs.get("kind") == "position":
         if part.channel not in SLOW_GEOMETRY:
@@ -138,17 +151,30 @@ def _derived(series: xr.DataArray, part: ChannelFactor) -> xr.DataArray:
                 channel=part.name,
                 remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
             )
+        import xarray as xr
+
         orbit = xr.Dataset({"position": (("time", "axis"), values, attrs), "tt2000": ("time", stamps)})
         values = np.asarray(add_geometry(orbit)[part.channel].values, dtype=np.float64)
         attrs = {name: attrs[name] for name in ("cadence_ns", "lag_ns")} | {"units": GEOMETRY[part.channel]}
-    made = part.of(values, np.diff(stamps) / SECOND)
-    return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
+    return replace(series, values=part.of(values, np.diff(stamps) / SECOND), attrs=attrs)
 
 
 class _ReadingCache(threading.local):
-    """The channels that a thread read last, by segment, rows and name; None outside `cached_readings`."""
+    """What a thread read last, by segment, rows and name; nothing outside `cached_readings`."""
 
-    rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
+    found: OrderedDict[tuple[Any, ...], Any] | None = None
+
+    def get(self, key: tuple[Any, ...], make: Callable[[], _Read]) -> _Read:
+        """Return what is kept under a key; made, and kept, where it is not there."""
+        if self.found is None:
+            return make()
+        if key in self.found:
+            self.found.move_to_end(key)
+        else:
+            self.found[key] = make()
+            if len(self.found) > INPUT_SETTINGS.cached_arrays:
+                self.found.popitem(last=False)
+        return cast("_Read", self.found[key])
 
 
 _CACHE = _ReadingCache()
@@ -157,11 +183,11 @@ _CACHE = _ReadingCache()
 @contextmanager
 def cached_readings() -> Iterator[None]:
     """Keep the channels read last in memory: a batch reads the margins of a day again with its neighbours."""
-    before, _CACHE.rows = _CACHE.rows, OrderedDict()
+    before, _CACHE.found = _CACHE.found, OrderedDict()
     try:
         yield
     finally:
-        _CACHE.rows = before
+        _CACHE.found = before
 
 
 def own_readings(
@@ -169,23 +195,12 @@ def own_readings(
 ) -> np.ndarray[Any, Any] | None:
     """Return a channel's readings of a day as they were archived; None without an archived day."""
     today = index.get(need, day)
-    return None if today is None else _read(cat, today, need).values
+    return None if today is None else _read(cat, today, need.channel)[0]
 
 
-def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
-    cache, flagged = _CACHE.rows, need.name in FIELD_ROLES
-    key = (day.segment, day.rows, need.channel, flagged)
-    found = cache.pop(key, None) if cache is not None else None
-    if found is None:
-        data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], with_time=False)
-        series = data[need.channel]
-        flag = data["flag"].values if flagged else None
-        found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
-    if cache is not None:
-        cache[key] = found
-        if len(cache) > INPUT_SETTINGS.cached_channels:
-            cache.popitem(last=False)
-    return found
+def _read(cat: Catalog, day: Day, name: str) -> tuple[npt.NDArray[Any], dict[str, Any]]:
+    """Return values and attributes of a variable of a day; they may be kept, and are not to be changed."""
+    return _CACHE.get((day.segment, day.rows, name), lambda: cat.read_variable(day, name))
 
 
 _FLIP_KINDS = ("flip", "flip_back")
@@ -271,9 +286,9 @@ def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetim
     """Return what a channel usually reads, from days of the archive; None when they have too few values."""
     if not days:
         return None
-    read = [cat.read(source, [need.channel], with_time=False) for source in days]
-    values = np.concatenate([np.asarray(data[need.channel].values, dtype=np.float64) for data in read])
-    stamps = np.concatenate([data["tt2000"].values for data in read])
+    parts: list[_Part] = [(source, None) for source in days]
+    values = np.asarray(_joined(cat, parts, need.channel), dtype=np.float64)
+    stamps = _joined(cat, parts, "tt2000")
     origin = [source.day for source in days]
     return TypicalValue.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
 
@@ -337,7 +352,7 @@ class PhaseOfDay:
 
 
 def spin_phase(
-    mission: Mission, comparison: str, need: Need, series: xr.DataArray | None, stamps: Int64
+    mission: Mission, comparison: str, need: Need, series: Series | None, stamps: Int64
 ) -> PhaseOfDay:
     """Return the phase of the spin at stamps, and its faults.
 
@@ -347,7 +362,7 @@ def spin_phase(
     ----------
     need : Need
         Of the channel it is taken from.
-    series : DataArray or None
+    series : Series or None
         Its day with a margin of its neighbours, as the archive has it; a row whose value is missing is no
         pulse.
     stamps : ndarray of int64
@@ -372,7 +387,7 @@ def spin_phase(
             raise CalibrationError(
                 "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
             )
-        times = np.asarray(series["tt2000"].values, dtype=np.int64)
+        times = series.stamps
         values = np.asarray(series.values, dtype=np.float64)
         if kind == "sun_pulse":
             mark, times = np.deg2rad(entry.phase_at_pulse), times[np.isfinite(values)]
@@ -503,7 +518,7 @@ def load_samples(
     needs = [need for need in needs if need.name != SPIN_AXIS]
     clock = next((need for need in needs if need.name == SPIN_PHASE), None)
     present = _present(cat, [need for need in needs if need is not clock], base, day, index)
-    stamps = present[base.name]["tt2000"].values
+    stamps = present[base.name].stamps
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
@@ -535,7 +550,7 @@ def load_samples(
 
 def _present(
     cat: Catalog, needs: Sequence[Need], base: Need, day: np.datetime64, index: ArchiveIndex
-) -> dict[str, xr.DataArray]:
+) -> dict[str, Series]:
     """Return the series of what is needed and there; refused where a field is not."""
     channels = {
         need.name: channel_series(cat, need, day, index, not index.shares_stamps(need, base, day))

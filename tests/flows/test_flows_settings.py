@@ -13,7 +13,9 @@ import pytest
 
 from inflight.errors import WorkerError
 from inflight.flows import DaySpan, available_cores, dask_client, lazy_client
+from inflight.flows import runner as runner_module
 from inflight.flows.launch import prefect_environment, prefect_settings
+from inflight.flows.runner import PrefectRunner, progress_to
 from inflight.flows.server import EmbeddedServer, is_own
 from inflight.tasks.batches import end_processes
 
@@ -157,3 +159,40 @@ def test_processes_end_when_asked_and_others_start_with_the_next_work(counted_cl
         assert client.submit(abs, -2) == 2
     assert counted_clusters == ["started", "ended"] * 2
     end_processes(None)
+
+
+class _Done:
+    """A task, or a future, that has its result at once."""
+
+    def __init__(self, found):
+        self.found = found
+
+    def result(self):
+        return self.found
+
+
+def test_a_stage_of_many_batches_has_few_tasks_and_yields_outcomes_in_order(monkeypatch):
+    submitted, seen = [], []
+
+    class Task:
+        def __init__(self, name, function):
+            self.function = function
+
+        def submit(self, *arguments):
+            submitted.append(arguments)
+            return _Done(self.function(*(one.unquote() for one in arguments)))
+
+    class Client:
+        def submit(self, function, *arguments, pure):
+            return _Done(function(*arguments))
+
+    monkeypatch.setattr(runner_module, "_as_task", Task)
+    monkeypatch.setattr(runner_module, "TASKS_OF_A_STAGE", 4)
+    with progress_to(lambda *report: seen.append(report)):
+        mapper = PrefectRunner().mapper(Client())
+        assert list(mapper("calibrate", lambda number: 10 * number, [(number,) for number in range(9)])) == [
+            10 * number for number in range(9)
+        ]
+        assert list(mapper("calibrate", lambda number: number, [])) == []
+    assert len(submitted) == 3
+    assert seen[:10] == [("calibrate", done, 9) for done in range(10)]

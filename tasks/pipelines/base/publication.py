@@ -242,7 +242,8 @@ def rounded(product: xr.Dataset) -> xr.Dataset:
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
-            values = np.rint(variable.values / step)
+            values = variable.values / step
+            np.rint(values, out=values)
             values /= round(1.0 / step)
             variables[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
     return product.assign(variables)

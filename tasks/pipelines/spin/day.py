@@ -23,6 +23,7 @@ from inflight.flags import UNUSABLE, Flag
 from inflight.frames import FRAMES, sun_direction_gse, to_gse
 from inflight.mission import Mission, SpinAxis
 from inflight.model import Model, ModelEffect
+from inflight.samples import Series
 from inflight.spin import (
     PARAMETER_NAMES,
     SPIN_RELATED,
@@ -144,7 +145,7 @@ def _stated_axis(axes: Sequence[SpinAxis], stamps: Int64) -> Floats:
     return out
 
 
-def _delivered_axis(series: xr.DataArray, need: Need, mission: Mission, stamps: Int64) -> Floats:
+def _delivered_axis(series: Series, need: Need, mission: Mission, stamps: Int64) -> Floats:
     """Return the axis, gse, interpolated between the readings of a channel; NaN where they are too rare."""
     channel = mission.instruments[need.instrument].channels[need.channel]
     frame, values = channel.frame or "", np.asarray(series.values, dtype=np.float64)
@@ -155,7 +156,7 @@ def _delivered_axis(series: xr.DataArray, need: Need, mission: Mission, stamps: 
         )
     if values.shape[1] == 2:
         values = values * factor_and_offset(channel.unit, "deg")[0]
-    times = np.asarray(series["tt2000"].values, dtype=np.int64)
+    times = series.stamps
     known = np.isfinite(values).all(axis=1)
     if not known.any():
         return np.full((stamps.size, 3), np.nan)
