@@ -281,7 +281,8 @@ def _lag_of_bank(search: Search, option: Option) -> float | None:
     if not _has_bank(search, option):
         return None
     bank = bank_of(search, option)
-    return _peak(*scan_lags(search.forms["raw"].total, search.present("raw", option), bank, search.y()))
+    blocks, *small = _of_lags(search.forms["raw"], search.present("raw", option), bank, search.y())
+    return _peak(*scan_lags(blocks.sum(axis=0), *small))
 
 
 def _best_lag(
@@ -1082,6 +1083,19 @@ def scan_lags(
     return grid, np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
 
+def _of_lags(
+    grams: GramBlocks, present: ModelColumns, bank: Mapping[float, Index], y: int
+) -> tuple[Floats, ModelColumns, dict[float, Index], int]:
+    """Return the Gram matrices of the model, a bank and the residual alone, and their places in these."""
+    places = np.concatenate([present.columns, *bank.values(), [y]])
+    at, moved = present.columns.size, {}
+    for lag, columns in bank.items():
+        moved[lag] = np.arange(at, at + len(columns))
+        at += len(columns)
+    own = ModelColumns(np.arange(present.columns.size), present.precision)
+    return grams.rows(places, places), own, moved, at
+
+
 def profile_lag(
     grams: GramBlocks,
     present: ModelColumns,
@@ -1098,12 +1112,13 @@ def profile_lag(
     folds : sequence of ndarray
         Blocks left out together for the error.
     """
-    total = grams.total
-    grid, whole = scan_lags(total, present, bank, y)
-    others = [_peak(*scan_lags(total - held, present, bank, y)) for held in grams.sums(folds)]
+    blocks, *small = _of_lags(grams, present, bank, y)
+    total = blocks.sum(axis=0)
+    grid, whole = scan_lags(total, *small)
+    others = [_peak(*scan_lags(total - blocks[fold].sum(axis=0), *small)) for fold in folds]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
-    base = float(project_out(total, present)[y, y])
+    base = float(project_out(total, small[0])[-1, -1])
     return LagProfile(grid, base - whole, best, sigma)
 
 

@@ -13,7 +13,7 @@ statistic to its mean over the flips (Westfall and Young's maximum).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -55,46 +55,50 @@ class ModelColumns:
     columns: Index
     precision: Floats
 
-    def solve(self, gram: Floats) -> Floats:
-        """Return the projection of all columns on those of the model; (present, column)."""
+    def solve(self, rows: Floats) -> Floats:
+        """Return the projection of all columns on those of the model; (..., present, column).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (..., present, column)
+            Products of the model's columns with all columns.
+        """
         if not self.columns.size:
-            return np.zeros((0, gram.shape[0]))
-        inner = gram[np.ix_(self.columns, self.columns)] + np.diag(self.precision)
-        return solve_scaled(inner, gram[self.columns])
+            return np.zeros(rows.shape)
+        return solve_scaled(rows[..., self.columns] + np.diag(self.precision), rows)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Fits:
     """Fits to all folds but one, kept so that two candidates can be compared block by block.
 
-    Parameters
+    Attributes
     ----------
     grams : GramBlocks
     present : ndarray of int
         Columns of the model.
-    candidates : list of ndarray of int
+    candidates : sequence of ndarray of int
         Columns of each candidate.
+    rows : ndarray, shape (1 + present, block, column)
+        Products of the residual, then of the model's columns, with all columns.
+    fold : ndarray of int, shape (block,)
+        Fold that each block is held out in.
+    own : ndarray, shape (fold, present, column)
+        Projection of all columns on those of the model, in the other folds.
+    values : list of ndarray, shape (fold, k)
+        Of each candidate, fitted to the other folds.
+    squares : ndarray, shape (block, candidate)
+        Of each candidate's contribution, nT^2.
     """
 
     grams: GramBlocks
     present: Index
-    candidates: list[Index]
-    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
-
-    @cached_property
-    def _own(self) -> Floats:
-        """Products of the model's columns; (block, present, present)."""
-        return self.grams.rows(self.present, self.present)
-
-    def begin_fold(self, fold: Index, own: Floats) -> None:
-        """Begin a fold with its blocks, and the projection (present, column) that the other blocks give."""
-        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
-
-    def store(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
-        """Store the values (candidate, k) of some candidates in the fold begun last."""
-        fitted = self.folds[-1][2]
-        for place, values in zip(positions, gamma, strict=True):
-            fitted[int(place)] = values
+    candidates: Sequence[Index]
+    rows: Floats
+    fold: Index
+    own: Floats
+    values: list[Floats]
+    squares: Floats
 
     def squared_difference(self, one: int, other: int) -> Floats | None:
         """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
@@ -103,20 +107,28 @@ class Fits:
         """
         if max(one, other) >= len(self.candidates):
             return None
-        first, second = self.candidates[one], self.candidates[other]
-        both = np.concatenate([first, second])
-        values = np.zeros((len(self.grams), both.size))
-        model = np.zeros((len(self.grams), self.present.size))
-        for fold, own, fitted in self.folds:
-            values[fold] = np.concatenate([fitted[one], -fitted[other]])
-            # The model's own columns give way.
-            model[fold] = -own[:, both] @ values[fold[0]]
-        rows = np.matmul(self.grams.rows(np.append(both, self.present), both), values[:, :, None])[:, :, 0]
-        out = np.sum(rows[:, : both.size] * values, axis=1)
+        (first, value, model), (second, known, others) = (self._contribution(at) for at in (one, other))
+        between = np.matmul(self.grams.rows(first, second), known[:, :, None])[:, :, 0]
+        shared = np.sum(value * between, axis=1)
         if self.present.size:
-            inner = np.matmul(self._own, model[:, :, None])[:, :, 0]
-            out += np.sum((2.0 * rows[:, both.size :] + inner) * model, axis=1)
-        return np.asarray(np.maximum(out, 0.0))
+            shared += np.sum(np.sum(self.rows[1:, :, first] * value, axis=2) * others, axis=0)
+            across = np.sum(self.rows[1:, :, second] * known, axis=2)
+            shared += np.sum((across + np.einsum("pbq,qb->pb", self._model, others)) * model, axis=0)
+        return np.asarray(np.maximum(self.squares[:, one] + self.squares[:, other] - 2.0 * shared, 0.0))
+
+    @cached_property
+    def _model(self) -> Floats:
+        """Products of the model's columns; (present, block, present)."""
+        return self.rows[1:, :, self.present]
+
+    def _contribution(self, place: int) -> tuple[Index, Floats, Floats]:
+        """Return a candidate's columns, its values (block, k), and the change of the model's (present, block).
+
+        The model's own columns give way.
+        """
+        columns, values = self.candidates[place], self.values[place]
+        change = -np.einsum("fpk,fk->pf", self.own[:, :, columns], values)
+        return columns, values[self.fold], change[:, self.fold]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,14 +292,17 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING_SETTI
 
 def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks the calibration leaves anything of each candidate; (block, candidate)."""
-    own = grams.squares
-    peak = np.maximum(own.max(axis=0), 1e-300)
-    lively = own > SCORING_SETTINGS.quiet * peak
+    lively = _is_active(grams.squares)
     return (
         np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
         if candidates
         else lively[:, :0]
     )
+
+
+def _is_active(squares: Floats) -> npt.NDArray[np.bool_]:
+    """Return in which blocks anything is left of columns, by their sums of squares (block, ...)."""
+    return np.asarray(squares > SCORING_SETTINGS.quiet * np.maximum(squares.max(axis=0), 1e-300))
 
 
 def group_by_size(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
@@ -304,21 +319,79 @@ def project_out(gram: Floats, present: ModelColumns) -> Floats:
     """Return the Gram matrix of what the model's columns leave of all others."""
     if not present.columns.size:
         return gram
-    return np.asarray(gram - gram[:, present.columns] @ present.solve(gram))
+    return np.asarray(gram - gram[:, present.columns] @ present.solve(gram[present.columns]))
+
+
+def project_out_of(grams: GramBlocks, present: ModelColumns, columns: Index) -> Floats:
+    """Return the Gram matrix over all blocks of what the model's columns leave of some others."""
+    p = present.columns
+    places = np.concatenate([p, columns])
+    total = grams.rows(places, places).sum(axis=0)
+    own = ModelColumns(np.arange(p.size), present.precision)
+    return project_out(total, own)[p.size :, p.size :]
+
+
+def _rows_of(grams: GramBlocks, columns: Index) -> Floats:
+    """Return the products of some columns with all; (row, block, column)."""
+    return np.ascontiguousarray(grams.rows(columns).transpose(1, 0, 2))
+
+
+def _with_residual(present: ModelColumns, y: int) -> Index:
+    """Return the places of the residual, then of the model's columns."""
+    return np.concatenate([np.array([y], dtype=np.int64), present.columns])
+
+
+def _left_weights(own: Floats, y: int) -> Floats:
+    """Return by what the residual and the model's columns are weighted in what the model leaves of it.
+
+    `own` (..., present, column) is the projection on the model's columns; weights (..., 1 + present).
+    """
+    return np.concatenate([np.ones((*own.shape[:-2], 1)), -own[..., y]], axis=-1)
+
+
+def _projected(rows: Floats, own: Floats, inner: Floats, columns: Index, y: int) -> tuple[Floats, Floats]:
+    """Return what the model leaves of candidates; products with each other and with the residual.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (..., 1 + present, column)
+        Of the residual, then of the model's columns.
+    own : ndarray, shape (..., present, column)
+        Projection on the model's columns.
+    inner : ndarray, shape (..., candidate, k, k)
+        Products of each candidate's columns.
+    columns : ndarray of int, shape (candidate, k)
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        Shapes (..., candidate, k, k) and (..., candidate, k).
+    """
+    right = rows[..., 0, columns]
+    if not own.shape[-2]:
+        return inner, right
+    across, given = np.moveaxis(rows[..., 1:, columns], -3, -1), np.moveaxis(own[..., columns], -3, -2)
+    return inner - across @ given, right - np.matmul(across, own[..., None, :, y, None])[..., 0]
+
+
+def _best_values(inner: Floats, right: Floats) -> tuple[Floats, Floats]:
+    """Return the values (..., candidate, k) that leave least, and the sums they explain (..., candidate)."""
+    half = inverse_square_root(inner)
+    score = np.matmul(half.swapaxes(-1, -2), right[..., None])
+    return -np.matmul(half, score)[..., 0], np.sum(score[..., 0] ** 2, axis=-1)
 
 
 def fit(
     grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = project_out(grams.total, present)
+    rows = _rows_of(grams, _with_residual(present, y)).sum(axis=1)
+    own = present.solve(rows[1:])
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in group_by_size(candidates):
-        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
-        score = np.einsum("cik,ci->ck", half, gram[columns, y])
-        values = -np.einsum("cik,ck->ci", half, score)
-        explained[positions] = np.sum(score**2, axis=1)
+        inner = grams.products_within(columns).sum(axis=0)
+        values, explained[positions] = _best_values(*_projected(rows, own, inner, columns, y))
         for place, value in zip(positions, values, strict=True):
             gamma[place] = value
     return gamma, explained
@@ -342,84 +415,112 @@ def score(
     folds : sequence of ndarray
         Blocks held out together.
     """
-    total = grams.total
-    loss0 = np.zeros(len(grams))
-    loss, expected = np.zeros((2, len(grams), len(candidates)))
-    p = present.columns
-    given = grams.rows(np.append(p, y))
-    fits = Fits(grams, p, list(candidates))
-    groups = group_by_size(candidates)
-    for fold, held in zip(folds, grams.sums(folds), strict=True):
-        blocks = given[fold]
-        train = total - held
-        own = present.solve(train)
-        fits.begin_fold(fold, own)
-        base = _model_loss(blocks, p, own[:, y], y)
-        loss0[fold] = base
-        for positions, columns in groups:
-            inner = train[columns[:, :, None], columns[:, None, :]]
-            right = train[columns, y]
-            if p.size:
-                across = train[columns[:, :, None], p]
-                inner = inner - across @ own[:, columns].transpose(1, 0, 2)
-                right = right - across @ own[:, y]
-            half = inverse_square_root(inner)
-            gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
-            fits.store(positions, gamma)
-            inner = grams.products_within(columns, fold)
-            change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
-            loss[np.ix_(fold, positions)] = base[:, None] + change
-            expected[np.ix_(fold, positions)] = square
+    parts = [_as_slice(fold) for fold in folds]
+    rows = _rows_of(grams, _with_residual(present, y))
+    # Every fold's training blocks, then all blocks: (fold + 1, 1 + present, column).
+    train = _left_out([rows[:, part].sum(axis=1) for part in parts])
+    own = present.solve(train[:, 1:])
+    weights = _left_weights(own, y)
+    shape = len(grams), len(candidates)
+    change, square = np.zeros((2, *shape))
+    active, loss0 = np.zeros(shape, dtype=bool), np.zeros(len(grams))
+    gamma: list[Floats] = [np.empty(0)] * len(candidates)
+    explained = np.zeros(len(candidates))
+    groups = []
+    for positions, columns in group_by_size(candidates):
+        inner = grams.products_within(columns)
+        active[:, positions] = _is_active(np.einsum("bcii->bci", inner)).any(axis=2)
+        summed = _left_out([inner[part].sum(axis=0) for part in parts])
+        values, sums = _best_values(*_projected(train, own, summed, columns, y))
+        explained[positions] = sums[-1]
+        for place, value in zip(positions, values.swapaxes(0, 1), strict=True):
+            gamma[place] = value
+        groups.append(_Group(positions, columns, inner, values, -np.einsum("fpck,fck->fpc", own[:, :, columns], values)))
+    for fold, part in enumerate(parts):
+        block = rows[:, part]
+        # What the model, fitted elsewhere, leaves of the residual: its products with all columns.
+        left = np.tensordot(weights[fold], block, 1)
+        loss0[part] = left[:, y] + left[:, present.columns] @ weights[fold, 1:]
+        left -= left[:, present.columns] @ own[fold]
+        for group in groups:
+            change[part, group.positions], square[part, group.positions] = group.loss_change(
+                fold, block[1:], left, group.inner[part], present.columns
+            )
+    loss = loss0[:, None] + change
     whole = float(loss0.sum())
-    gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
-    gamma_all, explained = fit(grams, present, candidates, y)
-    active = active_blocks(grams, candidates)
-    t = expected_gain_t(loss0[:, None] - loss, expected, active)
+    at = np.empty(len(grams), dtype=np.int64)
+    for fold, part in enumerate(parts):
+        at[part] = fold
     return Scores(
         loss0=loss0,
         loss=loss,
-        gain=gain,
-        t=t,
-        gamma=gamma_all,
+        gain=1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates)),
+        t=expected_gain_t(loss0[:, None] - loss, square, active),
+        gamma=[one[-1] for one in gamma],
         explained=explained,
-        expected=expected,
+        expected=square,
         active=active,
-        fits=fits,
+        fits=Fits(grams, present.columns, list(candidates), rows, at, own[:-1], [one[:-1] for one in gamma], square),
     )
 
 
-def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
-    """Return the sum of squares of the residual after the model's own columns; (block,).
+def _as_slice(fold: Index) -> slice | Index:
+    """Return the blocks of a fold as a slice when they are evenly spaced: it copies nothing."""
+    step = int(fold[1] - fold[0]) if len(fold) > 1 else 1
+    if step > 0 and np.all(np.diff(fold) == step):
+        return slice(int(fold[0]), int(fold[-1]) + 1, step)
+    return fold
 
-    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual.
+
+def _left_out(sums: Sequence[Floats]) -> Floats:
+    """Return of sums over folds the sums over all other folds, then over all; (fold + 1, ...)."""
+    held = np.stack([*sums, np.zeros_like(sums[0])])
+    return np.asarray(held.sum(axis=0) - held)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Candidates with the same number of columns, fitted to all folds but one.
+
+    Attributes
+    ----------
+    positions : ndarray of int, shape (candidate,)
+    columns : ndarray of int, shape (candidate, k)
+    inner : ndarray, shape (block, candidate, k, k)
+        Products of each candidate's columns.
+    values : ndarray, shape (fold, candidate, k)
+    model : ndarray, shape (fold, present, candidate)
+        By how much the model's own columns give way.
     """
-    out = blocks[:, -1, y].copy()
-    if present.size:
-        out -= 2.0 * blocks[:, :-1, y] @ own_y
-        out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
-    return np.asarray(out)
 
+    positions: Index
+    columns: Index
+    inner: Floats
+    values: Floats
+    model: Floats
 
-def _loss_change(
-    blocks: Floats, inner: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
-) -> tuple[Floats, Floats]:
-    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+    def loss_change(
+        self, fold: int, rows: Floats, left: Floats, inner: Floats, present: Index
+    ) -> tuple[Floats, Floats]:
+        """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
 
-    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual;
-    `inner` (block, candidate, k, k) the products of each candidate's own columns.
-    """
-    linear = np.sum(blocks[:, -1, columns] * gamma, axis=2)
-    square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
-    if not present.size:
+        Parameters
+        ----------
+        rows : ndarray, shape (present, block, column)
+            Products of the model's columns in the blocks held out.
+        left : ndarray, shape (block, column)
+            What columns, the model projected out of them, have in common with what it leaves of the residual.
+        inner : ndarray, shape (block, candidate, k, k)
+        """
+        values, model = self.values[fold], self.model[fold]
+        linear = np.sum(left[:, self.columns] * values, axis=2)
+        square = np.sum(np.matmul(inner, values[:, :, None])[:, :, :, 0] * values, axis=2)
+        if present.size:
+            # Its columns last but one: the sum over them then runs along the candidates.
+            across = 2.0 * np.sum(rows[:, :, self.columns.T] * values.T, axis=2)
+            across += (rows[:, :, present].reshape(-1, present.size) @ model).reshape(across.shape)
+            square = square + np.sum(across * model[:, None], axis=0)
         return np.asarray(2.0 * linear + square), square
-    # The model's own columns give way: their change is minus the candidate's projection on them.
-    beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
-    own_y = own[:, y]
-    model = blocks[:, :-1, present]
-    across = np.einsum("bpck,ck->bcp", blocks[:, :-1, columns], gamma)
-    linear = linear - across @ own_y + (blocks[:, :-1, y] - model @ own_y) @ beta.T
-    square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
-    return np.asarray(2.0 * linear + square), square
 
 
 def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
@@ -427,15 +528,13 @@ def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
 
     They sum to what the projected columns have in common with the residual.
     """
-    total = grams.total
-    own = present.solve(total)
-    p = present.columns
-    given = grams.rows(np.append(p, y))
-    if not p.size:
-        return np.asarray(given[:, -1])
-    right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
-    inner = right[:, p]
-    return np.asarray(right - inner @ own)
+    rows = _rows_of(grams, _with_residual(present, y))
+    return _block_scores(rows, present.solve(rows[1:].sum(axis=1)), present, y)
+
+
+def _block_scores(rows: Floats, own: Floats, present: ModelColumns, y: int) -> Floats:
+    left = np.tensordot(_left_weights(own, y), rows, 1)
+    return np.asarray(left - left[:, present.columns] @ own)
 
 
 def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
@@ -456,13 +555,16 @@ def sign_flip_ratios(
     units: Sequence[Index],
 ) -> tuple[Floats, Floats]:
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
-    scores = block_scores(grams, present, y)
+    rows = _rows_of(grams, _with_residual(present, y))
+    whole = rows.sum(axis=1)
+    given = present.solve(whole[1:])
+    scores = _block_scores(rows, given, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = project_out(grams.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for positions, columns in group_by_size(candidates):
-        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
+        inner = grams.products_within(columns).sum(axis=0)
+        half = inverse_square_root(_projected(whole, given, inner, columns, y)[0])
         # (unit, candidate, k): the statistics in directions that are independent of each other.
         own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 0, 2)
         drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape)

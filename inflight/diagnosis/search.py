@@ -31,7 +31,7 @@ from inflight.diagnosis.scoring import (
     family_wise_p,
     fit,
     make_folds,
-    project_out,
+    project_out_of,
     score,
     sign_flip_ratios,
 )
@@ -571,7 +571,7 @@ class Search:
             sources = [column for column, _ in functions.values()]
             small = core.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
             wide = self._marginalised(small, intervals)
-            live = np.diagonal(wide.total) > 0
+            live = wide.squares.sum(axis=0) > 0
             options = [
                 Option(
                     name=one.name,
@@ -885,11 +885,11 @@ def is_visible(
         Of a row, nT^2.
     """
     whole = np.diag(raw.centred(raw.index(columns), base))
-    remaining = np.diag(form.total)[form.index(columns)]
+    remaining = form.squares[:, form.index(columns)].sum(axis=0)
     kept = np.where(whole > 0, remaining / np.where(whole > 0, whole, 1.0), 0.0)
     # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
     # usual size says whether the rest can be.
-    own = np.diag(raw.total)[raw.index(columns)]
+    own = raw.squares[:, raw.index(columns)].sum(axis=0)
     clear = remaining > settings.own_part * own
     clear |= remaining * usual[: len(remaining)] ** 2 > settings.clear * variance
     return bool(np.any((kept >= settings.least_retained) & clear))
@@ -915,9 +915,9 @@ def is_visible_change(
     variance : float
         Of a row, nT^2.
     """
-    remaining = project_out(grams.total, present)
-    expected = float(gamma @ remaining[np.ix_(columns, columns)] @ gamma)
-    gained = -2.0 * float(gamma @ remaining[columns, y]) - expected
+    remaining = project_out_of(grams, present, np.append(columns, y))
+    expected = float(gamma @ remaining[:-1, :-1] @ gamma)
+    gained = -2.0 * float(gamma @ remaining[:-1, -1]) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 

@@ -289,6 +289,11 @@ class FactoredGrams:
     # The product of low rank.
 
     @property
+    def _is_raw(self) -> bool:
+        """True of blocks as they are, nothing taken off."""
+        return self.taken is None and self.dead is None
+
+    @property
     def _is_rest(self) -> bool:
         """True of blocks less each fit of their own: `rest` as it is."""
         return self.taken is None and self.dead is not None
@@ -374,7 +379,9 @@ class FactoredGrams:
         own = self._at(columns)
         other = np.arange(len(self.names)) if others is None else self._at(others)
         which = self._which(blocks)
-        raw = self.taken is None and self.dead is None
+        if others is None and blocks is None and not self._is_raw:
+            return self._kept(own)
+        raw = self._is_raw
         if raw and np.all(self.places[own] < self.shared.base):
             given = self.shared.given[which[:, None, None], :, self.places[own][:, None], self.places[other]]
             return np.asarray(given.sum(axis=3))
@@ -392,6 +399,21 @@ class FactoredGrams:
                 out[some] += first.swapaxes(1, 2) @ second
         self._clear(out, own, other)
         return out
+
+    def _kept(self, columns: Indices) -> Floats:
+        """Return the products of some columns with all; (block, column, other), a view of what is kept.
+
+        A search asks for those of its model and its residual again and again.
+        """
+        known = self._kept_rows
+        new = [place for place in dict.fromkeys(columns.tolist()) if place not in known.places]
+        if new:
+            known.append(new, self.rows(np.array(new), np.arange(len(self.names))))
+        return known.of(columns.tolist()).transpose(1, 0, 2)
+
+    @cached_property
+    def _kept_rows(self) -> _KeptRows:
+        return _KeptRows()
 
     def _clear(self, out: Floats, own: Indices, other: Indices) -> None:
         """Set the products of dead columns to 0."""
@@ -463,7 +485,9 @@ class FactoredGrams:
 
     def centred(self, columns: Indices, base: Indices) -> Floats:
         """Return the total matrix of columns about what they share with one column of the base."""
-        return centred_gram(self.total, columns, base)
+        places = np.concatenate([columns, base])
+        total, at = self.rows(places, places).sum(axis=0), np.arange(places.size)
+        return centred_gram(total, at[: columns.size], at[columns.size :])
 
     # Other blocks and columns.
 
@@ -662,6 +686,42 @@ class FactoredGrams:
         return made
 
 
+class _KeptRows:
+    """Products of some columns with all others, column by column: those of a model grow with it.
+
+    Attributes
+    ----------
+    places : dict of int to int
+        Column -> its place in `values`.
+    values : ndarray, shape (row, block, column)
+        With room for more rows.
+    """
+
+    def __init__(self) -> None:
+        self.places: dict[int, int] = {}
+        self.values = np.zeros((0, 0, 0))
+
+    def append(self, columns: Sequence[int], rows: Floats) -> None:
+        """Add the rows (block, row, column) of some columns."""
+        used, count = len(self.places), len(self.places) + len(columns)
+        if count > len(self.values):
+            wider = np.empty((count + _SPARE_ROWS, rows.shape[0], rows.shape[2]))
+            if used:
+                wider[:used] = self.values[:used]
+            self.values = wider
+        self.values[used:count] = rows.swapaxes(0, 1)
+        self.places.update(zip(columns, range(used, count), strict=True))
+
+    def of(self, columns: Sequence[int]) -> Floats:
+        """Return the rows of some columns; (row, block, column). Not a copy where they lie together."""
+        at = [self.places[column] for column in columns]
+        if at == list(range(len(at))):
+            return self.values[: len(at)]
+        return self.values[at]
+
+
+#: Rows that may join those that are kept before they are copied.
+_SPARE_ROWS = 8
 #: Numbers that the factors of low rank may have to be kept.
 _KEPT_FACTORS = 5_000_000
 #: Cached properties that do not depend on which columns are dead.
