@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq import GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
+from inflight.lsq import BlockProducts, GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
 
 Index = npt.NDArray[np.int64]
 
@@ -74,7 +74,7 @@ class Fits:
 
     Attributes
     ----------
-    grams : GramBlocks
+    grams : BlockProducts
     present : ndarray of int
         Columns of the model.
     candidates : sequence of ndarray of int
@@ -91,7 +91,7 @@ class Fits:
         Of each candidate's contribution, nT^2.
     """
 
-    grams: GramBlocks
+    grams: BlockProducts
     present: Index
     candidates: Sequence[Index]
     rows: Floats
@@ -322,7 +322,7 @@ def project_out(gram: Floats, present: ModelColumns) -> Floats:
     return np.asarray(gram - gram[:, present.columns] @ present.solve(gram[present.columns]))
 
 
-def project_out_of(grams: GramBlocks, present: ModelColumns, columns: Index) -> Floats:
+def project_out_of(grams: BlockProducts, present: ModelColumns, columns: Index) -> Floats:
     """Return the Gram matrix over all blocks of what the model's columns leave of some others."""
     p = present.columns
     places = np.concatenate([p, columns])
@@ -331,7 +331,7 @@ def project_out_of(grams: GramBlocks, present: ModelColumns, columns: Index) -> 
     return project_out(total, own)[p.size :, p.size :]
 
 
-def _rows_of(grams: GramBlocks, columns: Index) -> Floats:
+def _rows_of(grams: BlockProducts, columns: Index) -> Floats:
     """Return the products of some columns with all; (row, block, column)."""
     return np.ascontiguousarray(grams.rows(columns).transpose(1, 0, 2))
 
@@ -374,6 +374,20 @@ def _projected(rows: Floats, own: Floats, inner: Floats, columns: Index, y: int)
     return inner - across @ given, right - np.matmul(across, own[..., None, :, y, None])[..., 0]
 
 
+def remaining_of(
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int
+) -> list[tuple[Floats, Floats]]:
+    """Return what the model leaves of each candidate: products (k, k), and with the residual (k,)."""
+    rows = _rows_of(grams, _with_residual(present, y)).sum(axis=1)
+    own = present.solve(rows[1:])
+    found: list[tuple[Floats, Floats]] = [(np.empty(0), np.empty(0))] * len(candidates)
+    for positions, columns in group_by_size(candidates):
+        inner = grams.products_within(columns).sum(axis=0)
+        for place, *one in zip(positions, *_projected(rows, own, inner, columns, y), strict=True):
+            found[place] = (one[0], one[1])
+    return found
+
+
 def _best_values(inner: Floats, right: Floats) -> tuple[Floats, Floats]:
     """Return the values (..., candidate, k) that leave least, and the sums they explain (..., candidate)."""
     half = inverse_square_root(inner)
@@ -382,29 +396,21 @@ def _best_values(inner: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def fit(
-    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    rows = _rows_of(grams, _with_residual(present, y)).sum(axis=1)
-    own = present.solve(rows[1:])
-    gamma: list[Floats] = [np.empty(0)] * len(candidates)
-    explained = np.zeros(len(candidates))
-    for positions, columns in group_by_size(candidates):
-        inner = grams.products_within(columns).sum(axis=0)
-        values, explained[positions] = _best_values(*_projected(rows, own, inner, columns, y))
-        for place, value in zip(positions, values, strict=True):
-            gamma[place] = value
-    return gamma, explained
+    found = [_best_values(*one) for one in remaining_of(grams, present, candidates, y)]
+    return [one[0] for one in found], np.array([float(one[1]) for one in found])
 
 
 def score(
-    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    grams : GramBlocks
+    grams : BlockProducts
         One form, the calibration marginalised.
     present : ModelColumns
         The model's columns.
@@ -523,7 +529,7 @@ class _Group:
         return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
+def block_scores(grams: BlockProducts, present: ModelColumns, y: int) -> Floats:
     """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
@@ -547,7 +553,7 @@ def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def sign_flip_ratios(
-    grams: GramBlocks,
+    grams: BlockProducts,
     present: ModelColumns,
     candidates: Sequence[Index],
     y: int,

@@ -31,7 +31,7 @@ from inflight.diagnosis.scoring import (
     family_wise_p,
     fit,
     make_folds,
-    project_out_of,
+    remaining_of,
     score,
     sign_flip_ratios,
 )
@@ -43,7 +43,7 @@ from inflight.diagnosis.time_changes import (
     episodes,
     steps,
 )
-from inflight.lsq import FactoredGrams, GramBlocks
+from inflight.lsq import BlockProducts, CalibratedBlocks, FactoredGrams, GramBlocks, TimedGrams
 
 Groups = Sequence[Sequence[int]]
 
@@ -478,7 +478,7 @@ class Search:
         """Return the calibration's own columns and what is known of them beforehand, standard deviations."""
         return base_columns(self.library)
 
-    def precision(self, grams: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
+    def precision(self, grams: BlockProducts, names: Sequence[str], sigma: Floats) -> Floats:
         """Return variance over squared prior sigma in scaled units; 0 without a prior."""
         return prior_precision(grams, names, sigma, self.variance)
 
@@ -495,7 +495,7 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, grams: GramBlocks, without: Option | None = None) -> ModelColumns:
+    def present_in(self, grams: BlockProducts, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
@@ -535,7 +535,7 @@ class Search:
             found = score(own, present, columns, y, make_folds(len(own), more[0].interleaved))
             ratio, flipped = sign_flip_ratios(own, present, columns, y, signs, units)
             if requested is not None:
-                kept = self._not_hidden(more, requested, found.gamma)
+                kept = self._not_hidden(more, requested, self.present_in(requested, without), found.gamma)
                 found, ratio, flipped = found.rescaled(whole).keep_only(kept), ratio * kept, flipped * kept
             timed.append((found.without_fits(), (ratio, flipped)))
             options += more
@@ -552,8 +552,8 @@ class Search:
 
     def _changes(
         self, without: Option | None
-    ) -> Iterator[tuple[list[Option], GramBlocks, ModelColumns, GramBlocks | None]]:
-        """Yield options bound to a time, some at a time with the Gram blocks of their columns alone.
+    ) -> Iterator[tuple[list[Option], TimedGrams, ModelColumns, TimedGrams | None]]:
+        """Yield options bound to a time, some at a time with the Gram blocks of their columns.
 
         Where their intervals are not those in use, the blocks come again with the requested ones.
         """
@@ -564,16 +564,37 @@ class Search:
         # An episode that ends with the record is a step, which may be among them.
         found = list({one.name: one for one in found}.values())
         excluded = self._excluded(found, without)
+        # Those whose time was refined have columns of their own.
+        dated = {one.name: one for one in self.options if one.change is not None and one.name not in excluded}
         # Of gigabytes of Gram blocks the few columns that change in time are read once.
-        core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names])))
-        for intervals, batch in self._in_batches([one for one in found if one.name not in excluded], without):
-            functions = {name: source for change in batch for name, source in change.functions.items()}
-            sources = [column for column, _ in functions.values()]
-            small = core.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
-            wide = self._marginalised(small, intervals)
-            live = wide.squares.sum(axis=0) > 0
+        columns = [name for one in dated.values() for name in one.columns]
+        core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names, *columns])))
+        calibrated: dict[tuple[int, ...], CalibratedBlocks] = {}
+
+        def blocks(intervals: Groups, functions: Mapping[str, tuple[str, Floats]]) -> TimedGrams:
+            key = tuple(group[0] for group in intervals)
+            if key not in calibrated:
+                precision = self.precision(core, *self.base())
+                calibrated[key] = CalibratedBlocks(core, base, intervals, precision)
+            return TimedGrams.of(calibrated[key], own, functions)
+
+        fresh = [one for one in found if one.name not in excluded]
+        always = np.ones(len(core))
+        changes = [one.change for one in dated.values() if one.change is not None]
+        for intervals, batch in [*self._in_batches(fresh, without), *self._in_batches(changes, without)]:
+            functions = {
+                name: source
+                for one in batch
+                for name, source in (
+                    {name: (name, always) for name in dated[one.name].columns}
+                    if one.name in dated
+                    else one.functions
+                ).items()
+            }
+            wide = blocks(intervals, functions)
             options = [
-                Option(
+                dated.get(one.name)
+                or Option(
                     name=one.name,
                     mechanism=one.mechanism,
                     family=one.family,
@@ -581,21 +602,12 @@ class Search:
                     change=one,
                 )
                 for one in batch
-                if live[wide.index(list(one.functions))].any()
+                if one.name in dated or wide.is_live(wide.index(list(one.functions))).any()
             ]
             if options:
-                yield options, wide, self.present_in(wide, without), self._requested(small, intervals)
-        # Those whose time was refined have columns of their own.
-        for one in self.options:
-            if one.change is not None and one.name not in excluded:
-                intervals = self._intervals_for(one.change, without)
-                small = self.raw.select(list(dict.fromkeys([*base, *own, *one.columns])))
-                wide = self._marginalised(small, intervals)
-                yield [one], wide, self.present_in(wide, without), self._requested(small, intervals)
-
-    def _requested(self, grams: GramBlocks, intervals: Groups) -> GramBlocks | None:
-        """Return the Gram blocks with the requested intervals; None when `intervals` are those in use."""
-        return None if intervals == self.intervals else self._marginalised(grams, self.requested_intervals)
+                same = intervals == self.intervals
+                requested = None if same else blocks(self.requested_intervals, functions)
+                yield options, wide, self.present_in(wide, without), requested
 
     def _excluded(self, found: Sequence[Change], without: Option | None) -> set[str]:
         """Return the names of changes that are not scored: taken, like one taken, banned, hidden."""
@@ -612,15 +624,14 @@ class Search:
         self, found: Sequence[Change], without: Option | None
     ) -> Iterator[tuple[Groups, list[Change]]]:
         """Yield changes some at a time with the intervals they are judged with."""
-        by_intervals: list[tuple[Groups, list[Change]]] = []
+        known: dict[tuple[int, ...], Groups] = {}
+        by_intervals: dict[tuple[int, ...], tuple[Groups, list[Change]]] = {}
         for change in found:
-            intervals = self._intervals_for(change, without)
-            same = next((some for other, some in by_intervals if other == intervals), None)
-            if same is None:
-                by_intervals.append((intervals, [change]))
-            else:
-                same.append(change)
-        for intervals, some in by_intervals:
+            if change.at not in known:
+                known[change.at] = self._intervals_for(change, without)
+            intervals = known[change.at]
+            by_intervals.setdefault(tuple(group[0] for group in intervals), (intervals, []))[1].append(change)
+        for intervals, some in by_intervals.values():
             for batch in batch_changes(some):
                 yield intervals, batch
 
@@ -637,16 +648,16 @@ class Search:
         return intervals_around(self.raw, self.requested_intervals, [*at, *more])
 
     def _not_hidden(
-        self, options: Sequence[Option], grams: GramBlocks, values: Sequence[Floats]
+        self, options: Sequence[Option], grams: TimedGrams, present: ModelColumns, values: Sequence[Floats]
     ) -> npt.NDArray[np.bool_]:
         """Return which changes show with the requested intervals, too, or may do so at their time."""
-        present, y = self.present_in(grams), grams.residuals[self.residual]
+        y, columns = grams.residuals[self.residual], [grams.index(option.columns) for option in options]
         out = []
-        for option, gamma in zip(options, values, strict=True):
+        remaining = remaining_of(grams, present, columns, y)
+        for option, gamma, (inner, right) in zip(options, values, remaining, strict=True):
             assert option.change is not None
             at, sharp = option.change.at[0], option.change.sharpness
-            columns = grams.index(option.columns)
-            visible = is_visible_change(grams, present, columns, gamma, y, self.variance)
+            visible = is_visible_change(inner, right, gamma, self.variance)
             out.append(visible or is_at_edge(self.raw, self.requested_intervals, at, sharp))
         return np.array(out)
 
@@ -675,8 +686,8 @@ class Search:
         base, _ = self.base()
         grams = self._marginalised(self.raw.select([*base, *self._model_columns()]), requested)
         y, columns = grams.residuals[self.residual], grams.index(option.columns)
-        present = self.present_in(grams, option)
-        return not is_visible_change(grams, present, columns, gamma, y, self.variance)
+        ((inner, right),) = remaining_of(grams, self.present_in(grams, option), [columns], y)
+        return not is_visible_change(inner, right, gamma, self.variance)
 
     # The next state.
 
@@ -836,7 +847,7 @@ def base_columns(library: Library) -> tuple[list[str], Floats]:
     return names, np.asarray([sigma for term in library.base for sigma in term.sigma])
 
 
-def prior_precision(grams: GramBlocks, names: Sequence[str], sigma: Floats, variance: float) -> Floats:
+def prior_precision(grams: BlockProducts, names: Sequence[str], sigma: Floats, variance: float) -> Floats:
     """Return `variance` (of a row, nT^2) over squared prior sigma in scaled units; 0 without a prior."""
     scale = grams.scale[grams.index(names)]
     with np.errstate(divide="ignore"):
@@ -896,11 +907,9 @@ def is_visible(
 
 
 def is_visible_change(
-    grams: GramBlocks,
-    present: ModelColumns,
-    columns: Index,
+    inner: Floats,
+    right: Floats,
     gamma: Floats,
-    y: int,
     variance: float,
     settings: VisibilitySettings = VISIBILITY_SETTINGS,
 ) -> bool:
@@ -908,16 +917,16 @@ def is_visible_change(
 
     Parameters
     ----------
-    grams : GramBlocks
-        With the requested intervals.
+    inner, right : ndarray, shapes (column, column) and (column,)
+        What the model leaves of the change's columns with the requested intervals: products with each other
+        and with the residual.
     gamma : ndarray, shape (column,)
         The change's values (scaled), from intervals that do not hide it.
     variance : float
         Of a row, nT^2.
     """
-    remaining = project_out_of(grams, present, np.append(columns, y))
-    expected = float(gamma @ remaining[:-1, :-1] @ gamma)
-    gained = -2.0 * float(gamma @ remaining[:-1, -1]) - expected
+    expected = float(gamma @ inner @ gamma)
+    gained = -2.0 * float(gamma @ right) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 

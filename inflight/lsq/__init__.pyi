@@ -22,6 +22,7 @@ from .factored_grams import FactoredGrams
 from .gram_blocks import (
     LEAST_KEPT,
     RESIDUAL,
+    BlockProducts,
     BlockSums,
     GramArrays,
     GramBlocks,
@@ -33,6 +34,7 @@ from .gram_blocks import (
     shift_reference,
     unpack,
 )
+from .timed_grams import CalibratedBlocks, TimedGrams
 from .robust import BIWEIGHT_RMS_FACTOR, BIWEIGHT_WIDTH, MAD_TO_SIGMA, biweight, biweight_slope, robust_sigma
 from .solver import (
     SOLVER_SETTINGS,
@@ -58,7 +60,9 @@ __all__ = [
     "MAD_TO_SIGMA",
     "RESIDUAL",
     "SOLVER_SETTINGS",
+    "BlockProducts",
     "BlockSums",
+    "CalibratedBlocks",
     "ClusteredFit",
     "FactoredGrams",
     "GramArrays",
@@ -67,6 +71,7 @@ __all__ = [
     "RobustFit",
     "Series",
     "Solution",
+    "TimedGrams",
     "arrays_of",
     "bartlett_covariance",
     "bartlett_kernel",
