@@ -100,35 +100,36 @@ class Fits:
     values: list[Floats]
     squares: Floats
 
-    def squared_difference(self, one: int, other: int) -> Floats | None:
-        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
+    def squared_differences(self, places: Sequence[int], other: int) -> Floats | None:
+        """Return sums of squares between candidates' contributions and another's; (block, place).
 
-        When one of the two is the truth, it is what each block is expected to prefer it by.
+        When one of the two is the truth, it is what each block is expected to prefer it by. None when one of
+        them is not here.
         """
-        if max(one, other) >= len(self.candidates):
+        if max(*places, other) >= len(self.candidates):
             return None
-        (first, value, model), (second, known, others) = (self._contribution(at) for at in (one, other))
-        between = np.matmul(self.grams.rows(first, second), known[:, :, None])[:, :, 0]
-        shared = np.sum(value * between, axis=1)
-        if self.present.size:
-            shared += np.sum(np.sum(self.rows[1:, :, first] * value, axis=2) * others, axis=0)
-            across = np.sum(self.rows[1:, :, second] * known, axis=2)
-            shared += np.sum((across + np.einsum("pbq,qb->pb", self._model, others)) * model, axis=0)
-        return np.asarray(np.maximum(self.squares[:, one] + self.squares[:, other] - 2.0 * shared, 0.0))
+        columns = np.concatenate([self.candidates[place] for place in places])
+        second, known = self.candidates[other], self.values[other][self.fold]
+        # By how much the model's own columns give way to the other candidate; (present, block).
+        change = -np.einsum("fpk,fk->pf", self.own[:, :, second], self.values[other])[:, self.fold]
+        # Products of its contribution with the columns of the model, and with those of the candidates, the
+        # model projected out of them.
+        given = np.sum(self.rows[1:, :, second] * known, axis=2)
+        given += np.einsum("pbq,qb->pb", self._model, change)
+        shared = np.matmul(known[:, None, :], self.grams.rows(second, columns))[:, 0]
+        shared += np.einsum("pbc,pb->bc", self.rows[1:, :, columns], change)
+        for fold, own in enumerate(self.own[:, :, columns]):
+            held = self.fold == fold
+            shared[held] -= given[:, held].T @ own
+        values = np.concatenate([self.values[place] for place in places], axis=1)[self.fold]
+        begins = np.cumsum([0, *(len(self.candidates[place]) for place in places[:-1])])
+        mixed = np.add.reduceat(shared * values, begins, axis=1)
+        return np.asarray(np.maximum(self.squares[:, places] + self.squares[:, [other]] - 2.0 * mixed, 0.0))
 
     @cached_property
     def _model(self) -> Floats:
         """Products of the model's columns; (present, block, present)."""
         return self.rows[1:, :, self.present]
-
-    def _contribution(self, place: int) -> tuple[Index, Floats, Floats]:
-        """Return a candidate's columns, its values (block, k), and the change of the model's (present, block).
-
-        The model's own columns give way.
-        """
-        columns, values = self.candidates[place], self.values[place]
-        change = -np.einsum("fpk,fk->pf", self.own[:, :, columns], values)
-        return columns, values[self.fold], change[:, self.fold]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,10 +172,10 @@ class Scores:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
         active = self.active[:, [one]] | self.active[:, [other]]
-        apart = self.fits.squared_difference(one, other) if self.fits is not None else None
+        apart = self.fits.squared_differences([one], other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
-        return float(expected_gain_t(difference, apart[:, None], active)[0])
+        return float(expected_gain_t(difference, apart, active)[0])
 
     def t_over_placebo(
         self, placebos: Sequence[int], pairwise: npt.NDArray[np.bool_], rival_t: float
@@ -197,24 +198,26 @@ class Scores:
         # Most have nothing in common with a placebo: their squared difference is the sum of both squares.
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
-        for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
-            out[place] = max(out[place], self._t_over_similar(place, best, rival_t))
+        close = np.flatnonzero(pairwise & (self.gain > self.gain[best]))
+        close = close[close < (len(self.fits.candidates) if self.fits is not None else 0)]
+        if close.size:
+            out[close] = np.maximum(out[close], self._t_over_similar(close, best, rival_t))
         return out
 
-    def _t_over_similar(self, place: int, placebo: int, rival_t: float) -> float:
-        """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
+    def _t_over_similar(self, places: Index, placebo: int, rival_t: float) -> Floats:
+        """Return the t by which candidates leave less than a placebo much like them; 0 when in doubt.
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
         would leave less by the square of the difference of the two contributions, block by block. Where it
         gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
         and neither is the truth.
         """
-        apart = self.fits.squared_difference(placebo, place) if self.fits is not None else None
+        apart = self.fits.squared_differences(places.tolist(), placebo) if self.fits is not None else None
         if apart is None:
-            return 0.0
-        gained = self.loss[:, placebo] - self.loss[:, place]
-        t = float(expected_gain_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
-        return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
+            return np.zeros(places.size)
+        gained = self.loss[:, [placebo]] - self.loss[:, places]
+        t = expected_gain_t(gained, apart, self.active[:, places])
+        return np.where(t * (apart.sum(axis=0) / gained.sum(axis=0) - 1.0) < rival_t, t, 0.0)
 
     def without_fits(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
@@ -571,12 +574,12 @@ def sign_flip_ratios(
     for positions, columns in group_by_size(candidates):
         inner = grams.products_within(columns).sum(axis=0)
         half = inverse_square_root(_projected(whole, given, inner, columns, y)[0])
-        # (unit, candidate, k): the statistics in directions that are independent of each other.
-        own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 0, 2)
-        drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape)
-        squares = np.sum(drawn**2, axis=2)
+        # (unit, k, candidate): the statistics in directions that are independent of each other.
+        own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 2, 0)
+        drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape[::-1])
+        squares = np.sum(np.square(drawn, out=drawn), axis=1)
         usual = np.maximum(squares.mean(axis=0), 1e-300)
-        observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=1) / usual
+        observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=0) / usual
         flipped[:, positions] = squares / usual
     return observed, flipped
 

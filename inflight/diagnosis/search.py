@@ -260,6 +260,8 @@ class SharedGrams:
         Calibration intervals the forms were made for.
     forms : dict of str to GramBlocks
         The calibration marginalised: ``raw``, ``within``, ``white``; empty when they must be made anew.
+    changes : dict
+        Drifts, steps and episodes: by first blocks of the intervals, and the residual.
     """
 
     raw: FactoredGrams
@@ -269,6 +271,7 @@ class SharedGrams:
     precision: Floats
     intervals: Groups = ()
     forms: dict[str, GramBlocks] = field(default_factory=dict)
+    changes: dict[tuple[tuple[int, ...], int], list[Change]] = field(default_factory=dict)
 
     def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
         """Return the three forms with some calibration intervals."""
@@ -559,10 +562,7 @@ class Search:
         """
         base, _ = self.base()
         own = self._model_columns(without)
-        found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
-        found += episodes(self.raw, self.forms["raw"], self.time_variable.outside(base), self.y())
-        # An episode that ends with the record is a step, which may be among them.
-        found = list({one.name: one for one in found}.values())
+        found = self._possible_changes()
         excluded = self._excluded(found, without)
         # Those whose time was refined have columns of their own.
         dated = {one.name: one for one in self.options if one.change is not None and one.name not in excluded}
@@ -608,6 +608,17 @@ class Search:
                 same = intervals == self.intervals
                 requested = None if same else blocks(self.requested_intervals, functions)
                 yield options, wide, self.present_in(wide, without), requested
+
+    def _possible_changes(self) -> list[Change]:
+        """Return drifts, steps and episodes; they are those of the intervals, whatever was taken."""
+        known, key = self.shared.changes, (tuple(group[0] for group in self.intervals), self.residual)
+        if key not in known:
+            found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
+            lone = self.time_variable.outside(self.base()[0])
+            found += episodes(self.raw, self.forms["raw"], lone, self.y())
+            # An episode that ends with the record is a step, which may be among them.
+            known[key] = list({one.name: one for one in found}.values())
+        return known[key]
 
     def _excluded(self, found: Sequence[Change], without: Option | None) -> set[str]:
         """Return the names of changes that are not scored: taken, like one taken, banned, hidden."""

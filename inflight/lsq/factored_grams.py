@@ -423,8 +423,26 @@ class FactoredGrams:
 
     def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
         """Return the products of the columns of each group with each other; (block, group, k, k)."""
+        if blocks is not None:
+            return self._products_within(groups, self._which(blocks))
+        known, keys = self._kept_within, [tuple(group) for group in groups.tolist()]
+        new = [place for place, key in enumerate(keys) if key not in known]
+        if new:
+            made = self._products_within(groups[new], np.arange(len(self))).swapaxes(0, 1)
+            known.update(zip([keys[place] for place in new], made, strict=True))
+        out = np.empty((len(self), *groups.shape, groups.shape[-1]))
+        for place, key in enumerate(keys):
+            out[:, place] = known[key]
+        return out
+
+    @cached_property
+    def _kept_within(self) -> dict[tuple[int, ...], Floats]:
+        """Products of a candidate's own columns, by these; (block, k, k): they are the same in every round."""
+        return {}
+
+    def _products_within(self, groups: Indices, which: Indices) -> Floats:
         matrix, places, factored = self._matrix
-        which, at = self._which(blocks), places[groups]
+        at = places[groups]
         out = np.empty((which.size, *groups.shape, groups.shape[-1]))
         size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
         for some in _in_parts(which.size, size):

@@ -151,6 +151,18 @@ class TimedGrams:
         ValueError
             When one of `columns` is a function: what two of them have in common is not made.
         """
+        key = tuple(columns.tolist())
+        if key not in self._known:
+            self._known[key] = self._made_rows(columns)
+        out = self._known[key]
+        return np.asarray((out if others is None else out[:, :, others]).swapaxes(0, 1))
+
+    @cached_property
+    def _known(self) -> dict[tuple[int, ...], Floats]:
+        """What scores and sign flips ask for, one after the other; (row, block, other)."""
+        return {}
+
+    def _made_rows(self, columns: Indices) -> Floats:
         functions, at = self._functions, self.places[columns]
         if np.any((columns >= functions.start) & (columns < functions.stop)):
             raise ValueError("products of functions with each other are those within a group")
@@ -161,7 +173,7 @@ class TimedGrams:
         dead = self._dead
         out[:, :, dead] = 0.0
         out[dead[columns]] = 0.0
-        return np.asarray((out if others is None else out[:, :, others]).swapaxes(0, 1))
+        return np.asarray(out)
 
     def products_within(self, groups: Indices) -> Floats:
         """Return the products of the functions of each group with each other; (block, group, k, k)."""
