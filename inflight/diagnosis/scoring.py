@@ -569,6 +569,8 @@ def sign_flip_ratios(
     given = present.solve(whole[1:])
     scores = _block_scores(rows, given, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
+    # A ratio is compared with thousands of others: seven digits are enough.
+    draws = signs.astype(np.float32)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for positions, columns in group_by_size(candidates):
@@ -576,11 +578,12 @@ def sign_flip_ratios(
         half = inverse_square_root(_projected(whole, given, inner, columns, y)[0])
         # (unit, k, candidate): the statistics in directions that are independent of each other.
         own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 2, 0)
-        drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape[::-1])
-        squares = np.sum(np.square(drawn, out=drawn), axis=1)
-        usual = np.maximum(squares.mean(axis=0), 1e-300)
+        size = np.maximum(np.abs(own).max(axis=(0, 1)), 1e-300)
+        drawn = draws @ (own / size).astype(np.float32).reshape(len(own), -1)
+        squares = np.sum(np.square(drawn, out=drawn).reshape(len(signs), *columns.shape[::-1]), axis=1)
+        usual = np.maximum(squares.mean(axis=0, dtype=np.float64), 1e-300) * size**2
         observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=0) / usual
-        flipped[:, positions] = squares / usual
+        flipped[:, positions] = squares * (size**2 / usual)
     return observed, flipped
 
 

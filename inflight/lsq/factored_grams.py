@@ -379,9 +379,10 @@ class FactoredGrams:
         own = self._at(columns)
         other = np.arange(len(self.names)) if others is None else self._at(others)
         which = self._which(blocks)
-        if others is None and blocks is None and not self._is_raw:
-            return self._kept(own)
         raw = self._is_raw
+        if blocks is None and not raw and (others is None or self._kept_rows.hold(own)):
+            kept = self._kept(own)
+            return kept if others is None else kept.take(other, axis=2)
         if raw and np.all(self.places[own] < self.shared.base):
             given = self.shared.given[which[:, None, None], :, self.places[own][:, None], self.places[other]]
             return np.asarray(given.sum(axis=3))
@@ -514,7 +515,8 @@ class FactoredGrams:
         kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
         return GramArrays(
             tuple(self.names[place] for place in kept),
-            self.rows(kept, kept),
+            # Of a form that is searched these are columns of its model, whose rows are asked for anyway.
+            self.rows(kept, kept) if self._is_raw else self._kept(kept).take(kept, axis=2),
             self.start,
             self.end,
             self.count,
@@ -718,6 +720,10 @@ class _KeptRows:
     def __init__(self) -> None:
         self.places: dict[int, int] = {}
         self.values = np.zeros((0, 0, 0))
+
+    def hold(self, columns: Indices) -> bool:
+        """Return True when the rows of all of some columns are there."""
+        return all(column in self.places for column in columns.tolist())
 
     def append(self, columns: Sequence[int], rows: Floats) -> None:
         """Add the rows (block, row, column) of some columns."""

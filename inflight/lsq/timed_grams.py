@@ -68,9 +68,23 @@ class CalibratedBlocks:
         return np.asarray(self.given - self.own @ self.fitted)
 
     def rows(self, columns: Indices) -> Floats:
-        """Return the products of what is left of some columns with all columns as they are; (row, block, column)."""
-        fitted = self.fitted[:, :, columns].swapaxes(1, 2)
-        return np.asarray((self.grams.rows(columns) - fitted @ self.given).swapaxes(0, 1))
+        """Return the products of what is left of some columns with all as they are; (row, block, column)."""
+        key = tuple(columns.tolist())
+        if key not in self._rows:
+            fitted = self.fitted[:, :, columns].swapaxes(1, 2)
+            made = self.grams.rows(columns) - fitted @ self.given
+            self._rows[key] = np.ascontiguousarray(made.swapaxes(0, 1))
+        return self._rows[key]
+
+    @cached_property
+    def _rows(self) -> dict[tuple[int, ...], Floats]:
+        """Rows of the model: all that change ask for the same ones."""
+        return {}
+
+    def less_fit(self, rows: Floats, columns: Indices, fitted: Floats) -> Floats:
+        """Take the calibration's fit to others (block, base, other) off products with `columns`, in place."""
+        rows -= (self.missed[:, :, columns].swapaxes(1, 2) @ fitted).swapaxes(0, 1)
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +180,15 @@ class TimedGrams:
         functions, at = self._functions, self.places[columns]
         if np.any((columns >= functions.start) & (columns < functions.stop)):
             raise ValueError("products of functions with each other are those within a group")
-        out, fitted = self.blocks.rows(at)[:, :, self.places], self.blocks.fitted[:, :, self.places]
-        out[:, :, functions] *= self.factor
-        fitted[:, :, functions] = self._fitted
-        out -= (self.blocks.missed[:, :, at].swapaxes(1, 2) @ fitted).swapaxes(0, 1)
+        blocks, rest = self.blocks, np.r_[: functions.start, functions.stop : len(self.names)]
+        given = blocks.rows(at)
+        out = np.empty((*given.shape[:2], len(self.names)))
+        changing = given.take(self.places[functions], axis=2)
+        changing *= self.factor
+        out[:, :, functions] = blocks.less_fit(changing, at, self._fitted)
+        # The model's columns among the others have lost their calibration, too.
+        same = self.places[rest]
+        out[:, :, rest] = blocks.less_fit(given.take(same, axis=2), at, blocks.fitted[:, :, same])
         dead = self._dead
         out[:, :, dead] = 0.0
         out[dead[columns]] = 0.0
