@@ -543,9 +543,10 @@ class Search:
             timed.append((found.without_fits(), (ratio, flipped)))
             options += more
         scores, ratios = append_changes(scores, ratios, timed)
-        largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
-        real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
-        p = {form: family_wise_p(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
+        real = np.array([not option.placebo for option in options], dtype=bool)
+        largest = [flipped[:, real].max(axis=1, initial=0.0) for _, flipped in ratios.values()]
+        most = np.max(largest, axis=0)[:, None]
+        p = {form: family_wise_p(observed, most) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
             form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)
