@@ -270,23 +270,31 @@ class SharedGrams:
     base: Sequence[str]
     precision: Floats
     intervals: Groups = ()
-    forms: dict[str, GramBlocks] = field(default_factory=dict)
+    forms: dict[str, FactoredGrams] = field(default_factory=dict)
     changes: dict[tuple[tuple[int, ...], int], list[Change]] = field(default_factory=dict)
+    _earlier: dict[str, FactoredGrams] = field(default_factory=dict, init=False, repr=False)
 
     def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
         """Return the three forms with some calibration intervals."""
         if not self.forms or self.intervals != intervals:
-            self.intervals = intervals
-            if self.raw.fits > 1:
-                within = self.raw.marginalise(self.base)
-            else:
-                within = self.raw.marginalise(self.base, self.days, self.precision)
+            same = self.intervals == intervals
+            earlier = self._earlier | self.forms
+            self.intervals, self.forms, self._earlier = intervals, {}, {}
+
+            def left(form: str, blocks: FactoredGrams, groups: Groups | None) -> FactoredGrams:
+                known = earlier.pop(form, None) if same or form == "within" else None
+                return blocks.marginalise(self.base, groups, self.precision, earlier=known)
+
             self.forms = {
-                "raw": self.raw.marginalise(self.base, intervals, self.precision),
-                "within": within,
-                "white": self.white.marginalise(self.base, intervals, self.precision),
+                "raw": left("raw", self.raw, intervals),
+                "within": left("within", self.raw, None if self.raw.fits > 1 else self.days),
+                "white": left("white", self.white, intervals),
             }
         return self.forms
+
+    def outdate(self) -> None:
+        """Let the forms be made anew, from what they hold of the columns that are still there."""
+        self.forms, self._earlier = {}, self._earlier | self.forms
 
     def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> None:
         """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
@@ -294,7 +302,7 @@ class SharedGrams:
             # Columns of a change that was dropped lack the products with what joined since.
             self.raw, self.white = self.raw.without(functions), self.white.without(functions)
         self.raw, self.white = self.raw.expand(functions), self.white.expand(functions)
-        self.forms = {}
+        self.outdate()
 
     def join(self, names: Sequence[str], scale: Floats, raw: Border, white: Border) -> None:
         """Add columns to the Gram blocks.
@@ -308,13 +316,13 @@ class SharedGrams:
         """
         self.raw = self.raw.bordered(names, scale, *raw)
         self.white = self.white.bordered(names, scale, *white)
-        self.forms = {}
+        self.outdate()
 
     def join_combinations(self, names: Sequence[str], parts: Sequence[tuple[float, Sequence[str]]]) -> None:
         """Add columns that are sums of weights times others; see `FactoredGrams.with_combinations`."""
         self.raw = self.raw.with_combinations(names, parts)
         self.white = self.white.with_combinations(names, parts)
-        self.forms = {}
+        self.outdate()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -747,7 +755,7 @@ class Search:
         intervals = self._intervals_around_changes()
         if intervals == self.intervals:
             return self
-        self.shared.forms = {}
+        self.shared.outdate()
         return replace(self, intervals=intervals)
 
     def with_round(
@@ -805,6 +813,7 @@ class Search:
             precision=precision,
             intervals=self.intervals,
             forms={"raw": raw.marginalise(base, self.intervals, precision)},
+            changes={},
         )
         return replace(self, shared=shared, library=library, variance=variance)
 
@@ -836,7 +845,7 @@ class Search:
         terms = {key: term for key, term in self.library.terms.items() if names & set(term.columns)}
         names |= {name for term in terms.values() for name in term.columns}
         shared = replace(
-            self.shared, raw=self.raw.restricted(names), white=self.white.restricted(names), forms={}
+            self.shared, raw=self.raw.restricted(names), white=self.white.restricted(names), forms={}, changes={}
         )
         library = replace(self.library, terms=terms)
         return replace(self, shared=shared, library=library, options=(), design_cache=CachedDesign())
