@@ -954,20 +954,31 @@ class _BorderSums:
         series = data.series.part(part)
         residual = series["residual"].reshape(len(series.tt2000), -1, 1)
         used = np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(residual), 0.0)
-        every = np.concatenate([columns, used], axis=2)
         for day in _days_of(series):
-            values, weight, stamps = every[day], series["weight"][day], series.tt2000[day]
-            white = prewhiten(values, weight, stamps, data.correlation_time_s)
-            root = np.sqrt(weight)[:, None, None]
+            weight, stamps = series["weight"][day], series.tt2000[day]
+            fresh = columns[day][:, :, self.fresh]
+            white = prewhiten(fresh, weight, stamps, data.correlation_time_s)
+            # What prewhitening takes off each row of the one before it.
+            memory = prewhiten(np.ones((len(weight), 1, 1)), weight, stamps, data.correlation_time_s)
             for number in np.unique(series.block[day]):
-                inside = series.block[day] == number
-                flat, filtered = (
-                    (one[inside] * root[inside]).reshape(-1, one.shape[2]) for one in (values, white)
+                own = np.where(series.block[day] == number, weight, 0.0)[:, None, None]
+                # Products of prewhitened columns are those of the columns as they are with fresh ones that
+                # went through the filter twice, the second time backwards: only these are filtered.
+                twice = own * white
+                twice[:-1] -= (own * (1.0 - memory) * white)[1:]
+                inside = np.flatnonzero(own[:, 0, 0])
+                if not inside.size:
+                    continue
+                rows = slice(max(int(inside[0]) - 1, 0), int(inside[-1]) + 1)
+                right = np.concatenate([own * fresh, twice], axis=2)[rows]
+                right = right.reshape(-1, right.shape[2])
+                every = np.concatenate(
+                    [one[day][rows].reshape(-1, one.shape[2]).T @ right for one in (columns, used)]
                 )
-                products = flat.T @ flat[:, self.fresh]
+                products = every[:, : self.fresh.size]
                 self.raw[number] += products
-                self.white[number] += filtered.T @ filtered[:, self.fresh]
-                fit = int(np.searchsorted(self.begins[number], stamps[inside][-1], side="right")) - 1
+                self.white[number] += every[:, self.fresh.size :]
+                fit = int(np.searchsorted(self.begins[number], stamps[inside[-1]], side="right")) - 1
                 self.given[number, max(fit, 0)] += products[self.base]
 
     def borders(self, search: Search) -> tuple[Border, Border]:
