@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -79,8 +78,6 @@ class Fits:
         Columns of the model.
     candidates : sequence of ndarray of int
         Columns of each candidate.
-    rows : ndarray, shape (1 + present, block, column)
-        Products of the residual, then of the model's columns, with all columns.
     fold : ndarray of int, shape (block,)
         Fold that each block is held out in.
     own : ndarray, shape (fold, present, column)
@@ -94,7 +91,6 @@ class Fits:
     grams: BlockProducts
     present: Index
     candidates: Sequence[Index]
-    rows: Floats
     fold: Index
     own: Floats
     values: list[Floats]
@@ -112,24 +108,22 @@ class Fits:
         second, known = self.candidates[other], self.values[other][self.fold]
         # By how much the model's own columns give way to the other candidate; (present, block).
         change = -np.einsum("fpk,fk->pf", self.own[:, :, second], self.values[other])[:, self.fold]
-        # Products of its contribution with the columns of the model, and with those of the candidates, the
-        # model projected out of them.
-        given = np.sum(self.rows[1:, :, second] * known, axis=2)
-        given += np.einsum("pbq,qb->pb", self._model, change)
         shared = np.matmul(known[:, None, :], self.grams.rows(second, columns))[:, 0]
-        shared += np.einsum("pbc,pb->bc", self.rows[1:, :, columns], change)
-        for fold, own in enumerate(self.own[:, :, columns]):
-            held = self.fold == fold
-            shared[held] -= given[:, held].T @ own
+        if self.present.size:
+            every = np.concatenate([second, self.present, columns])
+            rows = self.grams.rows(self.present, every).transpose(1, 0, 2)
+            wide, model, tried = np.split(rows, np.cumsum([second.size, self.present.size]), axis=2)
+            # Products of its contribution with the columns of the model, and with those of the candidates,
+            # the model projected out of them.
+            given = np.sum(wide * known, axis=2) + np.einsum("pbq,qb->pb", model, change)
+            shared += np.einsum("pbc,pb->bc", tried, change)
+            for fold, own in enumerate(self.own[:, :, columns]):
+                held = self.fold == fold
+                shared[held] -= given[:, held].T @ own
         values = np.concatenate([self.values[place] for place in places], axis=1)[self.fold]
         begins = np.cumsum([0, *(len(self.candidates[place]) for place in places[:-1])])
         mixed = np.add.reduceat(shared * values, begins, axis=1)
         return np.asarray(np.maximum(self.squares[:, places] + self.squares[:, [other]] - 2.0 * mixed, 0.0))
-
-    @cached_property
-    def _model(self) -> Floats:
-        """Products of the model's columns; (present, block, present)."""
-        return self.rows[1:, :, self.present]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -444,7 +438,9 @@ def score(
         explained[positions] = sums[-1]
         for place, value in zip(positions, values.swapaxes(0, 1), strict=True):
             gamma[place] = value
-        groups.append(_Group(positions, columns, inner, values, -np.einsum("fpck,fck->fpc", own[:, :, columns], values)))
+        groups.append(
+            _Group(positions, columns, inner, values, -np.einsum("fpck,fck->fpc", own[:, :, columns], values))
+        )
     for fold, part in enumerate(parts):
         block = rows[:, part]
         # What the model, fitted elsewhere, leaves of the residual: its products with all columns.
@@ -469,7 +465,9 @@ def score(
         explained=explained,
         expected=square,
         active=active,
-        fits=Fits(grams, present.columns, list(candidates), rows, at, own[:-1], [one[:-1] for one in gamma], square),
+        fits=Fits(
+            grams, present.columns, list(candidates), at, own[:-1], [one[:-1] for one in gamma], square
+        ),
     )
 
 

@@ -845,7 +845,11 @@ class Search:
         terms = {key: term for key, term in self.library.terms.items() if names & set(term.columns)}
         names |= {name for term in terms.values() for name in term.columns}
         shared = replace(
-            self.shared, raw=self.raw.restricted(names), white=self.white.restricted(names), forms={}, changes={}
+            self.shared,
+            raw=self.raw.restricted(names),
+            white=self.white.restricted(names),
+            forms={},
+            changes={},
         )
         library = replace(self.library, terms=terms)
         return replace(self, shared=shared, library=library, options=(), design_cache=CachedDesign())

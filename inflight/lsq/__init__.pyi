@@ -34,7 +34,6 @@ from .gram_blocks import (
     shift_reference,
     unpack,
 )
-from .timed_grams import CalibratedBlocks, TimedGrams
 from .robust import BIWEIGHT_RMS_FACTOR, BIWEIGHT_WIDTH, MAD_TO_SIGMA, biweight, biweight_slope, robust_sigma
 from .solver import (
     SOLVER_SETTINGS,
@@ -52,6 +51,7 @@ from .solver import (
     solve,
     solve_scaled,
 )
+from .timed_grams import CalibratedBlocks, TimedGrams
 
 __all__ = [
     "BIWEIGHT_RMS_FACTOR",

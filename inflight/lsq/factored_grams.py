@@ -361,8 +361,7 @@ class FactoredGrams:
         which = self._which(blocks)
         raw = self._is_raw
         if blocks is None and not raw and (others is None or self._kept_rows.hold(own)):
-            kept = self._kept(own)
-            return kept if others is None else kept.take(other, axis=2)
+            return self._kept(own, None if others is None else other)
         return self._made_rows(own, other, which)
 
     def _made_rows(self, own: Indices, other: Indices, which: Indices | None = None) -> Floats:
@@ -387,16 +386,17 @@ class FactoredGrams:
         self._clear(out, own, other)
         return out
 
-    def _kept(self, columns: Indices) -> Floats:
-        """Return the products of some columns with all; (block, column, other), a view of what is kept.
+    def _kept(self, columns: Indices, others: Indices | None = None) -> Floats:
+        """Return the products of some columns with others; (block, column, other).
 
-        A search asks for those of its model and its residual again and again.
+        A search asks for those of its model and its residual with all again and again: they are kept, and
+        where they lie together nothing is copied.
         """
         known = self._kept_rows
         new = [place for place in dict.fromkeys(columns.tolist()) if place not in known.places]
         if new:
             known.append(new, self._made_rows(np.array(new), np.arange(len(self.names))))
-        return known.of(columns.tolist()).transpose(1, 0, 2)
+        return known.of(columns.tolist(), others).transpose(1, 0, 2)
 
     @cached_property
     def _kept_rows(self) -> _KeptRows:
@@ -424,7 +424,7 @@ class FactoredGrams:
 
     @cached_property
     def _kept_within(self) -> dict[tuple[int, ...], Floats]:
-        """Products of a candidate's own columns, by these; (block, k, k): they are the same in every round."""
+        """Products of a candidate's own columns, by these; (block, k, k): the same in every round."""
         return {}
 
     def _products_within(self, groups: Indices, which: Indices) -> Floats:
@@ -501,7 +501,7 @@ class FactoredGrams:
         return GramArrays(
             tuple(self.names[place] for place in kept),
             # Of a form that is searched these are columns of its model, whose rows are asked for anyway.
-            self.rows(kept, kept) if self._is_raw else self._kept(kept).take(kept, axis=2),
+            self.rows(kept, kept) if self._is_raw else self._kept(kept, kept),
             self.start,
             self.end,
             self.count,
@@ -759,14 +759,20 @@ class _KeptRows:
         self.values[used:count] = rows.swapaxes(0, 1)
         self.places.update(zip(columns, range(used, count), strict=True))
 
+    @property
+    def _every(self) -> Indices:
+        return np.arange(self.values.shape[1])[:, None]
+
     def clear(self, columns: Indices) -> None:
         """Set the products of some columns to 0."""
         self.values[:, :, columns] = 0.0
         self.values[[self.places[column] for column in columns.tolist() if column in self.places]] = 0.0
 
-    def of(self, columns: Sequence[int]) -> Floats:
-        """Return the rows of some columns; (row, block, column). Not a copy where they lie together."""
+    def of(self, columns: Sequence[int], others: Indices | None = None) -> Floats:
+        """Return the rows of some columns; (row, block, other). Not a copy where they lie together."""
         at = [self.places[column] for column in columns]
+        if others is not None:
+            return self.values[np.array(at, dtype=np.int64)[:, None, None], self._every, others]
         if at == list(range(len(at))):
             return self.values[: len(at)]
         return self.values[at]

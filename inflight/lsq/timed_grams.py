@@ -81,6 +81,19 @@ class CalibratedBlocks:
         """Rows of the model: all that change ask for the same ones."""
         return {}
 
+    def among(self, columns: Indices, others: Indices) -> Floats:
+        """Return the products of what is left of some columns and of others; (row, block, other)."""
+        key = (tuple(columns.tolist()), tuple(others.tolist()))
+        if key not in self._among:
+            given = self.rows(columns).take(others, axis=2)
+            self._among[key] = self.less_fit(given, columns, self.fitted[:, :, others])
+        return self._among[key]
+
+    @cached_property
+    def _among(self) -> dict[tuple[tuple[int, ...], tuple[int, ...]], Floats]:
+        """The same of the model's columns among themselves."""
+        return {}
+
     def less_fit(self, rows: Floats, columns: Indices, fitted: Floats) -> Floats:
         """Take the calibration's fit to others (block, base, other) off products with `columns`, in place."""
         rows -= (self.missed[:, :, columns].swapaxes(1, 2) @ fitted).swapaxes(0, 1)
@@ -181,14 +194,13 @@ class TimedGrams:
         if np.any((columns >= functions.start) & (columns < functions.stop)):
             raise ValueError("products of functions with each other are those within a group")
         blocks, rest = self.blocks, np.r_[: functions.start, functions.stop : len(self.names)]
-        given = blocks.rows(at)
+        given, same = blocks.rows(at), self.places[rest]
         out = np.empty((*given.shape[:2], len(self.names)))
         changing = given.take(self.places[functions], axis=2)
         changing *= self.factor
         out[:, :, functions] = blocks.less_fit(changing, at, self._fitted)
         # The model's columns among the others have lost their calibration, too.
-        same = self.places[rest]
-        out[:, :, rest] = blocks.less_fit(given.take(same, axis=2), at, blocks.fitted[:, :, same])
+        out[:, :, rest] = blocks.among(at, same)
         dead = self._dead
         out[:, :, dead] = 0.0
         out[dead[columns]] = 0.0
