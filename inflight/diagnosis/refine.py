@@ -281,8 +281,9 @@ def _lag_of_bank(search: Search, option: Option) -> float | None:
     if not _has_bank(search, option):
         return None
     bank = bank_of(search, option)
-    blocks, *small = _of_lags(search.forms["raw"], search.present("raw", option), bank, search.y())
-    return _peak(*scan_lags(blocks.sum(axis=0), *small))
+    form, present = search.forms["raw"], search.present("raw", option)
+    blocks, own, places, y = _of_lags(form, present, bank, search.y())
+    return _peak(*scan_lags(blocks.sum(axis=0), own, places, y))
 
 
 def _best_lag(
@@ -1123,13 +1124,13 @@ def profile_lag(
     folds : sequence of ndarray
         Blocks left out together for the error.
     """
-    blocks, *small = _of_lags(grams, present, bank, y)
+    blocks, own, places, y = _of_lags(grams, present, bank, y)
     total = blocks.sum(axis=0)
-    grid, whole = scan_lags(total, *small)
-    others = [_peak(*scan_lags(total - blocks[fold].sum(axis=0), *small)) for fold in folds]
+    grid, whole = scan_lags(total, own, places, y)
+    others = [_peak(*scan_lags(total - blocks[fold].sum(axis=0), own, places, y)) for fold in folds]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
-    base = float(project_out(total, small[0])[-1, -1])
+    base = float(project_out(total, own)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
 
 

@@ -509,7 +509,7 @@ class _Group:
     def loss_change(
         self, fold: int, rows: Floats, left: Floats, inner: Floats, present: Index
     ) -> tuple[Floats, Floats]:
-        """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+        """Return by how much candidates change the held-out square, and their own; (block, candidate).
 
         Parameters
         ----------

@@ -270,9 +270,9 @@ class SharedGrams:
     base: Sequence[str]
     precision: Floats
     intervals: Groups = ()
-    forms: dict[str, FactoredGrams] = field(default_factory=dict)
+    forms: dict[str, GramBlocks] = field(default_factory=dict)
     changes: dict[tuple[tuple[int, ...], int], list[Change]] = field(default_factory=dict)
-    _earlier: dict[str, FactoredGrams] = field(default_factory=dict, init=False, repr=False)
+    _earlier: dict[str, GramBlocks] = field(default_factory=dict, init=False, repr=False)
 
     def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
         """Return the three forms with some calibration intervals."""
@@ -283,6 +283,7 @@ class SharedGrams:
 
             def left(form: str, blocks: FactoredGrams, groups: Groups | None) -> FactoredGrams:
                 known = earlier.pop(form, None) if same or form == "within" else None
+                known = known if isinstance(known, FactoredGrams) else None
                 return blocks.marginalise(self.base, groups, self.precision, earlier=known)
 
             self.forms = {

@@ -168,7 +168,7 @@ class Series:
         values = np.empty((len(block), packed.shape[2]), dtype=packed.dtype, order="F")
         for place in range(packed.shape[2]):
             values[:, place] = packed[:, :, place][known]
-        missing = {}
+        missing: dict[str, np.ndarray] = {}
         for name in [one for one in filled or {} if one in features.names]:
             part = values[:, features.place(name)]
             lost = ~np.isfinite(part).all(axis=1)
