@@ -193,9 +193,11 @@ class Scores:
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         close = np.flatnonzero(pairwise & (self.gain > self.gain[best]))
-        close = close[close < (len(self.fits.candidates) if self.fits is not None else 0)]
-        if close.size:
-            out[close] = np.maximum(out[close], self._t_over_similar(close, best, rival_t))
+        fitted = close[close < (len(self.fits.candidates) if self.fits is not None else 0)]
+        near = np.zeros(out.size)
+        if fitted.size:
+            near[fitted] = self._t_over_similar(fitted, best, rival_t)
+        out[close] = np.maximum(out[close], near[close])
         return out
 
     def _t_over_similar(self, places: Index, placebo: int, rival_t: float) -> Floats:

@@ -171,7 +171,7 @@ class Series:
         missing: dict[str, np.ndarray] = {}
         for name in [one for one in filled or {} if one in features.names]:
             part = values[:, features.place(name)]
-            lost = ~np.isfinite(part).all(axis=1)
+            lost = np.asarray(~np.isfinite(part).all(axis=1))
             if lost.any():
                 missing[name] = lost
                 part[~np.isfinite(part)] = (filled or {})[name]
