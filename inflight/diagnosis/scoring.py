@@ -578,12 +578,13 @@ def sign_flip_ratios(
         half = inverse_square_root(_projected(whole, given, inner, columns, y)[0])
         # (unit, k, candidate): the statistics in directions that are independent of each other.
         own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 2, 0)
-        size = np.maximum(np.abs(own).max(axis=(0, 1)), 1e-300)
-        drawn = draws @ (own / size).astype(np.float32).reshape(len(own), -1)
+        # A ratio has no unit: what single precision could not hold is scaled.
+        own /= np.maximum(np.abs(own).max(axis=(0, 1)), 1e-300)
+        drawn = draws @ own.astype(np.float32).reshape(len(own), -1)
         squares = np.sum(np.square(drawn, out=drawn).reshape(len(signs), *columns.shape[::-1]), axis=1)
-        usual = np.maximum(squares.mean(axis=0, dtype=np.float64), 1e-300) * size**2
+        usual = np.maximum(squares.mean(axis=0, dtype=np.float64), 1e-300)
         observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=0) / usual
-        flipped[:, positions] = squares * (size**2 / usual)
+        flipped[:, positions] = squares / usual
     return observed, flipped
 
 

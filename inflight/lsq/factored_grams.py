@@ -342,7 +342,7 @@ class FactoredGrams:
         both = np.stack([fitted - taken, given - 0.5 * self.shared.own[blocks] @ (fitted + taken)], axis=1)
         if self.dead is not None:
             both[..., self.dead[columns]] = 0.0
-        return np.asarray(both.reshape(blocks.size, -1, columns.size))
+        return np.asarray(both.reshape(blocks.size, 2 * self.fits * self.shared.base, columns.size))
 
     # Products.
 
@@ -720,7 +720,7 @@ class FactoredGrams:
         if "_kept_within" in known:
             pairs = known["_kept_within"].items()
             made["_kept_within"] = {tuple(old[list(key)].tolist()): values for key, values in pairs}
-        if "_kept_rows" in known:
+        if "_kept_rows" in known and known["_kept_rows"].places:
             columns = old[list(known["_kept_rows"].places)]
             rows = np.empty((len(self), columns.size, len(self.names)))
             kept = known["_kept_rows"].values[: columns.size]

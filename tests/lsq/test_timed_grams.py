@@ -122,3 +122,13 @@ def test_a_column_that_was_replaced_is_not_taken_over():
     anew = again.marginalise(BASE, GROUPS, PRECISION)
     columns = found.index(["residual", "s@"])
     np.testing.assert_allclose(found.rows(columns), anew.rows(columns), rtol=1e-12, atol=1e-9)
+
+
+def test_a_form_of_the_same_columns_takes_over_all_and_one_that_was_never_asked_nothing():
+    blocks = FactoredGrams.of(grams_of(rows_of_blocks()), BASE)
+    earlier = blocks.marginalise(BASE, GROUPS, PRECISION)
+    # Products with what is kept ask whether anything is: nothing is yet.
+    earlier.rows(earlier.index(["m"]), earlier.index(["n"]))
+    found = blocks.marginalise(BASE, GROUPS, PRECISION, earlier=earlier)
+    columns = found.index(["residual", "m"])
+    np.testing.assert_array_equal(found.rows(columns), earlier.rows(columns))
