@@ -136,7 +136,7 @@ def _turned(blocks: Floats, present: ModelColumns, train: Floats) -> Floats:
     p = present.columns
     if not p.size:
         return blocks
-    own = present.solve(train)
+    own = present.solve(train[p])
     across = np.matmul(blocks[:, :, p], own)
     inner = np.matmul(own.T, np.matmul(blocks[:, p[:, None], p], own))
     return np.asarray(blocks - across - across.transpose(0, 2, 1) + inner)

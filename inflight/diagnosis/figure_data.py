@@ -400,7 +400,7 @@ def cross_talk(search: Search) -> CrossTalk:
     raw = search.raw
     place = raw.index(names)
     precision = search.precision(raw, names, np.array([sigma for _, sigma in every]))
-    covariance = gram_inverse(raw.total[np.ix_(place, place)] + np.diag(precision))
+    covariance = gram_inverse(raw.rows(place, place).sum(axis=0) + np.diag(precision))
     correlation = correlation_of(covariance)
     groups = ["calibration"] * len(base) + ["model"] * len(refined) + ["found"] * len(found)
     fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEW_SETTINGS.most_parameters]

@@ -281,7 +281,9 @@ def _lag_of_bank(search: Search, option: Option) -> float | None:
     if not _has_bank(search, option):
         return None
     bank = bank_of(search, option)
-    return _peak(*scan_lags(search.forms["raw"].total, search.present("raw", option), bank, search.y()))
+    form, present = search.forms["raw"], search.present("raw", option)
+    blocks, own, places, y = _of_lags(form, present, bank, search.y())
+    return _peak(*scan_lags(blocks.sum(axis=0), own, places, y))
 
 
 def _best_lag(
@@ -953,20 +955,31 @@ class _BorderSums:
         series = data.series.part(part)
         residual = series["residual"].reshape(len(series.tt2000), -1, 1)
         used = np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(residual), 0.0)
-        every = np.concatenate([columns, used], axis=2)
         for day in _days_of(series):
-            values, weight, stamps = every[day], series["weight"][day], series.tt2000[day]
-            white = prewhiten(values, weight, stamps, data.correlation_time_s)
-            root = np.sqrt(weight)[:, None, None]
+            weight, stamps = series["weight"][day], series.tt2000[day]
+            fresh = columns[day][:, :, self.fresh]
+            white = prewhiten(fresh, weight, stamps, data.correlation_time_s)
+            # What prewhitening takes off each row of the one before it.
+            memory = prewhiten(np.ones((len(weight), 1, 1)), weight, stamps, data.correlation_time_s)
             for number in np.unique(series.block[day]):
-                inside = series.block[day] == number
-                flat, filtered = (
-                    (one[inside] * root[inside]).reshape(-1, one.shape[2]) for one in (values, white)
+                own = np.where(series.block[day] == number, weight, 0.0)[:, None, None]
+                # Products of prewhitened columns are those of the columns as they are with fresh ones that
+                # went through the filter twice, the second time backwards: only these are filtered.
+                twice = own * white
+                twice[:-1] -= (own * (1.0 - memory) * white)[1:]
+                inside = np.flatnonzero(own[:, 0, 0])
+                if not inside.size:
+                    continue
+                rows = slice(max(int(inside[0]) - 1, 0), int(inside[-1]) + 1)
+                right = np.concatenate([own * fresh, twice], axis=2)[rows]
+                right = right.reshape(-1, right.shape[2])
+                every = np.concatenate(
+                    [one[day][rows].reshape(-1, one.shape[2]).T @ right for one in (columns, used)]
                 )
-                products = flat.T @ flat[:, self.fresh]
+                products = every[:, : self.fresh.size]
                 self.raw[number] += products
-                self.white[number] += filtered.T @ filtered[:, self.fresh]
-                fit = int(np.searchsorted(self.begins[number], stamps[inside][-1], side="right")) - 1
+                self.white[number] += every[:, self.fresh.size :]
+                fit = int(np.searchsorted(self.begins[number], stamps[inside[-1]], side="right")) - 1
                 self.given[number, max(fit, 0)] += products[self.base]
 
     def borders(self, search: Search) -> tuple[Border, Border]:
@@ -1082,6 +1095,19 @@ def scan_lags(
     return grid, np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
 
+def _of_lags(
+    grams: GramBlocks, present: ModelColumns, bank: Mapping[float, Index], y: int
+) -> tuple[Floats, ModelColumns, dict[float, Index], int]:
+    """Return the Gram matrices of the model, a bank and the residual alone, and their places in these."""
+    places = np.concatenate([present.columns, *bank.values(), [y]])
+    at, moved = present.columns.size, {}
+    for lag, columns in bank.items():
+        moved[lag] = np.arange(at, at + len(columns))
+        at += len(columns)
+    own = ModelColumns(np.arange(present.columns.size), present.precision)
+    return grams.rows(places, places), own, moved, at
+
+
 def profile_lag(
     grams: GramBlocks,
     present: ModelColumns,
@@ -1098,12 +1124,13 @@ def profile_lag(
     folds : sequence of ndarray
         Blocks left out together for the error.
     """
-    total = grams.total
-    grid, whole = scan_lags(total, present, bank, y)
-    others = [_peak(*scan_lags(total - held, present, bank, y)) for held in grams.sums(folds)]
+    blocks, own, places, y = _of_lags(grams, present, bank, y)
+    total = blocks.sum(axis=0)
+    grid, whole = scan_lags(total, own, places, y)
+    others = [_peak(*scan_lags(total - blocks[fold].sum(axis=0), own, places, y)) for fold in folds]
     best = _peak(grid, whole)
     sigma = float(jackknife(np.array(others)))
-    base = float(project_out(total, present)[y, y])
+    base = float(project_out(total, own)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
 
 

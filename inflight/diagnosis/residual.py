@@ -22,7 +22,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.design import DesignRows, OutlierReport, Term, design_matrix, sensor_matrices
-from inflight.diagnosis.scoring import ModelColumns, make_folds, score
+from inflight.diagnosis.scoring import ModelColumns, make_folds, project_out_of, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.dual import JumpAttribution
@@ -232,13 +232,9 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
     sigma = [s for term in search.library.refined for s in term.sigma]
     names = [*refined, *present]
     precision = search.precision(grams, names, np.asarray([*sigma, *[np.inf] * len(present)]))
-    total = grams.total
     place, y = grams.index(names), search.y("raw")
-    common = (
-        -solve_scaled(total[np.ix_(place, place)] + np.diag(precision), total[place, y])
-        if names
-        else np.zeros(0)
-    )
+    total = grams.rows(place, np.append(place, y)).sum(axis=0)
+    common = -solve_scaled(total[:, :-1] + np.diag(precision), total[:, -1]) if names else np.zeros(0)
     base, base_sigma = search.base()
     raw = search.raw
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
@@ -502,10 +498,7 @@ def _square_within_bins(data: DiagnosisData) -> float:
 def native_rms(data: DiagnosisData, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
     grams, present, y = _grams_of_sizes(search, data)
-    total = grams.total
-    remaining = total[y, y] - (
-        total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
-    )
+    remaining = project_out_of(grams, present, np.array([y]))[0, 0]
     return float(np.sqrt(max(remaining, 0.0) / max(grams.count.sum(), 1.0) + _square_within_bins(data)))
 
 

@@ -13,14 +13,13 @@ statistic to its mean over the flips (Westfall and Young's maximum).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq import GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
+from inflight.lsq import BlockProducts, GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
 
 Index = npt.NDArray[np.int64]
 
@@ -55,68 +54,76 @@ class ModelColumns:
     columns: Index
     precision: Floats
 
-    def solve(self, gram: Floats) -> Floats:
-        """Return the projection of all columns on those of the model; (present, column)."""
+    def solve(self, rows: Floats) -> Floats:
+        """Return the projection of all columns on those of the model; (..., present, column).
+
+        Parameters
+        ----------
+        rows : ndarray, shape (..., present, column)
+            Products of the model's columns with all columns.
+        """
         if not self.columns.size:
-            return np.zeros((0, gram.shape[0]))
-        inner = gram[np.ix_(self.columns, self.columns)] + np.diag(self.precision)
-        return solve_scaled(inner, gram[self.columns])
+            return np.zeros(rows.shape)
+        return solve_scaled(rows[..., self.columns] + np.diag(self.precision), rows)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Fits:
     """Fits to all folds but one, kept so that two candidates can be compared block by block.
 
-    Parameters
+    Attributes
     ----------
-    grams : GramBlocks
+    grams : BlockProducts
     present : ndarray of int
         Columns of the model.
-    candidates : list of ndarray of int
+    candidates : sequence of ndarray of int
         Columns of each candidate.
+    fold : ndarray of int, shape (block,)
+        Fold that each block is held out in.
+    own : ndarray, shape (fold, present, column)
+        Projection of all columns on those of the model, in the other folds.
+    values : list of ndarray, shape (fold, k)
+        Of each candidate, fitted to the other folds.
+    squares : ndarray, shape (block, candidate)
+        Of each candidate's contribution, nT^2.
     """
 
-    grams: GramBlocks
+    grams: BlockProducts
     present: Index
-    candidates: list[Index]
-    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
+    candidates: Sequence[Index]
+    fold: Index
+    own: Floats
+    values: list[Floats]
+    squares: Floats
 
-    @cached_property
-    def _own(self) -> Floats:
-        """Products of the model's columns; (block, present, present)."""
-        return self.grams.rows(self.present, self.present)
+    def squared_differences(self, places: Sequence[int], other: int) -> Floats | None:
+        """Return sums of squares between candidates' contributions and another's; (block, place).
 
-    def begin_fold(self, fold: Index, own: Floats) -> None:
-        """Begin a fold with its blocks, and the projection (present, column) that the other blocks give."""
-        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
-
-    def store(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
-        """Store the values (candidate, k) of some candidates in the fold begun last."""
-        fitted = self.folds[-1][2]
-        for place, values in zip(positions, gamma, strict=True):
-            fitted[int(place)] = values
-
-    def squared_difference(self, one: int, other: int) -> Floats | None:
-        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
-
-        When one of the two is the truth, it is what each block is expected to prefer it by.
+        When one of the two is the truth, it is what each block is expected to prefer it by. None when one of
+        them is not here.
         """
-        if max(one, other) >= len(self.candidates):
+        if max(*places, other) >= len(self.candidates):
             return None
-        first, second = self.candidates[one], self.candidates[other]
-        both = np.concatenate([first, second])
-        values = np.zeros((len(self.grams), both.size))
-        model = np.zeros((len(self.grams), self.present.size))
-        for fold, own, fitted in self.folds:
-            values[fold] = np.concatenate([fitted[one], -fitted[other]])
-            # The model's own columns give way.
-            model[fold] = -own[:, both] @ values[fold[0]]
-        rows = np.matmul(self.grams.rows(np.append(both, self.present), both), values[:, :, None])[:, :, 0]
-        out = np.sum(rows[:, : both.size] * values, axis=1)
+        columns = np.concatenate([self.candidates[place] for place in places])
+        second, known = self.candidates[other], self.values[other][self.fold]
+        # By how much the model's own columns give way to the other candidate; (present, block).
+        change = -np.einsum("fpk,fk->pf", self.own[:, :, second], self.values[other])[:, self.fold]
+        shared = np.matmul(known[:, None, :], self.grams.rows(second, columns))[:, 0]
         if self.present.size:
-            inner = np.matmul(self._own, model[:, :, None])[:, :, 0]
-            out += np.sum((2.0 * rows[:, both.size :] + inner) * model, axis=1)
-        return np.asarray(np.maximum(out, 0.0))
+            every = np.concatenate([second, self.present, columns])
+            rows = self.grams.rows(self.present, every).transpose(1, 0, 2)
+            wide, model, tried = np.split(rows, np.cumsum([second.size, self.present.size]), axis=2)
+            # Products of its contribution with the columns of the model, and with those of the candidates,
+            # the model projected out of them.
+            given = np.sum(wide * known, axis=2) + np.einsum("pbq,qb->pb", model, change)
+            shared += np.einsum("pbc,pb->bc", tried, change)
+            for fold, own in enumerate(self.own[:, :, columns]):
+                held = self.fold == fold
+                shared[held] -= given[:, held].T @ own
+        values = np.concatenate([self.values[place] for place in places], axis=1)[self.fold]
+        begins = np.cumsum([0, *(len(self.candidates[place]) for place in places[:-1])])
+        mixed = np.add.reduceat(shared * values, begins, axis=1)
+        return np.asarray(np.maximum(self.squares[:, places] + self.squares[:, [other]] - 2.0 * mixed, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,10 +166,10 @@ class Scores:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
         active = self.active[:, [one]] | self.active[:, [other]]
-        apart = self.fits.squared_difference(one, other) if self.fits is not None else None
+        apart = self.fits.squared_differences([one], other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
-        return float(expected_gain_t(difference, apart[:, None], active)[0])
+        return float(expected_gain_t(difference, apart, active)[0])
 
     def t_over_placebo(
         self, placebos: Sequence[int], pairwise: npt.NDArray[np.bool_], rival_t: float
@@ -185,24 +192,28 @@ class Scores:
         # Most have nothing in common with a placebo: their squared difference is the sum of both squares.
         apart = self.expected + self.expected[:, [best]]
         out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
-        for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
-            out[place] = max(out[place], self._t_over_similar(place, best, rival_t))
+        close = np.flatnonzero(pairwise & (self.gain > self.gain[best]))
+        fitted = close[close < (len(self.fits.candidates) if self.fits is not None else 0)]
+        near = np.zeros(out.size)
+        if fitted.size:
+            near[fitted] = self._t_over_similar(fitted, best, rival_t)
+        out[close] = np.maximum(out[close], near[close])
         return out
 
-    def _t_over_similar(self, place: int, placebo: int, rival_t: float) -> float:
-        """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
+    def _t_over_similar(self, places: Index, placebo: int, rival_t: float) -> Floats:
+        """Return the t by which candidates leave less than a placebo much like them; 0 when in doubt.
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
         would leave less by the square of the difference of the two contributions, block by block. Where it
         gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
         and neither is the truth.
         """
-        apart = self.fits.squared_difference(placebo, place) if self.fits is not None else None
+        apart = self.fits.squared_differences(places.tolist(), placebo) if self.fits is not None else None
         if apart is None:
-            return 0.0
-        gained = self.loss[:, placebo] - self.loss[:, place]
-        t = float(expected_gain_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
-        return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
+            return np.zeros(places.size)
+        gained = self.loss[:, [placebo]] - self.loss[:, places]
+        t = expected_gain_t(gained, apart, self.active[:, places])
+        return np.where(t * (apart.sum(axis=0) / gained.sum(axis=0) - 1.0) < rival_t, t, 0.0)
 
     def without_fits(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
@@ -280,14 +291,17 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING_SETTI
 
 def active_blocks(grams: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks the calibration leaves anything of each candidate; (block, candidate)."""
-    own = grams.squares
-    peak = np.maximum(own.max(axis=0), 1e-300)
-    lively = own > SCORING_SETTINGS.quiet * peak
+    lively = _is_active(grams.squares)
     return (
         np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
         if candidates
         else lively[:, :0]
     )
+
+
+def _is_active(squares: Floats) -> npt.NDArray[np.bool_]:
+    """Return in which blocks anything is left of columns, by their sums of squares (block, ...)."""
+    return np.asarray(squares > SCORING_SETTINGS.quiet * np.maximum(squares.max(axis=0), 1e-300))
 
 
 def group_by_size(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
@@ -304,34 +318,98 @@ def project_out(gram: Floats, present: ModelColumns) -> Floats:
     """Return the Gram matrix of what the model's columns leave of all others."""
     if not present.columns.size:
         return gram
-    return np.asarray(gram - gram[:, present.columns] @ present.solve(gram))
+    return np.asarray(gram - gram[:, present.columns] @ present.solve(gram[present.columns]))
+
+
+def project_out_of(grams: BlockProducts, present: ModelColumns, columns: Index) -> Floats:
+    """Return the Gram matrix over all blocks of what the model's columns leave of some others."""
+    p = present.columns
+    places = np.concatenate([p, columns])
+    total = grams.rows(places, places).sum(axis=0)
+    own = ModelColumns(np.arange(p.size), present.precision)
+    return project_out(total, own)[p.size :, p.size :]
+
+
+def _rows_of(grams: BlockProducts, columns: Index) -> Floats:
+    """Return the products of some columns with all; (row, block, column)."""
+    return np.ascontiguousarray(grams.rows(columns).transpose(1, 0, 2))
+
+
+def _with_residual(present: ModelColumns, y: int) -> Index:
+    """Return the places of the residual, then of the model's columns."""
+    return np.concatenate([np.array([y], dtype=np.int64), present.columns])
+
+
+def _left_weights(own: Floats, y: int) -> Floats:
+    """Return by what the residual and the model's columns are weighted in what the model leaves of it.
+
+    `own` (..., present, column) is the projection on the model's columns; weights (..., 1 + present).
+    """
+    return np.concatenate([np.ones((*own.shape[:-2], 1)), -own[..., y]], axis=-1)
+
+
+def _projected(rows: Floats, own: Floats, inner: Floats, columns: Index, y: int) -> tuple[Floats, Floats]:
+    """Return what the model leaves of candidates; products with each other and with the residual.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (..., 1 + present, column)
+        Of the residual, then of the model's columns.
+    own : ndarray, shape (..., present, column)
+        Projection on the model's columns.
+    inner : ndarray, shape (..., candidate, k, k)
+        Products of each candidate's columns.
+    columns : ndarray of int, shape (candidate, k)
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        Shapes (..., candidate, k, k) and (..., candidate, k).
+    """
+    right = rows[..., 0, columns]
+    if not own.shape[-2]:
+        return inner, right
+    across, given = np.moveaxis(rows[..., 1:, columns], -3, -1), np.moveaxis(own[..., columns], -3, -2)
+    return inner - across @ given, right - np.matmul(across, own[..., None, :, y, None])[..., 0]
+
+
+def remaining_of(
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int
+) -> list[tuple[Floats, Floats]]:
+    """Return what the model leaves of each candidate: products (k, k), and with the residual (k,)."""
+    rows = _rows_of(grams, _with_residual(present, y)).sum(axis=1)
+    own = present.solve(rows[1:])
+    found: list[tuple[Floats, Floats]] = [(np.empty(0), np.empty(0))] * len(candidates)
+    for positions, columns in group_by_size(candidates):
+        inner = grams.products_within(columns).sum(axis=0)
+        for place, *one in zip(positions, *_projected(rows, own, inner, columns, y), strict=True):
+            found[place] = (one[0], one[1])
+    return found
+
+
+def _best_values(inner: Floats, right: Floats) -> tuple[Floats, Floats]:
+    """Return the values (..., candidate, k) that leave least, and the sums they explain (..., candidate)."""
+    half = inverse_square_root(inner)
+    score = np.matmul(half.swapaxes(-1, -2), right[..., None])
+    return -np.matmul(half, score)[..., 0], np.sum(score[..., 0] ** 2, axis=-1)
 
 
 def fit(
-    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = project_out(grams.total, present)
-    gamma: list[Floats] = [np.empty(0)] * len(candidates)
-    explained = np.zeros(len(candidates))
-    for positions, columns in group_by_size(candidates):
-        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
-        score = np.einsum("cik,ci->ck", half, gram[columns, y])
-        values = -np.einsum("cik,ck->ci", half, score)
-        explained[positions] = np.sum(score**2, axis=1)
-        for place, value in zip(positions, values, strict=True):
-            gamma[place] = value
-    return gamma, explained
+    found = [_best_values(*one) for one in remaining_of(grams, present, candidates, y)]
+    return [one[0] for one in found], np.array([float(one[1]) for one in found])
 
 
 def score(
-    grams: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    grams: BlockProducts, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    grams : GramBlocks
+    grams : BlockProducts
         One form, the calibration marginalised.
     present : ModelColumns
         The model's columns.
@@ -342,100 +420,130 @@ def score(
     folds : sequence of ndarray
         Blocks held out together.
     """
-    total = grams.total
-    loss0 = np.zeros(len(grams))
-    loss, expected = np.zeros((2, len(grams), len(candidates)))
-    p = present.columns
-    given = grams.rows(np.append(p, y))
-    fits = Fits(grams, p, list(candidates))
-    groups = group_by_size(candidates)
-    for fold, held in zip(folds, grams.sums(folds), strict=True):
-        blocks = given[fold]
-        train = total - held
-        own = present.solve(train)
-        fits.begin_fold(fold, own)
-        base = _model_loss(blocks, p, own[:, y], y)
-        loss0[fold] = base
-        for positions, columns in groups:
-            inner = train[columns[:, :, None], columns[:, None, :]]
-            right = train[columns, y]
-            if p.size:
-                across = train[columns[:, :, None], p]
-                inner = inner - across @ own[:, columns].transpose(1, 0, 2)
-                right = right - across @ own[:, y]
-            half = inverse_square_root(inner)
-            gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
-            fits.store(positions, gamma)
-            inner = grams.products_within(columns, fold)
-            change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
-            loss[np.ix_(fold, positions)] = base[:, None] + change
-            expected[np.ix_(fold, positions)] = square
+    parts = [_as_slice(fold) for fold in folds]
+    rows = _rows_of(grams, _with_residual(present, y))
+    # Every fold's training blocks, then all blocks: (fold + 1, 1 + present, column).
+    train = _left_out([rows[:, part].sum(axis=1) for part in parts])
+    own = present.solve(train[:, 1:])
+    weights = _left_weights(own, y)
+    shape = len(grams), len(candidates)
+    change, square = np.zeros((2, *shape))
+    active, loss0 = np.zeros(shape, dtype=bool), np.zeros(len(grams))
+    gamma: list[Floats] = [np.empty(0)] * len(candidates)
+    explained = np.zeros(len(candidates))
+    groups = []
+    for positions, columns in group_by_size(candidates):
+        inner = grams.products_within(columns)
+        active[:, positions] = _is_active(np.einsum("bcii->bci", inner)).any(axis=2)
+        summed = _left_out([inner[part].sum(axis=0) for part in parts])
+        values, sums = _best_values(*_projected(train, own, summed, columns, y))
+        explained[positions] = sums[-1]
+        for place, value in zip(positions, values.swapaxes(0, 1), strict=True):
+            gamma[place] = value
+        groups.append(
+            _Group(positions, columns, inner, values, -np.einsum("fpck,fck->fpc", own[:, :, columns], values))
+        )
+    for fold, part in enumerate(parts):
+        block = rows[:, part]
+        # What the model, fitted elsewhere, leaves of the residual: its products with all columns.
+        left = np.tensordot(weights[fold], block, 1)
+        loss0[part] = left[:, y] + left[:, present.columns] @ weights[fold, 1:]
+        left -= left[:, present.columns] @ own[fold]
+        for group in groups:
+            change[part, group.positions], square[part, group.positions] = group.loss_change(
+                fold, block[1:], left, group.inner[part], present.columns
+            )
+    loss = loss0[:, None] + change
     whole = float(loss0.sum())
-    gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
-    gamma_all, explained = fit(grams, present, candidates, y)
-    active = active_blocks(grams, candidates)
-    t = expected_gain_t(loss0[:, None] - loss, expected, active)
+    at = np.empty(len(grams), dtype=np.int64)
+    for fold, part in enumerate(parts):
+        at[part] = fold
     return Scores(
         loss0=loss0,
         loss=loss,
-        gain=gain,
-        t=t,
-        gamma=gamma_all,
+        gain=1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates)),
+        t=expected_gain_t(loss0[:, None] - loss, square, active),
+        gamma=[one[-1] for one in gamma],
         explained=explained,
-        expected=expected,
+        expected=square,
         active=active,
-        fits=fits,
+        fits=Fits(
+            grams, present.columns, list(candidates), at, own[:-1], [one[:-1] for one in gamma], square
+        ),
     )
 
 
-def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
-    """Return the sum of squares of the residual after the model's own columns; (block,).
+def _as_slice(fold: Index) -> slice | Index:
+    """Return the blocks of a fold as a slice when they are evenly spaced: it copies nothing."""
+    step = int(fold[1] - fold[0]) if len(fold) > 1 else 1
+    if step > 0 and np.all(np.diff(fold) == step):
+        return slice(int(fold[0]), int(fold[-1]) + 1, step)
+    return fold
 
-    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual.
+
+def _left_out(sums: Sequence[Floats]) -> Floats:
+    """Return of sums over folds the sums over all other folds, then over all; (fold + 1, ...)."""
+    held = np.stack([*sums, np.zeros_like(sums[0])])
+    return np.asarray(held.sum(axis=0) - held)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Candidates with the same number of columns, fitted to all folds but one.
+
+    Attributes
+    ----------
+    positions : ndarray of int, shape (candidate,)
+    columns : ndarray of int, shape (candidate, k)
+    inner : ndarray, shape (block, candidate, k, k)
+        Products of each candidate's columns.
+    values : ndarray, shape (fold, candidate, k)
+    model : ndarray, shape (fold, present, candidate)
+        By how much the model's own columns give way.
     """
-    out = blocks[:, -1, y].copy()
-    if present.size:
-        out -= 2.0 * blocks[:, :-1, y] @ own_y
-        out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
-    return np.asarray(out)
 
+    positions: Index
+    columns: Index
+    inner: Floats
+    values: Floats
+    model: Floats
 
-def _loss_change(
-    blocks: Floats, inner: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
-) -> tuple[Floats, Floats]:
-    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+    def loss_change(
+        self, fold: int, rows: Floats, left: Floats, inner: Floats, present: Index
+    ) -> tuple[Floats, Floats]:
+        """Return by how much candidates change the held-out square, and their own; (block, candidate).
 
-    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual;
-    `inner` (block, candidate, k, k) the products of each candidate's own columns.
-    """
-    linear = np.sum(blocks[:, -1, columns] * gamma, axis=2)
-    square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
-    if not present.size:
+        Parameters
+        ----------
+        rows : ndarray, shape (present, block, column)
+            Products of the model's columns in the blocks held out.
+        left : ndarray, shape (block, column)
+            What columns, the model projected out of them, have in common with what it leaves of the residual.
+        inner : ndarray, shape (block, candidate, k, k)
+        """
+        values, model = self.values[fold], self.model[fold]
+        linear = np.sum(left[:, self.columns] * values, axis=2)
+        square = np.sum(np.matmul(inner, values[:, :, None])[:, :, :, 0] * values, axis=2)
+        if present.size:
+            # Its columns last but one: the sum over them then runs along the candidates.
+            across = 2.0 * np.sum(rows[:, :, self.columns.T] * values.T, axis=2)
+            across += (rows[:, :, present].reshape(-1, present.size) @ model).reshape(across.shape)
+            square = square + np.sum(across * model[:, None], axis=0)
         return np.asarray(2.0 * linear + square), square
-    # The model's own columns give way: their change is minus the candidate's projection on them.
-    beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
-    own_y = own[:, y]
-    model = blocks[:, :-1, present]
-    across = np.einsum("bpck,ck->bcp", blocks[:, :-1, columns], gamma)
-    linear = linear - across @ own_y + (blocks[:, :-1, y] - model @ own_y) @ beta.T
-    square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
-    return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(grams: GramBlocks, present: ModelColumns, y: int) -> Floats:
+def block_scores(grams: BlockProducts, present: ModelColumns, y: int) -> Floats:
     """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
-    total = grams.total
-    own = present.solve(total)
-    p = present.columns
-    given = grams.rows(np.append(p, y))
-    if not p.size:
-        return np.asarray(given[:, -1])
-    right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
-    inner = right[:, p]
-    return np.asarray(right - inner @ own)
+    rows = _rows_of(grams, _with_residual(present, y))
+    return _block_scores(rows, present.solve(rows[1:].sum(axis=1)), present, y)
+
+
+def _block_scores(rows: Floats, own: Floats, present: ModelColumns, y: int) -> Floats:
+    left = np.tensordot(_left_weights(own, y), rows, 1)
+    return np.asarray(left - left[:, present.columns] @ own)
 
 
 def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
@@ -448,7 +556,7 @@ def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def sign_flip_ratios(
-    grams: GramBlocks,
+    grams: BlockProducts,
     present: ModelColumns,
     candidates: Sequence[Index],
     y: int,
@@ -456,19 +564,26 @@ def sign_flip_ratios(
     units: Sequence[Index],
 ) -> tuple[Floats, Floats]:
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
-    scores = block_scores(grams, present, y)
+    rows = _rows_of(grams, _with_residual(present, y))
+    whole = rows.sum(axis=1)
+    given = present.solve(whole[1:])
+    scores = _block_scores(rows, given, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = project_out(grams.total, present)
+    # A ratio is compared with thousands of others: seven digits are enough.
+    draws = signs.astype(np.float32)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for positions, columns in group_by_size(candidates):
-        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
-        # (unit, candidate, k): the statistics in directions that are independent of each other.
-        own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 0, 2)
-        drawn = (signs @ own.reshape(len(own), -1)).reshape(len(signs), *columns.shape)
-        squares = np.sum(drawn**2, axis=2)
-        usual = np.maximum(squares.mean(axis=0), 1e-300)
-        observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=1) / usual
+        inner = grams.products_within(columns).sum(axis=0)
+        half = inverse_square_root(_projected(whole, given, inner, columns, y)[0])
+        # (unit, k, candidate): the statistics in directions that are independent of each other.
+        own = np.matmul(summed[:, columns].transpose(1, 0, 2), half).transpose(1, 2, 0)
+        # A ratio has no unit: what single precision could not hold is scaled.
+        own /= np.maximum(np.abs(own).max(axis=(0, 1)), 1e-300)
+        drawn = draws @ own.astype(np.float32).reshape(len(own), -1)
+        squares = np.sum(np.square(drawn, out=drawn).reshape(len(signs), *columns.shape[::-1]), axis=1)
+        usual = np.maximum(squares.mean(axis=0, dtype=np.float64), 1e-300)
+        observed[positions] = np.sum(own.sum(axis=0) ** 2, axis=0) / usual
         flipped[:, positions] = squares / usual
     return observed, flipped
 

@@ -31,7 +31,7 @@ from inflight.diagnosis.scoring import (
     family_wise_p,
     fit,
     make_folds,
-    project_out,
+    remaining_of,
     score,
     sign_flip_ratios,
 )
@@ -43,7 +43,7 @@ from inflight.diagnosis.time_changes import (
     episodes,
     steps,
 )
-from inflight.lsq import FactoredGrams, GramBlocks
+from inflight.lsq import BlockProducts, CalibratedBlocks, FactoredGrams, GramBlocks, TimedGrams
 
 Groups = Sequence[Sequence[int]]
 
@@ -260,6 +260,8 @@ class SharedGrams:
         Calibration intervals the forms were made for.
     forms : dict of str to GramBlocks
         The calibration marginalised: ``raw``, ``within``, ``white``; empty when they must be made anew.
+    changes : dict
+        Drifts, steps and episodes: by first blocks of the intervals, and the residual.
     """
 
     raw: FactoredGrams
@@ -269,21 +271,31 @@ class SharedGrams:
     precision: Floats
     intervals: Groups = ()
     forms: dict[str, GramBlocks] = field(default_factory=dict)
+    changes: dict[tuple[tuple[int, ...], int], list[Change]] = field(default_factory=dict)
+    _earlier: dict[str, GramBlocks] = field(default_factory=dict, init=False, repr=False)
 
     def forms_for(self, intervals: Groups) -> dict[str, GramBlocks]:
         """Return the three forms with some calibration intervals."""
         if not self.forms or self.intervals != intervals:
-            self.intervals = intervals
-            if self.raw.fits > 1:
-                within = self.raw.marginalise(self.base)
-            else:
-                within = self.raw.marginalise(self.base, self.days, self.precision)
+            same = self.intervals == intervals
+            earlier = self._earlier | self.forms
+            self.intervals, self.forms, self._earlier = intervals, {}, {}
+
+            def left(form: str, blocks: FactoredGrams, groups: Groups | None) -> FactoredGrams:
+                known = earlier.pop(form, None) if same or form == "within" else None
+                known = known if isinstance(known, FactoredGrams) else None
+                return blocks.marginalise(self.base, groups, self.precision, earlier=known)
+
             self.forms = {
-                "raw": self.raw.marginalise(self.base, intervals, self.precision),
-                "within": within,
-                "white": self.white.marginalise(self.base, intervals, self.precision),
+                "raw": left("raw", self.raw, intervals),
+                "within": left("within", self.raw, None if self.raw.fits > 1 else self.days),
+                "white": left("white", self.white, intervals),
             }
         return self.forms
+
+    def outdate(self) -> None:
+        """Let the forms be made anew, from what they hold of the columns that are still there."""
+        self.forms, self._earlier = {}, self._earlier | self.forms
 
     def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> None:
         """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
@@ -291,7 +303,7 @@ class SharedGrams:
             # Columns of a change that was dropped lack the products with what joined since.
             self.raw, self.white = self.raw.without(functions), self.white.without(functions)
         self.raw, self.white = self.raw.expand(functions), self.white.expand(functions)
-        self.forms = {}
+        self.outdate()
 
     def join(self, names: Sequence[str], scale: Floats, raw: Border, white: Border) -> None:
         """Add columns to the Gram blocks.
@@ -305,13 +317,13 @@ class SharedGrams:
         """
         self.raw = self.raw.bordered(names, scale, *raw)
         self.white = self.white.bordered(names, scale, *white)
-        self.forms = {}
+        self.outdate()
 
     def join_combinations(self, names: Sequence[str], parts: Sequence[tuple[float, Sequence[str]]]) -> None:
         """Add columns that are sums of weights times others; see `FactoredGrams.with_combinations`."""
         self.raw = self.raw.with_combinations(names, parts)
         self.white = self.white.with_combinations(names, parts)
-        self.forms = {}
+        self.outdate()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -478,7 +490,7 @@ class Search:
         """Return the calibration's own columns and what is known of them beforehand, standard deviations."""
         return base_columns(self.library)
 
-    def precision(self, grams: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
+    def precision(self, grams: BlockProducts, names: Sequence[str], sigma: Floats) -> Floats:
         """Return variance over squared prior sigma in scaled units; 0 without a prior."""
         return prior_precision(grams, names, sigma, self.variance)
 
@@ -495,7 +507,7 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, grams: GramBlocks, without: Option | None = None) -> ModelColumns:
+    def present_in(self, grams: BlockProducts, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
@@ -535,14 +547,15 @@ class Search:
             found = score(own, present, columns, y, make_folds(len(own), more[0].interleaved))
             ratio, flipped = sign_flip_ratios(own, present, columns, y, signs, units)
             if requested is not None:
-                kept = self._not_hidden(more, requested, found.gamma)
+                kept = self._not_hidden(more, requested, self.present_in(requested, without), found.gamma)
                 found, ratio, flipped = found.rescaled(whole).keep_only(kept), ratio * kept, flipped * kept
             timed.append((found.without_fits(), (ratio, flipped)))
             options += more
         scores, ratios = append_changes(scores, ratios, timed)
-        largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
-        real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
-        p = {form: family_wise_p(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
+        real = np.array([not option.placebo for option in options], dtype=bool)
+        largest = [flipped[:, real].max(axis=1, initial=0.0) for _, flipped in ratios.values()]
+        most = np.max(largest, axis=0)[:, None]
+        p = {form: family_wise_p(observed, most) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
             form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)
@@ -552,28 +565,46 @@ class Search:
 
     def _changes(
         self, without: Option | None
-    ) -> Iterator[tuple[list[Option], GramBlocks, ModelColumns, GramBlocks | None]]:
-        """Yield options bound to a time, some at a time with the Gram blocks of their columns alone.
+    ) -> Iterator[tuple[list[Option], TimedGrams, ModelColumns, TimedGrams | None]]:
+        """Yield options bound to a time, some at a time with the Gram blocks of their columns.
 
         Where their intervals are not those in use, the blocks come again with the requested ones.
         """
         base, _ = self.base()
         own = self._model_columns(without)
-        found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
-        found += episodes(self.raw, self.forms["raw"], self.time_variable.outside(base), self.y())
-        # An episode that ends with the record is a step, which may be among them.
-        found = list({one.name: one for one in found}.values())
+        found = self._possible_changes()
         excluded = self._excluded(found, without)
+        # Those whose time was refined have columns of their own.
+        dated = {one.name: one for one in self.options if one.change is not None and one.name not in excluded}
         # Of gigabytes of Gram blocks the few columns that change in time are read once.
-        core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names])))
-        for intervals, batch in self._in_batches([one for one in found if one.name not in excluded], without):
-            functions = {name: source for change in batch for name, source in change.functions.items()}
-            sources = [column for column, _ in functions.values()]
-            small = core.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
-            wide = self._marginalised(small, intervals)
-            live = np.diagonal(wide.total) > 0
+        columns = [name for one in dated.values() for name in one.columns]
+        core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names, *columns])))
+        calibrated: dict[tuple[int, ...], CalibratedBlocks] = {}
+
+        def blocks(intervals: Groups, functions: Mapping[str, tuple[str, Floats]]) -> TimedGrams:
+            key = tuple(group[0] for group in intervals)
+            if key not in calibrated:
+                precision = self.precision(core, *self.base())
+                calibrated[key] = CalibratedBlocks(core, base, intervals, precision)
+            return TimedGrams.of(calibrated[key], own, functions)
+
+        fresh = [one for one in found if one.name not in excluded]
+        always = np.ones(len(core))
+        changes = [one.change for one in dated.values() if one.change is not None]
+        for intervals, batch in [*self._in_batches(fresh, without), *self._in_batches(changes, without)]:
+            functions = {
+                name: source
+                for one in batch
+                for name, source in (
+                    {name: (name, always) for name in dated[one.name].columns}
+                    if one.name in dated
+                    else one.functions
+                ).items()
+            }
+            wide = blocks(intervals, functions)
             options = [
-                Option(
+                dated.get(one.name)
+                or Option(
                     name=one.name,
                     mechanism=one.mechanism,
                     family=one.family,
@@ -581,21 +612,23 @@ class Search:
                     change=one,
                 )
                 for one in batch
-                if live[wide.index(list(one.functions))].any()
+                if one.name in dated or wide.is_live(wide.index(list(one.functions))).any()
             ]
             if options:
-                yield options, wide, self.present_in(wide, without), self._requested(small, intervals)
-        # Those whose time was refined have columns of their own.
-        for one in self.options:
-            if one.change is not None and one.name not in excluded:
-                intervals = self._intervals_for(one.change, without)
-                small = self.raw.select(list(dict.fromkeys([*base, *own, *one.columns])))
-                wide = self._marginalised(small, intervals)
-                yield [one], wide, self.present_in(wide, without), self._requested(small, intervals)
+                same = intervals == self.intervals
+                requested = None if same else blocks(self.requested_intervals, functions)
+                yield options, wide, self.present_in(wide, without), requested
 
-    def _requested(self, grams: GramBlocks, intervals: Groups) -> GramBlocks | None:
-        """Return the Gram blocks with the requested intervals; None when `intervals` are those in use."""
-        return None if intervals == self.intervals else self._marginalised(grams, self.requested_intervals)
+    def _possible_changes(self) -> list[Change]:
+        """Return drifts, steps and episodes; they are those of the intervals, whatever was taken."""
+        known, key = self.shared.changes, (tuple(group[0] for group in self.intervals), self.residual)
+        if key not in known:
+            found = drifts(self.raw, self.time_variable) + steps(self.raw, self.time_variable)
+            lone = self.time_variable.outside(self.base()[0])
+            found += episodes(self.raw, self.forms["raw"], lone, self.y())
+            # An episode that ends with the record is a step, which may be among them.
+            known[key] = list({one.name: one for one in found}.values())
+        return known[key]
 
     def _excluded(self, found: Sequence[Change], without: Option | None) -> set[str]:
         """Return the names of changes that are not scored: taken, like one taken, banned, hidden."""
@@ -612,15 +645,14 @@ class Search:
         self, found: Sequence[Change], without: Option | None
     ) -> Iterator[tuple[Groups, list[Change]]]:
         """Yield changes some at a time with the intervals they are judged with."""
-        by_intervals: list[tuple[Groups, list[Change]]] = []
+        known: dict[tuple[int, ...], Groups] = {}
+        by_intervals: dict[tuple[int, ...], tuple[Groups, list[Change]]] = {}
         for change in found:
-            intervals = self._intervals_for(change, without)
-            same = next((some for other, some in by_intervals if other == intervals), None)
-            if same is None:
-                by_intervals.append((intervals, [change]))
-            else:
-                same.append(change)
-        for intervals, some in by_intervals:
+            if change.at not in known:
+                known[change.at] = self._intervals_for(change, without)
+            intervals = known[change.at]
+            by_intervals.setdefault(tuple(group[0] for group in intervals), (intervals, []))[1].append(change)
+        for intervals, some in by_intervals.values():
             for batch in batch_changes(some):
                 yield intervals, batch
 
@@ -637,16 +669,16 @@ class Search:
         return intervals_around(self.raw, self.requested_intervals, [*at, *more])
 
     def _not_hidden(
-        self, options: Sequence[Option], grams: GramBlocks, values: Sequence[Floats]
+        self, options: Sequence[Option], grams: TimedGrams, present: ModelColumns, values: Sequence[Floats]
     ) -> npt.NDArray[np.bool_]:
         """Return which changes show with the requested intervals, too, or may do so at their time."""
-        present, y = self.present_in(grams), grams.residuals[self.residual]
+        y, columns = grams.residuals[self.residual], [grams.index(option.columns) for option in options]
         out = []
-        for option, gamma in zip(options, values, strict=True):
+        remaining = remaining_of(grams, present, columns, y)
+        for option, gamma, (inner, right) in zip(options, values, remaining, strict=True):
             assert option.change is not None
             at, sharp = option.change.at[0], option.change.sharpness
-            columns = grams.index(option.columns)
-            visible = is_visible_change(grams, present, columns, gamma, y, self.variance)
+            visible = is_visible_change(inner, right, gamma, self.variance)
             out.append(visible or is_at_edge(self.raw, self.requested_intervals, at, sharp))
         return np.array(out)
 
@@ -675,8 +707,8 @@ class Search:
         base, _ = self.base()
         grams = self._marginalised(self.raw.select([*base, *self._model_columns()]), requested)
         y, columns = grams.residuals[self.residual], grams.index(option.columns)
-        present = self.present_in(grams, option)
-        return not is_visible_change(grams, present, columns, gamma, y, self.variance)
+        ((inner, right),) = remaining_of(grams, self.present_in(grams, option), [columns], y)
+        return not is_visible_change(inner, right, gamma, self.variance)
 
     # The next state.
 
@@ -724,7 +756,7 @@ class Search:
         intervals = self._intervals_around_changes()
         if intervals == self.intervals:
             return self
-        self.shared.forms = {}
+        self.shared.outdate()
         return replace(self, intervals=intervals)
 
     def with_round(
@@ -782,6 +814,7 @@ class Search:
             precision=precision,
             intervals=self.intervals,
             forms={"raw": raw.marginalise(base, self.intervals, precision)},
+            changes={},
         )
         return replace(self, shared=shared, library=library, variance=variance)
 
@@ -813,7 +846,11 @@ class Search:
         terms = {key: term for key, term in self.library.terms.items() if names & set(term.columns)}
         names |= {name for term in terms.values() for name in term.columns}
         shared = replace(
-            self.shared, raw=self.raw.restricted(names), white=self.white.restricted(names), forms={}
+            self.shared,
+            raw=self.raw.restricted(names),
+            white=self.white.restricted(names),
+            forms={},
+            changes={},
         )
         library = replace(self.library, terms=terms)
         return replace(self, shared=shared, library=library, options=(), design_cache=CachedDesign())
@@ -836,7 +873,7 @@ def base_columns(library: Library) -> tuple[list[str], Floats]:
     return names, np.asarray([sigma for term in library.base for sigma in term.sigma])
 
 
-def prior_precision(grams: GramBlocks, names: Sequence[str], sigma: Floats, variance: float) -> Floats:
+def prior_precision(grams: BlockProducts, names: Sequence[str], sigma: Floats, variance: float) -> Floats:
     """Return `variance` (of a row, nT^2) over squared prior sigma in scaled units; 0 without a prior."""
     scale = grams.scale[grams.index(names)]
     with np.errstate(divide="ignore"):
@@ -885,22 +922,20 @@ def is_visible(
         Of a row, nT^2.
     """
     whole = np.diag(raw.centred(raw.index(columns), base))
-    remaining = np.diag(form.total)[form.index(columns)]
+    remaining = form.squares[:, form.index(columns)].sum(axis=0)
     kept = np.where(whole > 0, remaining / np.where(whole > 0, whole, 1.0), 0.0)
     # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
     # usual size says whether the rest can be.
-    own = np.diag(raw.total)[raw.index(columns)]
+    own = raw.squares[:, raw.index(columns)].sum(axis=0)
     clear = remaining > settings.own_part * own
     clear |= remaining * usual[: len(remaining)] ** 2 > settings.clear * variance
     return bool(np.any((kept >= settings.least_retained) & clear))
 
 
 def is_visible_change(
-    grams: GramBlocks,
-    present: ModelColumns,
-    columns: Index,
+    inner: Floats,
+    right: Floats,
     gamma: Floats,
-    y: int,
     variance: float,
     settings: VisibilitySettings = VISIBILITY_SETTINGS,
 ) -> bool:
@@ -908,16 +943,16 @@ def is_visible_change(
 
     Parameters
     ----------
-    grams : GramBlocks
-        With the requested intervals.
+    inner, right : ndarray, shapes (column, column) and (column,)
+        What the model leaves of the change's columns with the requested intervals: products with each other
+        and with the residual.
     gamma : ndarray, shape (column,)
         The change's values (scaled), from intervals that do not hide it.
     variance : float
         Of a row, nT^2.
     """
-    remaining = project_out(grams.total, present)
-    expected = float(gamma @ remaining[np.ix_(columns, columns)] @ gamma)
-    gained = -2.0 * float(gamma @ remaining[columns, y]) - expected
+    expected = float(gamma @ inner @ gamma)
+    gained = -2.0 * float(gamma @ right) - expected
     return gained > max(settings.clear * variance, settings.expected_part * expected)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from inflight.arrays import Floats
 from inflight.design import DesignRows
 from inflight.frames import direction_of
 from inflight.model import RowFilter
-from inflight.samples import Folding
+from inflight.samples import Folding, PlainSamples
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")
@@ -164,11 +164,14 @@ class Series:
         """
         known = np.isfinite(packed[:, :, 0])
         block = np.broadcast_to(np.arange(len(packed))[:, None], known.shape)[known]
-        values = packed[known]
-        missing = {}
+        # One feature after the other: who asks for a channel reads one run of memory.
+        values = np.empty((len(block), packed.shape[2]), dtype=packed.dtype, order="F")
+        for place in range(packed.shape[2]):
+            values[:, place] = packed[:, :, place][known]
+        missing: dict[str, np.ndarray] = {}
         for name in [one for one in filled or {} if one in features.names]:
             part = values[:, features.place(name)]
-            lost = ~np.isfinite(part).all(axis=1)
+            lost = np.asarray(~np.isfinite(part).all(axis=1))
             if lost.any():
                 missing[name] = lost
                 part[~np.isfinite(part)] = (filled or {})[name]
@@ -182,7 +185,7 @@ class Series:
 
     def without(self, rows: np.ndarray) -> Series:
         """Return the series with some rows (sample,) of bool that have no weight."""
-        values = self.values.copy()
+        values = self.values.copy(order="K")
         values[rows, self.features.place("weight")] = 0.0
         return replace(self, values=values)
 
@@ -232,10 +235,19 @@ class Series:
 
     def rows(self, matrices: dict[str, Floats], more: dict[str, xr.Variable]) -> DesignRows:
         """Return the series as rows, so that columns can be made from it."""
-        residual = self["residual"].reshape(len(self.values), -1)
-        directions = {name: self.direction(name) for name in self.features.sensors}
-        samples = xr.Dataset({**self._variables, **more})
-        return DesignRows(samples, residual, directions, matrices, self["weight"], self.row_filter)
+        # Effects only look variables up: no Dataset is made of them for every column that is tried.
+        samples = cast("xr.Dataset", PlainSamples({**self._variables, **more}))
+        return DesignRows(
+            samples, self._residual, self._directions, matrices, self["weight"], self.row_filter
+        )
+
+    @cached_property
+    def _residual(self) -> Floats:
+        return self["residual"].reshape(len(self.values), -1)
+
+    @cached_property
+    def _directions(self) -> dict[str, Floats]:
+        return {name: self.direction(name) for name in self.features.sensors}
 
     @cached_property
     def _variables(self) -> dict[str, xr.Variable]:

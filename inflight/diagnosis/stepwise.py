@@ -21,7 +21,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
-from inflight.diagnosis.scoring import ModelColumns, fit, project_out
+from inflight.diagnosis.scoring import ModelColumns, fit, project_out_of
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import (
     GramBlocks,
@@ -134,18 +134,17 @@ def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats,
     The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
     follows them. No sigma is smaller than that from rows of white noise of the residual's size.
     """
-    total = grams.total
     p = present.columns
-    matrix = total[np.ix_(p, p)] + np.diag(present.precision)
-    inverse = gram_inverse(matrix)
-    value = -inverse @ total[p, y]
     blocks = grams.rows(p, np.append(p, y))
+    matrix, right = blocks[:, :, :-1].sum(axis=0), blocks[:, :, -1].sum(axis=0)
+    inverse = gram_inverse(matrix + np.diag(present.precision))
+    value = -inverse @ right
     scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
     meat = bartlett_covariance(scores, SELECTION_SETTINGS.bartlett)
     free = max(count - p.size / 3.0, 2.0)
-    remaining = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
-    white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * total[np.ix_(p, p)]
+    remaining = grams.squares[:, y].sum() + 2.0 * right @ value + value @ matrix @ value
+    white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * matrix
     return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
@@ -157,8 +156,7 @@ def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
-    rest = project_out(grams.total, search.present(form, option))
-    kept = float(own @ rest[np.ix_(columns, columns)] @ own)
+    kept = float(own @ project_out_of(grams, search.present(form, option), columns) @ own)
     # Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
     # moves by one kelvin.
     whole = float(own @ centred(search, option) @ own)
@@ -213,8 +211,9 @@ def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tu
     raw = search.raw
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
-    total = raw.total
-    shift = regression_coefficients(total, base, own) @ (gamma / raw.scale[own])
+    places = np.concatenate([base, own])
+    total, at = raw.rows(places, places).sum(axis=0), np.arange(places.size)
+    shift = regression_coefficients(total, at[: base.size], at[base.size :]) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
@@ -285,11 +284,12 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
         return False
     grams = search.forms[form]
     own, wide = grams.index(option.columns), grams.index(rival.columns)
-    rest = project_out(grams.total, search.present(form, option))
-    gamma, _ = fit(grams, search.present(form, option), [own], search.y(form))
-    shared = rest[np.ix_(wide, own)] @ gamma[0]
-    half = inverse_square_root(rest[np.ix_(wide, wide)][None])[0]
-    whole = float(gamma[0] @ rest[np.ix_(own, own)] @ gamma[0])
+    present = search.present(form, option)
+    gamma, _ = fit(grams, present, [own], search.y(form))
+    rest = project_out_of(grams, present, np.concatenate([own, wide]))
+    shared = rest[own.size :, : own.size] @ gamma[0]
+    half = inverse_square_root(rest[None, own.size :, own.size :])[0]
+    whole = float(gamma[0] @ rest[: own.size, : own.size] @ gamma[0])
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION_SETTINGS.contained * whole
 
 

@@ -49,7 +49,7 @@ class ChangeSettings:
     edges: int = 48
     episodes: int = 3
     longest: int = 2
-    batch_columns: int = 72
+    batch_columns: int = 144
     rounding: float = 1e-12
 
 
@@ -179,11 +179,13 @@ def batch_changes(changes: Sequence[Change]) -> Iterator[list[Change]]:
     """Yield changes some at a time, those of a batch held out in the same way."""
     for interleaved in (False, True):
         batch: list[Change] = []
+        columns = 0
         for change in (one for one in changes if one.interleaved is interleaved):
             batch.append(change)
-            if sum(len(one.functions) for one in batch) >= CHANGE_SETTINGS.batch_columns:
+            columns += len(change.functions)
+            if columns >= CHANGE_SETTINGS.batch_columns:
                 yield batch
-                batch = []
+                batch, columns = [], 0
         if batch:
             yield batch
 

@@ -449,9 +449,10 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     if not names:
         return ()
     value, covariance = joint_fit(grams, present, search.y())
-    scale, total = grams.scale[present.columns], np.diagonal(grams.total)[present.columns]
+    total = grams.squares.sum(axis=0)
     rows = max(float(grams.count.sum()), 1.0)
-    square = float(grams.total[search.y(), search.y()]) / rows
+    square = float(total[search.y()]) / rows
+    scale, total = grams.scale[present.columns], total[present.columns]
     out: list[dict[str, Any]] = []
     for place, name in enumerate(names):
         error = float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place])

@@ -22,6 +22,7 @@ from .factored_grams import FactoredGrams
 from .gram_blocks import (
     LEAST_KEPT,
     RESIDUAL,
+    BlockProducts,
     BlockSums,
     GramArrays,
     GramBlocks,
@@ -50,6 +51,7 @@ from .solver import (
     solve,
     solve_scaled,
 )
+from .timed_grams import CalibratedBlocks, TimedGrams
 
 __all__ = [
     "BIWEIGHT_RMS_FACTOR",
@@ -58,7 +60,9 @@ __all__ = [
     "MAD_TO_SIGMA",
     "RESIDUAL",
     "SOLVER_SETTINGS",
+    "BlockProducts",
     "BlockSums",
+    "CalibratedBlocks",
     "ClusteredFit",
     "FactoredGrams",
     "GramArrays",
@@ -67,6 +71,7 @@ __all__ = [
     "RobustFit",
     "Series",
     "Solution",
+    "TimedGrams",
     "arrays_of",
     "bartlett_covariance",
     "bartlett_kernel",

@@ -289,41 +289,20 @@ class FactoredGrams:
     # The product of low rank.
 
     @property
+    def _is_raw(self) -> bool:
+        """True of blocks as they are, nothing taken off."""
+        return self.taken is None and self.dead is None
+
+    @property
     def _is_rest(self) -> bool:
         """True of blocks less each fit of their own: `rest` as it is."""
         return self.taken is None and self.dead is not None
 
-    @cached_property
-    def _whole(self) -> npt.NDArray[np.float32] | None:
-        """The matrices with the product of low rank added, of a form whose blocks hold several fits.
-
-        Its factors would be hardly smaller.
-        """
-        rank, width = 2 * self.fits * self.shared.base, len(self.names)
-        if self.taken is None or self.fits == 1:
-            return None
-        every, out = np.arange(width), np.empty((len(self), width, width), dtype=np.float32)
-        grid = np.ix_(self.places, self.places)
-        for block in range(len(self)):
-            both = self._made_factors(every, block)
-            other = np.concatenate([both[rank // 2 :], both[: rank // 2]])
-            np.add(self.shared.rest[block][grid], both.T @ other, out=out[block])
-        return out
-
-    @property
-    def _matrix(self) -> tuple[npt.NDArray[np.float32], Indices, bool]:
-        """What products are read from, where the columns are in it, and whether factors are to be added."""
-        if self._is_rest:
-            return self.shared.rest, self.places, False
-        if self._whole is not None:
-            return self._whole, np.arange(len(self.names)), False
-        return self.shared.rest, self.places, True
-
     def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
         """Return [E; H] and [H; E] of some blocks; (block, 2 * fit * base, column) each."""
-        kept = self._kept_factors
+        kept = self._kept_factors if self.taken is not None else None
         if kept is None:
-            both = np.stack([self._made_factors(columns, block) for block in blocks.tolist()])
+            both = self._made_factors(columns, blocks)
         else:
             both = kept[blocks[:, None], :, columns].swapaxes(1, 2) if columns.size < _FEW else kept[blocks]
             both = both if columns.size < _FEW else both.take(columns, axis=2)
@@ -340,24 +319,30 @@ class FactoredGrams:
         shape = (len(self), 2 * self.fits * self.shared.base, len(self.names))
         if np.prod(shape) > _KEPT_FACTORS:
             return None
-        out = np.empty(shape)
-        every = np.arange(len(self.names))
-        for block in range(len(self)):
-            out[block] = self._made_factors(every, block)
+        return self._factors_with(np.empty(shape), np.arange(len(self.names)))
+
+    def _factors_with(self, out: Floats, columns: Indices) -> Floats:
+        """Return factors (block, 2 * fit * base, column) with those of some columns filled in."""
+        for some in _in_parts(len(self), out.shape[1] * columns.size):
+            out[some, :, columns] = self._made_factors(columns, np.arange(len(self))[some])
         return out
 
-    def _made_factors(self, columns: Indices, block: int) -> Floats:
-        """Return [E; H] of columns of a block; (2 * fit * base, column)."""
+    def _made_factors(self, columns: Indices, blocks: Indices) -> Floats:
+        """Return [E; H] of columns in some blocks; (block, 2 * fit * base, column)."""
         at = self.places[columns]
-        fitted, given = (array[block][..., at] for array in (self.shared.fitted, self.shared.given))
-        own = self.shared.own[block]
+        fitted, given = (
+            np.moveaxis(array[blocks[:, None], ..., at], 1, -1)
+            if at.size < _FEW
+            else array[blocks].take(at, axis=3)
+            for array in (self.shared.fitted, self.shared.given)
+        )
         taken: Floats | float = 0.0
         if self.taken is not None and self.interval is not None:
-            taken = self.taken[self.interval[block]][:, columns]
-        both = np.stack([fitted - taken, given - 0.5 * own @ (fitted + taken)])
+            taken = self.taken[self.interval[blocks]][:, None, :, columns]
+        both = np.stack([fitted - taken, given - 0.5 * self.shared.own[blocks] @ (fitted + taken)], axis=1)
         if self.dead is not None:
             both[..., self.dead[columns]] = 0.0
-        return np.asarray(both.reshape(-1, columns.size))
+        return np.asarray(both.reshape(blocks.size, 2 * self.fits * self.shared.base, columns.size))
 
     # Products.
 
@@ -374,13 +359,21 @@ class FactoredGrams:
         own = self._at(columns)
         other = np.arange(len(self.names)) if others is None else self._at(others)
         which = self._which(blocks)
-        raw = self.taken is None and self.dead is None
+        raw = self._is_raw
+        if blocks is None and not raw and (others is None or self._kept_rows.hold(own)):
+            return self._kept(own, None if others is None else other)
+        return self._made_rows(own, other, which)
+
+    def _made_rows(self, own: Indices, other: Indices, which: Indices | None = None) -> Floats:
+        """Return the products of some columns with others, read and made; (block, column, other)."""
+        which, raw = self._which(which), self._is_raw
         if raw and np.all(self.places[own] < self.shared.base):
             given = self.shared.given[which[:, None, None], :, self.places[own][:, None], self.places[other]]
             return np.asarray(given.sum(axis=3))
-        matrix, places, factored = self._matrix
+        matrix, places, factored = self.shared.rest, self.places, not self._is_rest
         out = np.empty((which.size, own.size, other.size))
-        for some in _in_parts(which.size, own.size * matrix.shape[1]):
+        rank = 4 * self.fits * self.shared.base if factored else 1
+        for some in _in_parts(which.size, max(own.size * matrix.shape[1], rank * other.size)):
             blocks = which[some]
             if other.size < _FEW:
                 out[some] = matrix[blocks[:, None, None], places[own][:, None], places[other]]
@@ -393,6 +386,22 @@ class FactoredGrams:
         self._clear(out, own, other)
         return out
 
+    def _kept(self, columns: Indices, others: Indices | None = None) -> Floats:
+        """Return the products of some columns with others; (block, column, other).
+
+        A search asks for those of its model and its residual with all again and again: they are kept, and
+        where they lie together nothing is copied.
+        """
+        known = self._kept_rows
+        new = [place for place in dict.fromkeys(columns.tolist()) if place not in known.places]
+        if new:
+            known.append(new, self._made_rows(np.array(new), np.arange(len(self.names))))
+        return known.of(columns.tolist(), others).transpose(1, 0, 2)
+
+    @cached_property
+    def _kept_rows(self) -> _KeptRows:
+        return _KeptRows()
+
     def _clear(self, out: Floats, own: Indices, other: Indices) -> None:
         """Set the products of dead columns to 0."""
         if self.dead is not None and self.dead.any():
@@ -401,8 +410,25 @@ class FactoredGrams:
 
     def products_within(self, groups: Indices, blocks: Indices | slice | None = None) -> Floats:
         """Return the products of the columns of each group with each other; (block, group, k, k)."""
-        matrix, places, factored = self._matrix
-        which, at = self._which(blocks), places[groups]
+        if blocks is not None:
+            return self._products_within(groups, self._which(blocks))
+        known, keys = self._kept_within, [tuple(group) for group in groups.tolist()]
+        new = [place for place, key in enumerate(keys) if key not in known]
+        if new:
+            made = self._products_within(groups[new], np.arange(len(self))).swapaxes(0, 1)
+            known.update(zip([keys[place] for place in new], made, strict=True))
+        out = np.empty((len(self), *groups.shape, groups.shape[-1]))
+        for place, key in enumerate(keys):
+            out[:, place] = known[key]
+        return out
+
+    @cached_property
+    def _kept_within(self) -> dict[tuple[int, ...], Floats]:
+        """Products of a candidate's own columns, by these; (block, k, k): the same in every round."""
+        return {}
+
+    def _products_within(self, groups: Indices, which: Indices) -> Floats:
+        matrix, factored, at = self.shared.rest, not self._is_rest, self.places[groups]
         out = np.empty((which.size, *groups.shape, groups.shape[-1]))
         size = groups.size * max(groups.shape[-1], 2 * self.fits * self.shared.base)
         for some in _in_parts(which.size, size):
@@ -422,15 +448,16 @@ class FactoredGrams:
     @cached_property
     def squares(self) -> Floats:
         """Sum of squares of every column in each block; (block, column)."""
-        every = np.arange(len(self.names))
-        matrix, places, factored = self._matrix
-        out = np.einsum("bii->bi", matrix)[:, places].astype(np.float64)
-        for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * every.size):
-            if factored:
-                first, second = self._factors(every, np.arange(len(self))[some])
+        return self._squares_of(np.arange(len(self.names)))
+
+    def _squares_of(self, columns: Indices) -> Floats:
+        out = np.einsum("bii->bi", self.shared.rest)[:, self.places[columns]].astype(np.float64)
+        for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * columns.size):
+            if not self._is_rest:
+                first, second = self._factors(columns, np.arange(len(self))[some])
                 out[some] += np.einsum("bmi,bmi->bi", first, second)
         if self.dead is not None:
-            out[:, self.dead] = 0.0
+            out[:, self.dead[columns]] = 0.0
         return np.asarray(out)
 
     @cached_property
@@ -446,10 +473,9 @@ class FactoredGrams:
         """Return the sum over the blocks of each fold; kept, because every question asks for them."""
         key = tuple(tuple(np.asarray(fold).tolist()) for fold in folds)
         if key not in self._sums:
-            matrix, places, factored = self._matrix
-            every, grid = np.arange(len(self.names)), np.ix_(places, places)
-            out = [_sum_of(matrix, fold, self.shared.width)[grid] for fold in folds]
-            if factored:
+            every, grid = np.arange(len(self.names)), np.ix_(self.places, self.places)
+            out = [_sum_of(self.shared.rest, fold, self.shared.width)[grid] for fold in folds]
+            if not self._is_rest:
                 size = 4 * self.fits * max(self.shared.base, 1) * every.size
                 for place, fold in enumerate(folds):
                     for some in _in_parts(len(fold), size):
@@ -463,7 +489,9 @@ class FactoredGrams:
 
     def centred(self, columns: Indices, base: Indices) -> Floats:
         """Return the total matrix of columns about what they share with one column of the base."""
-        return centred_gram(self.total, columns, base)
+        places = np.concatenate([columns, base])
+        total, at = self.rows(places, places).sum(axis=0), np.arange(places.size)
+        return centred_gram(total, at[: columns.size], at[columns.size :])
 
     # Other blocks and columns.
 
@@ -472,7 +500,8 @@ class FactoredGrams:
         kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
         return GramArrays(
             tuple(self.names[place] for place in kept),
-            self.rows(kept, kept),
+            # Of a form that is searched these are columns of its model, whose rows are asked for anyway.
+            self.rows(kept, kept) if self._is_raw else self._kept(kept, kept),
             self.start,
             self.end,
             self.count,
@@ -625,11 +654,13 @@ class FactoredGrams:
         *,
         cut: float = SOLVER_SETTINGS.eigen_cut,
         least_kept: float = LEAST_KEPT,
+        earlier: Self | None = None,
     ) -> Self:
         """Return what is left of every column after the calibration is fitted anew in each interval.
 
         Parameters are those of `GramArrays.marginalise`; without `groups` each fit of a block is one
         interval, whose own values nothing is known of beforehand. `dtype` is that of the shared matrix.
+        `earlier` is what the same call returned before some columns joined: what it holds is not made again.
         """
         del dtype
         base = self.index(names)
@@ -653,19 +684,106 @@ class FactoredGrams:
             interval = np.empty(len(self), dtype=np.int64)
             interval[blocks] = np.repeat(np.arange(len(groups)), np.diff(begins))
             small = replace(small, taken=taken, interval=interval)
+        if earlier is not None:
+            small._take_over(earlier)
         whole = self.squares.sum(axis=0)[kept]
         dead = small.squares.sum(axis=0) <= least_kept * whole
         dead[small.residuals] = False
         made = replace(small, dead=dead)
         # What was made to tell which columns are dead holds for the others; those of dead ones are cleared.
         made.__dict__.update({name: value for name, value in vars(small).items() if name in _CARRIED})
+        made.__dict__["squares"] = np.where(dead, 0.0, small.squares)
+        if "_kept_rows" in vars(made):
+            made._kept_rows.clear(np.flatnonzero(dead))
         return made
 
+    def _take_over(self, earlier: Self) -> None:
+        """Take what was made of the columns that an earlier form of the same blocks has.
 
+        Only what joined since is made. Nothing is taken where one of its columns was replaced.
+        """
+        places = {place: at for at, place in enumerate(self.places.tolist())}
+        if earlier.shared is not self.shared or not set(earlier.places.tolist()) <= set(places):
+            return
+        old = np.array([places[place] for place in earlier.places.tolist()], dtype=np.int64)
+        new = np.setdiff1d(np.arange(len(self.names)), old)
+        made, known = self.__dict__, earlier.__dict__
+        if known.get("_kept_factors") is not None:
+            shape = (*known["_kept_factors"].shape[:2], len(self.names))
+            if np.prod(shape) <= _KEPT_FACTORS:
+                factors = np.empty(shape)
+                factors[..., old] = known["_kept_factors"]
+                made["_kept_factors"] = self._factors_with(factors, new)
+        squares = np.empty((len(self), len(self.names)))
+        squares[:, old], squares[:, new] = earlier.squares, self._squares_of(new)
+        made["squares"] = squares
+        if "_kept_within" in known:
+            pairs = known["_kept_within"].items()
+            made["_kept_within"] = {tuple(old[list(key)].tolist()): values for key, values in pairs}
+        if "_kept_rows" in known and known["_kept_rows"].places:
+            columns = old[list(known["_kept_rows"].places)]
+            rows = np.empty((len(self), columns.size, len(self.names)))
+            kept = known["_kept_rows"].values[: columns.size]
+            rows[:, :, old], rows[:, :, new] = kept.swapaxes(0, 1), self._made_rows(columns, new)
+            made["_kept_rows"] = _KeptRows()
+            made["_kept_rows"].append(columns.tolist(), rows)
+
+
+class _KeptRows:
+    """Products of some columns with all others, column by column: those of a model grow with it.
+
+    Attributes
+    ----------
+    places : dict of int to int
+        Column -> its place in `values`.
+    values : ndarray, shape (row, block, column)
+        With room for more rows.
+    """
+
+    def __init__(self) -> None:
+        self.places: dict[int, int] = {}
+        self.values = np.zeros((0, 0, 0))
+
+    def hold(self, columns: Indices) -> bool:
+        """Return True when the rows of all of some columns are there."""
+        return all(column in self.places for column in columns.tolist())
+
+    def append(self, columns: Sequence[int], rows: Floats) -> None:
+        """Add the rows (block, row, column) of some columns."""
+        used, count = len(self.places), len(self.places) + len(columns)
+        if count > len(self.values):
+            wider = np.empty((count + _SPARE_ROWS, rows.shape[0], rows.shape[2]))
+            if used:
+                wider[:used] = self.values[:used]
+            self.values = wider
+        self.values[used:count] = rows.swapaxes(0, 1)
+        self.places.update(zip(columns, range(used, count), strict=True))
+
+    @property
+    def _every(self) -> Indices:
+        return np.arange(self.values.shape[1])[:, None]
+
+    def clear(self, columns: Indices) -> None:
+        """Set the products of some columns to 0."""
+        self.values[:, :, columns] = 0.0
+        self.values[[self.places[column] for column in columns.tolist() if column in self.places]] = 0.0
+
+    def of(self, columns: Sequence[int], others: Indices | None = None) -> Floats:
+        """Return the rows of some columns; (row, block, other). Not a copy where they lie together."""
+        at = [self.places[column] for column in columns]
+        if others is not None:
+            return self.values[np.array(at, dtype=np.int64)[:, None, None], self._every, others]
+        if at == list(range(len(at))):
+            return self.values[: len(at)]
+        return self.values[at]
+
+
+#: Rows that may join those that are kept before they are copied.
+_SPARE_ROWS = 8
 #: Numbers that the factors of low rank may have to be kept.
-_KEPT_FACTORS = 5_000_000
+_KEPT_FACTORS = 25_000_000
 #: Cached properties that do not depend on which columns are dead.
-_CARRIED = ("_whole", "_kept_factors")
+_CARRIED = ("_kept_factors", "_kept_rows", "_kept_within")
 #: Columns from which on whole rows are read and the others left out.
 _FEW = 100
 #: Numbers that are made at once.

@@ -136,6 +136,30 @@ def shift_reference(gram: Floats, change: Floats) -> Floats:
     return np.asarray(weights @ gram @ weights.T)
 
 
+class BlockProducts(Protocol):
+    """What scores ask blocks for: products of a model's columns with all, and of a candidate's own."""
+
+    @property
+    def residuals(self) -> list[int]:
+        """Places of the residuals."""
+
+    @property
+    def scale(self) -> Floats:
+        """Physical size of one unit of each column; (column,)."""
+
+    def __len__(self) -> int:
+        """Return the number of blocks."""
+
+    def index(self, names: Sequence[str]) -> Indices:
+        """Return the places of columns by name."""
+
+    def rows(self, columns: Indices, others: Indices | None = None) -> Floats:
+        """Return the products of some columns with others; (block, column, other)."""
+
+    def products_within(self, groups: Indices) -> Floats:
+        """Return the products of the columns of each group with each other; (block, group, k, k)."""
+
+
 class GramBlocks(Protocol):
     """Sufficient statistics of blocks, in memory or on disk; see `GramArrays` for the shapes."""
 

@@ -342,14 +342,20 @@ class PlainSamples(dict[str, "xr.Variable"]):
     """Variables by name, with as much of a Dataset's interface as effects and sensor chains use."""
 
     @classmethod
-    def of(cls, dataset: xr.Dataset) -> PlainSamples:
-        """Return the variables of a Dataset."""
+    def of(cls, dataset: xr.Dataset | PlainSamples) -> PlainSamples:
+        """Return the variables of a Dataset, or the samples themselves."""
+        if isinstance(dataset, PlainSamples):
+            return dataset
         return cls({str(name): variable for name, variable in dataset.variables.items()})
 
     @property
     def sizes(self) -> dict[str, int]:
         """Length of each dimension."""
         return {"time": int(self["tt2000"].size)}
+
+    def isel(self, time: slice) -> PlainSamples:
+        """Return some consecutive samples."""
+        return PlainSamples({name: variable[time] for name, variable in self.items()})
 
     def assign(self, variables: dict[str, Any] | None = None, **more: Any) -> PlainSamples:
         """Return the samples with some variables added: (dims, values, attributes) each."""

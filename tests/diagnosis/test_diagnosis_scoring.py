@@ -86,8 +86,8 @@ def test_what_sets_two_candidates_apart_is_what_sets_their_predictions_of_rows_a
     case, folds = row_case(2), make_folds(20)
     found = scored(case, names, precision, folds)
     expected = contributed(case, names, precision, CANDIDATES[0], folds, beside=CANDIDATES[3])
-    np.testing.assert_allclose(found.fits.squared_difference(0, 3), expected, rtol=1e-8)
-    np.testing.assert_allclose(found.fits.squared_difference(3, 0), expected, rtol=1e-8)
+    np.testing.assert_allclose(found.fits.squared_differences([0], 3)[:, 0], expected, rtol=1e-8)
+    np.testing.assert_allclose(found.fits.squared_differences([1, 3], 0)[:, 1], expected, rtol=1e-8)
     assert found.t_worse_than(3, 0) == pytest.approx(-found.t_worse_than(0, 3), rel=1e-9)
 
 
