@@ -187,7 +187,7 @@ def _factors(m: Floats, n: Floats) -> _Factors:  # pragma: no cover
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _log_determinant(f: _Factors) -> float:  # pragma: no cover
     """Return the logarithm of the determinant's size."""
-    return np.log(abs(f[0])) + np.log(abs(f[1])) + np.log(abs(f[2]))
+    return float(np.log(abs(f[0])) + np.log(abs(f[1])) + np.log(abs(f[2])))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -205,7 +205,7 @@ def _distance(f: _Factors, place: Floats, centre: Floats) -> float:  # pragma: n
     """Return the squared distance of a place (3,) from a centre (3,) in units of its errors."""
     a, b, c = place[0] - centre[0], place[1] - centre[1], place[2] - centre[2]
     x, y, z = _solve(f, a, b, c)
-    return a * x + b * y + c * z
+    return float(a * x + b * y + c * z)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -229,7 +229,7 @@ def _doubt(cost: Floats, state: int, anywhere: float) -> float:  # pragma: no co
         least = min(least, cost[one])
     for one in range(cost.size):
         total += np.exp(-0.5 * (cost[one] - least))
-    return 1.0 - np.exp(-0.5 * (cost[state] - least)) / (total + np.exp(-0.5 * (anywhere - least)))
+    return float(1.0 - np.exp(-0.5 * (cost[state] - least)) / (total + np.exp(-0.5 * (anywhere - least))))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

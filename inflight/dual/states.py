@@ -325,9 +325,16 @@ def _segment_table(segments: Segments, own: Floats) -> drift_loops.SegmentTable:
     before = np.append(segments.head.middle[:1], segments.tail.middle[steady[:-1]])[: steady.size]
     gap[steady] = (segments.head.middle[steady] - before) / SECOND
     head, tail = segments.head, segments.tail
-    arrays = head.mean, tail.mean, head.slope, tail.slope, segments.slope_variance, segments.covariance, own
     return drift_loops.SegmentTable(
-        *(np.ascontiguousarray(one) for one in arrays), seconds=segments.seconds, gap=gap
+        head_mean=np.ascontiguousarray(head.mean),
+        tail_mean=np.ascontiguousarray(tail.mean),
+        head_slope=np.ascontiguousarray(head.slope),
+        tail_slope=np.ascontiguousarray(tail.slope),
+        slope_variance=np.ascontiguousarray(segments.slope_variance),
+        covariance=np.ascontiguousarray(segments.covariance),
+        own=own,
+        seconds=segments.seconds,
+        gap=gap,
     )
 
 

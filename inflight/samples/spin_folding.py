@@ -124,8 +124,7 @@ class FourierSums:
         out = self.coefficients[group, 0]
         for place in range(1, 2 * order + 1):
             out = out * wave + self.coefficients[group, place]
-        out *= np.conj(wave) ** order
-        return out
+        return np.asarray(out * np.conj(wave) ** order)
 
 
 def fourier_sums(
