@@ -97,7 +97,17 @@ def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) ->
 
 
 def unit_dipole(place: Floats) -> Floats:
-    """Return the matrix from moment to field, up to a constant: ``(3 r r^T - 1) / r^3``."""
-    distance = float(np.linalg.norm(place))
-    unit = place / distance
-    return np.asarray((3.0 * np.outer(unit, unit) - np.eye(3)) / distance**3)
+    """Return the matrix from moment to field, up to a constant: ``(3 r r^T - 1) / r^3``.
+
+    Parameters
+    ----------
+    place : ndarray, shape (..., 3)
+        From the dipole, any length.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+    """
+    square = (place * place).sum(axis=-1)[..., None, None]
+    both = 3.0 * place[..., :, None] * place[..., None, :] / square - np.eye(3)
+    return np.asarray(both / (square * np.sqrt(square)))

@@ -218,12 +218,18 @@ class _StateChain:
         self.unknown = float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
         self.score = np.full((len(segments), len(training) + 1), -np.inf)
         self.drift = np.zeros((len(segments), 3))
+        self.own = segment_drift_covariance(segments, training.drift_rate)
 
     def residuals(self, one: int, value: Floats, spread: Floats) -> tuple[Floats, Floats, Floats]:
         """Return a segment's residuals from the states (state, axis), their covariances and squares."""
         residual = self.segments.head.mean[one] - value - self.training.centre
-        own = segment_drift_covariance(self.segments, one, self.training.drift_rate)
-        total = self.segments.covariance[one] + own + self.spread + spread + self.training.centre_covariance
+        total = (
+            self.segments.covariance[one]
+            + self.own[one]
+            + self.spread
+            + spread
+            + self.training.centre_covariance
+        )
         return residual, total, np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
 
     def filter_drift(self, start: Floats, variance: Floats, steady: npt.NDArray[np.int64]) -> float:

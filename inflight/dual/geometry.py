@@ -79,7 +79,7 @@ class Body:
         """
         drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (GEOMETRY_SETTINGS.draws, 3))
         places = self.centre + drawn * self.half_size
-        return _without_outliers(np.array([dipole_matrix(self.positions, place) for place in places]))
+        return _without_outliers(dipole_matrix(self.positions, places))
 
     @property
     def spread(self) -> Floats:
@@ -93,7 +93,7 @@ class Body:
 
 
 def dipole_matrix(positions: Floats, place: Floats) -> Floats:
-    """Return what takes the difference of both sensors to the outboard field of a dipole; (3, 3).
+    """Return what takes the difference of both sensors to the outboard field of a dipole; (..., 3, 3).
 
     ``G_out (G_in - G_out)^-1`` with ``G = (3 r r^T - 1) / r^3``: whatever the moment, on one line with the
     sensors it is ``k / (1 - k)`` with ``k = (r_in / r_out)^3`` (Ness et al. 1971).
@@ -102,11 +102,13 @@ def dipole_matrix(positions: Floats, place: Floats) -> Floats:
     ----------
     positions : ndarray, shape (2, 3)
         Of the inboard and the outboard sensor, m.
-    place : ndarray, shape (3,)
-        Of the dipole, m, same axes and origin.
+    place : ndarray, shape (..., 3)
+        Of the dipole, m, same axes and origin; one or many.
     """
-    near, far = (unit_dipole(one - place) for one in positions)
-    return np.asarray(np.linalg.solve((near - far).T, far.T).T)
+    both = unit_dipole(positions - place[..., None, :])
+    near, far = both[..., 0, :, :], both[..., 1, :, :]
+    # All of these matrices are symmetric: the transposed product is solved for.
+    return np.asarray(np.swapaxes(np.linalg.solve(near - far, far), -1, -2))
 
 
 @cache
@@ -147,7 +149,7 @@ def matrices_near_inboard(body: Body) -> Floats:
     near, far = (np.linalg.norm(places - one, axis=1) for one in body.positions)
     ratio = (near / far) ** 3
     places = places[(ratio > GEOMETRY_SETTINGS.ratios[0]) & (ratio < GEOMETRY_SETTINGS.ratios[1])]
-    return _without_outliers(np.array([dipole_matrix(body.positions, place) for place in places]))
+    return _without_outliers(dipole_matrix(body.positions, places))
 
 
 def matrix_spread(matrix: Floats) -> Floats:

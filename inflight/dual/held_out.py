@@ -110,6 +110,8 @@ class HeldOutSettings:
     slow_widths, narrowest : tuple of int, int
         Widths of the slow part that are tried, as parts of the record, and the narrowest such width, samples.
         Assumed: an octave apart.
+    rounding : float
+        Benefits that differ by less than this part are equal. Assumed: far above rounding, far below any use.
     """
 
     folds: int = 4
@@ -131,6 +133,7 @@ class HeldOutSettings:
     outboard_drift: tuple[float, float] = (0.5, 0.5)
     slow_widths: tuple[int, ...] = (4, 8, 16, 32, 64, 128, 256)
     narrowest: int = 8
+    rounding: float = 1e-9
 
 
 HELD_OUT_SETTINGS = HeldOutSettings()
@@ -277,8 +280,11 @@ def choose_correction(
         sentences = (f"{objection}: {', '.join(names)}" for objection, names in objections.items())
         reason = readings.defect or "; ".join(sentences) or "no candidate could be fitted"
         return HeldOutDecision(no_correction(len(readings), reason), "none", scores)
-    # Benefits are those of what changes; a known constant comes on top.
-    best = max(helping, key=lambda score: (score.constant_known, score.fast_benefit))
+    # Benefits are those of what changes; a known constant comes on top. Forms that come to the same differ by
+    # rounding: the first counts.
+    most = max((score.constant_known, score.fast_benefit) for score in helping)
+    near = most[1] - HELD_OUT_SETTINGS.rounding * abs(most[1])
+    best = next(s for s in helping if s.constant_known == most[0] and s.fast_benefit >= near)
     correction = whole[best.name](readings)
     slow = slow_part_of(correction, readings, best.part.seconds)
     correction = partial_correction(correction, best.part, best.slope_error, slow)
@@ -467,7 +473,8 @@ class SlopePosterior:
         slope, observed = prior.slope[own], observation.slope[other, None]
         if prior.leak is not None:
             # The outboard reading is correlated with its own ambient field, as it is with stray field.
-            observed = observed - signal * np.einsum("dij,sij->sd", prior.leak, observation.ambient[other])
+            ambient = observation.ambient[other].reshape(-1, 9)
+            observed = observed - signal * (ambient @ prior.leak.reshape(-1, 9).T)
         # What was taken for noise may be stray field: the correction is then too small by so much.
         most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT_SETTINGS.least_signal))
         away = observed - np.clip(observed, np.minimum(slope, most), np.maximum(slope, most))
@@ -693,6 +700,11 @@ class GeometryPrior:
         return np.asarray(np.einsum("ki,...ij->...kj", self._mean_matrix, drawn.reshape(*shape, 3, 3)))
 
     @cached_property
+    def _leak_power(self) -> Floats:
+        """Power of ambient field in a correction, for each product of two axes of it; (place, draw, 9)."""
+        return np.asarray((np.swapaxes(self._leaks, 2, 3) @ self._leaks).reshape(*self._leaks.shape[:2], 9))
+
+    @cached_property
     def _non_stray_without_states(self) -> dict[int, NonStrayShare]:
         return self._non_stray(self._difference, most=self._quiet)
 
@@ -721,8 +733,7 @@ class GeometryPrior:
             if most is not None:
                 # What is left of white noise comes in bursts; the rest is there all the time.
                 own[1:] = np.minimum(own[1:], most[scale])
-            leaks = self._signal_share[scale] * self._leaks
-            leaked = np.einsum("ptki,ij,ptkj->pt", leaks, ambient, leaks)
+            leaked = self._signal_share[scale] ** 2 * (self._leak_power @ ambient.ravel())
             share = np.concatenate([own, leaked[None]]) / max(self._size(stray), 1e-300)
             share /= np.maximum(share.sum(axis=0), 1.0)
             added = np.sum(self._outboard * share[:4], axis=0) / factor
@@ -772,16 +783,17 @@ def _filtered(
     taken: Floats, scales: npt.NDArray[np.int64], readings: Readings
 ) -> dict[float, tuple[Floats, Floats]]:
     """Return `SlopePrior.filtered` of a correction's good rows, for all widths of the slow part."""
-    found = {}
+    found, sums = {}, running_sums(taken)
+    wholes = [contrasts(sums, scale)[0] for scale in scales.tolist()]
+    powers = [max(float(np.sum(whole**2)), 1e-300) for whole in wholes]
     for width in (len(taken) // part for part in HELD_OUT_SETTINGS.slow_widths):
         if width < HELD_OUT_SETTINGS.narrowest:
             break
-        sums = running_sums(np.concatenate([taken, taken - slow_part(taken, width)], axis=1))
+        sums = running_sums(taken - slow_part(taken, width))
         product, square = np.ones((2, scales.size))
-        for place, scale in enumerate(scales.tolist()):
-            whole, quick = np.split(contrasts(sums, scale)[0], 2, axis=1)
-            power = max(float(np.sum(whole**2)), 1e-300)
-            product[place] = float(np.sum(quick * whole)) / power
-            square[place] = float(np.sum(quick**2)) / power
+        for place, (scale, whole, power) in enumerate(zip(scales.tolist(), wholes, powers, strict=True)):
+            quick = contrasts(sums, scale)[0]
+            product[place] = float(np.vdot(quick, whole)) / power
+            square[place] = float(np.vdot(quick, quick)) / power
         found[width * readings.step / SECOND] = product, square
     return found

@@ -314,8 +314,11 @@ def cells_of(*series: Floats, longest: int = CELL_SETTINGS.longest) -> Cells:
         values, middle, share = contrasts(sums, block)
         first = np.arange(0, max(len(values) - CELL_SETTINGS.contrasts // 2, 1), CELL_SETTINGS.contrasts)
         number = np.diff(np.append(first, len(values)))
-        products = values[:, :, None] * values[:, None, :]
-        covariance = np.add.reduceat(products, first, axis=0) / number[:, None, None]
+        # All runs but the last, which takes the rest, are of one length.
+        runs = values[: first[-1]].reshape(first.size - 1, CELL_SETTINGS.contrasts, columns)
+        rest = values[first[-1] :]
+        products = np.concatenate([np.swapaxes(runs, 1, 2) @ runs, (rest.T @ rest)[None]])
+        covariance = products / number[:, None, None]
         rows = np.asarray(middle[first + number // 2], dtype=np.int64)
         parts.append(Cells(covariance, share * number, np.full(first.size, block, dtype=np.int64), rows))
     if not parts:
@@ -366,5 +369,6 @@ def contrasts(sums: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], 
     """
     stride = max(block // 2, 1)
     middle = np.arange(block, len(sums) - block, stride)
-    values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)
+    later, early = sums[2 * block :: stride], sums[: len(sums) - 2 * block : stride]
+    values = (later - 2.0 * sums[block : len(sums) - block : stride] + early) / np.sqrt(2.0 * block)
     return values, middle.astype(np.int64), stride / (2.0 * block)

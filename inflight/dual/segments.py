@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.dual import drift_loops
 from inflight.dual.change_points import (
     Rows,
     StepNoise,
@@ -268,55 +269,36 @@ class DriftFilter:
         """Covariance of the value; (axis, axis)."""
         return np.diag(self.covariance[:, 0, 0])
 
+    @property
+    def arrays(self) -> drift_loops.Drift:
+        """The same for compiled loops, which change it in place."""
+        most = SEGMENT_SETTINGS.slope_bound * self.rate.slope
+        return drift_loops.Drift(
+            self.value, self.slope, self.covariance, most, self.rate.slope_walk, self.rate.level_walk
+        )
+
     def predict(self, seconds: float) -> None:
         """Advance the time without an observation."""
-        self.value = self.value + seconds * self.slope
-        move = np.array([[1.0, seconds], [0.0, 1.0]])
-        self.covariance = move @ self.covariance @ move.T
-        walk = self.rate.slope_walk * seconds
-        self.covariance[:, 0, 0] += self.rate.level_walk * seconds + walk * seconds**2 / 3.0
-        self.covariance[:, 0, 1] += walk * seconds / 2.0
-        self.covariance[:, 1, 0] += walk * seconds / 2.0
-        # The variance of the slope is bounded by that of usual slopes, however long the gap.
-        free = self.covariance[:, 1, 1] + walk
-        known = np.minimum(free, SEGMENT_SETTINGS.slope_bound * self.rate.slope)
-        # Value and slope keep their correlation: else the matrix would not stay positive, and the drift
-        # would run away.
-        correlated = np.sqrt(np.where(free > 0, known / np.where(free > 0, free, 1.0), 1.0))
-        self.covariance[:, 1, 1] = known
-        self.covariance[:, 0, 1] *= correlated
-        self.covariance[:, 1, 0] *= correlated
+        drift_loops.predict(self.arrays, seconds)
 
     def observe_slope(self, slope: Floats, variance: Floats) -> None:
         """Update with the slope within a segment, which does not need its state."""
-        total = self.covariance[:, 1, 1] + variance
-        gain = np.where(total > 0, self.covariance[:, :, 1].T / np.where(total > 0, total, 1.0), 0.0).T
-        innovation = slope - self.slope
-        self.value, self.slope = self.value + gain[:, 0] * innovation, self.slope + gain[:, 1] * innovation
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 1, :]
+        drift_loops.observe_slope(self.arrays, slope, variance)
 
     def observe_value(self, innovation: Floats, variance: Floats) -> None:
         """Update with a segment in a known state: its residual, and the residual's variance; (axis,) each."""
-        gain = self.covariance[:, :, 0] / variance[:, None]
-        self.value, self.slope = self.value + gain[:, 0] * innovation, self.slope + gain[:, 1] * innovation
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 0, :]
+        drift_loops.observe(self.arrays, 0, innovation, np.array(variance))
 
     def cross_segment(self, segments: Segments, one: int) -> None:
         """Go from a segment's beginning to its end, between which the drift itself is observed."""
-        seconds = float(segments.seconds[one])
-        if not seconds > 0:
-            return
-        known = self.covariance[:, 0, 0].copy()
-        value = self.value
-        self.predict(seconds)
-        predicted = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
-        noise = 2.0 * np.diag(segments.covariance[one])
-        gain = predicted / np.maximum(predicted + noise, 1e-300)
-        change = segments.tail.mean[one] - segments.head.mean[one]
-        self.value = self.value + gain * (change - (self.value - value))
-        self.covariance[:, 0, 0] = known + gain * noise
-        self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
-        self.observe_slope(segments.tail.slope[one], segments.slope_variance[one])
+        drift_loops.cross_segment(
+            self.arrays,
+            float(segments.seconds[one]),
+            segments.tail.mean[one] - segments.head.mean[one],
+            2.0 * np.diag(segments.covariance[one]),
+            segments.tail.slope[one],
+            segments.slope_variance[one],
+        )
 
 
 def drift_rate(segments: Segments) -> DriftRate:
@@ -375,19 +357,17 @@ def _excess_variance(values: Floats, noise: Floats, unit: Floats) -> Floats:
     return np.asarray(np.where(significant, np.maximum(size, 0.0), 0.0))
 
 
-def segment_drift_covariance(segments: Segments, one: int, rate: DriftRate) -> Floats:
-    """Return the covariance (axis, axis), nT^2, that allows for a state's own drift within a segment.
+def segment_drift_covariance(segments: Segments, rate: DriftRate) -> Floats:
+    """Return covariances (segment, axis, axis), nT^2, that allow for a state's own drift within a segment.
 
     Where all segments drift alike the common drift takes the change; where only this one does, its unit
     warms up, and the next time the level is another.
     """
-    seconds = float(segments.end[one] - segments.start[one]) / SECOND
-    if not seconds > 0:
-        return np.zeros((3, 3))
-    whole = segments.tail.mean[one] - segments.head.mean[one]
-    noise = 2.0 * np.diag(segments.covariance[one])
-    if not segments.seconds[one] > 0:
-        whole = segments.head.slope[one] * seconds
-        noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
+    seconds = ((segments.end - segments.start) / SECOND)[:, None]
+    by_slope = ~(segments.seconds > 0)[:, None]
+    whole = np.where(by_slope, segments.head.slope * seconds, segments.tail.mean - segments.head.mean)
+    slope_noise = np.where(seconds > 0, segments.slope_variance, 0.0) * seconds**2
+    noise = np.where(by_slope, slope_noise, 2.0 * np.einsum("sii->si", segments.covariance))
     allowed = SEGMENT_SETTINGS.own_drift_bound * noise + seconds * rate.level_walk + seconds**2 * rate.slope
-    return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))
+    variance = np.where((seconds > 0) & (whole**2 > allowed), whole**2, 0.0)
+    return np.asarray(variance[:, :, None] * np.eye(3))

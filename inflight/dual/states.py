@@ -30,6 +30,7 @@ import numpy.typing as npt
 import scipy
 
 from inflight.arrays import Floats
+from inflight.dual import drift_loops
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.segments import DriftFilter, DriftRate, Segments, drift_rate, segment_drift_covariance
 from inflight.time import SECOND
@@ -210,8 +211,8 @@ class _Clustering:
 
     Attributes
     ----------
-    given : ndarray of int64, shape (segment,), optional
-        Labels that are known.
+    given : ndarray of int64, shape (segment,)
+        Labels that are known; `TRANSIENT` where they are not.
     centre, covariance : ndarray, shape (state, axis) and (state, axis, axis)
     label : ndarray of int64, shape (segment,)
     drift, drift_end, drift_covariance : ndarray
@@ -225,7 +226,8 @@ class _Clustering:
     def __init__(
         self, segments: Segments, rate: DriftRate, scatter: float, given: Labels | None = None
     ) -> None:
-        self.segments, self.rate, self.scatter, self.given = segments, rate, scatter, given
+        self.segments, self.rate, self.scatter = segments, rate, scatter
+        self.given = np.full(len(segments), TRANSIENT, dtype=np.int64) if given is None else given
         self.steady = np.flatnonzero(~segments.transient)
         self.spread = scatter**2 * np.eye(3)
         self.limit = float(scipy.stats.chi2.isf(STATE_SETTINGS.false_states / max(self.steady.size, 1), 3))
@@ -234,11 +236,10 @@ class _Clustering:
         self.label = np.full(count, TRANSIENT, dtype=np.int64)
         self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
         self.drift_covariance = np.zeros((count, 3, 3))
-        self.own = np.array(
-            [self.spread + segment_drift_covariance(segments, one, rate) for one in range(count)]
-        )
+        self.own = self.spread + segment_drift_covariance(segments, rate)
         self.cost = 0.0
         self.confusion = np.zeros(count)
+        self.table = _segment_table(segments, self.own)
         wide = STATE_SETTINGS.anywhere_noise * (segments.noise.of_mean(1) + scatter**2 * np.eye(3))
         if self.steady.size >= 2:
             wide = STATE_SETTINGS.anywhere_points * np.cov(segments.level[self.steady].T) + wide
@@ -246,60 +247,29 @@ class _Clustering:
 
     def assign_all(self, *, may_add: bool) -> None:
         """Assign all segments once; without `may_add` to the nearest state, however far."""
-        track = DriftFilter.start(self.rate)
-        self.cost = 0.0
-        before = self.segments.head.middle[0] if len(self.segments) else 0
-        for one in self.steady.tolist():
-            track.predict(float(self.segments.head.middle[one] - before) / SECOND)
-            track.observe_slope(self.segments.head.slope[one], self.segments.slope_variance[one])
-            spread = self.segments.covariance[one] + self.own[one]
-            self._assign(one, spread, track, may_add)
-            self.drift[one], self.drift_covariance[one] = track.value, track.spread
-            track.cross_segment(self.segments, one)
-            self.drift_end[one] = track.value
-            before = self.segments.tail.middle[one]
+        room, known = len(self.centre) + (self.steady.size if may_add else 0), len(self.centre)
+        centre, covariance = np.zeros((room, 3)), np.zeros((room, 3, 3))
+        centre[:known], covariance[:known] = self.centre, self.covariance
+        found = drift_loops.Found(
+            centre, covariance, self.label, self.drift, self.drift_end, self.drift_covariance, self.confusion
+        )
+        known, self.cost = drift_loops.assign_segments(
+            self.steady,
+            self.table,
+            DriftFilter.start(self.rate).arrays,
+            found,
+            known,
+            self.given,
+            (self.limit, self.anywhere),
+            may_add,
+        )
+        self.centre, self.covariance = centre[:known], covariance[:known]
         if self.steady.size:
             # Transients have the drift of the segment before them.
             last = np.searchsorted(self.steady, np.arange(len(self.segments)), side="right") - 1
             short = self.segments.transient
             own = self.steady[np.maximum(last, 0)[short]]
             self.drift[short] = self.drift_end[short] = self.drift_end[own]
-
-    def _assign(self, one: int, spread: Floats, track: DriftFilter, may_add: bool) -> None:
-        """Assign one segment, and update its state and the drift by it."""
-        residual = self.segments.head.mean[one] - track.value - self.centre
-        total = spread + track.spread + self.covariance
-        distance = (
-            np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
-            if len(residual)
-            else np.empty(0)
-        )
-        if self.given is None:
-            is_new = not distance.size or bool(may_add and distance.min() > self.limit)
-        else:
-            is_new = int(self.given[one]) == len(distance)
-        if is_new:
-            self.label[one] = len(self.centre)
-            self.centre = np.append(self.centre, [self.segments.head.mean[one] - track.value], axis=0)
-            self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
-            return
-        cost = distance + np.linalg.slogdet(total)[1]
-        if self.given is None:
-            # Far beyond its noise a wide state must not win by its width alone.
-            state = int(np.argmin(np.where(distance <= max(self.limit, distance.min()), cost, np.inf)))
-        else:
-            state = int(self.given[one])
-        self.label[one] = state
-        # The probability that another state is right, or a new one, which could lie anywhere.
-        likelihood = -0.5 * np.append(cost, self.anywhere)
-        doubt = float(1.0 - np.exp(likelihood[state] - np.logaddexp.reduce(likelihood)))
-        self.confusion[one] = doubt * float((track.spread @ np.linalg.inv(total[state])).diagonal().max())
-        self.cost += distance[state] + float(np.linalg.slogdet(spread + track.spread)[1])
-        if may_add:
-            gain = self.covariance[state] @ np.linalg.inv(total[state])
-            self.centre[state] += gain @ residual[state]
-            self.covariance[state] -= gain @ self.covariance[state]
-        track.observe_value(residual[state], np.diag(total[state]))
 
     def update_centres(self) -> None:
         """Estimate the states' centres anew from the segments assigned to them; empty states go."""
@@ -347,6 +317,25 @@ class _Clustering:
             drift_rate=self.rate,
             scatter=self.scatter,
         )
+
+
+def _segment_table(segments: Segments, own: Floats) -> drift_loops.SegmentTable:
+    """Return what of segments the assignment uses, with what is each segment's own (segment, axis, axis)."""
+    steady, gap = np.flatnonzero(~segments.transient), np.zeros(len(segments))
+    before = np.append(segments.head.middle[:1], segments.tail.middle[steady[:-1]])[: steady.size]
+    gap[steady] = (segments.head.middle[steady] - before) / SECOND
+    head, tail = segments.head, segments.tail
+    return drift_loops.SegmentTable(
+        head_mean=np.ascontiguousarray(head.mean),
+        tail_mean=np.ascontiguousarray(tail.mean),
+        head_slope=np.ascontiguousarray(head.slope),
+        tail_slope=np.ascontiguousarray(tail.slope),
+        slope_variance=np.ascontiguousarray(segments.slope_variance),
+        covariance=np.ascontiguousarray(segments.covariance),
+        own=own,
+        seconds=segments.seconds,
+        gap=gap,
+    )
 
 
 class ProvenStates(NamedTuple):

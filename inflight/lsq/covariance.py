@@ -213,9 +213,7 @@ def correlation_steps(series: Floats) -> npt.NDArray[np.int64]:
     # Beyond the last lag nothing is known, and nothing speaks against a run.
     ahead = np.ones((most + LONG_RUN_SETTINGS.in_a_row, small.shape[1]), dtype=np.bool_)
     ahead[: len(small) - 1] = small[1 : most + LONG_RUN_SETTINGS.in_a_row + 1]
-    quiet = np.lib.stride_tricks.sliding_window_view(ahead, LONG_RUN_SETTINGS.in_a_row, axis=0)[:most].all(
-        axis=-1
-    )
+    quiet = np.logical_and.reduce([ahead[lag : lag + most] for lag in range(LONG_RUN_SETTINGS.in_a_row)])
     return np.asarray(np.where(quiet.any(axis=0), quiet.argmax(axis=0), most), dtype=np.int64)
 
 
@@ -257,6 +255,30 @@ def long_run_covariance(scores: Floats, functions: float = 1.0) -> Floats:
         total = total + shared + shared.T
     lost = min(functions * (1.0 + 2.0 * kernel.sum()) / blocks, LONG_RUN_SETTINGS.most_lost)
     return np.asarray(_no_smaller(total, plain) * np.outer(size, size) / (1.0 - lost))
+
+
+def long_run_variance(series: Floats) -> Floats:
+    """Return the `long_run_covariance` of each column by itself, each with its own correlation time.
+
+    Parameters
+    ----------
+    series : ndarray, shape (block, column)
+        In order of time.
+
+    Returns
+    -------
+    ndarray, shape (column,)
+    """
+    blocks = len(series)
+    if blocks < 2:
+        return np.zeros(series.shape[1])
+    centred = series - series.mean(axis=0)
+    width = 2 * correlation_steps(centred)
+    lag = np.arange(1, int(width.max(initial=0)) + 1)[:, None]
+    kernel = np.clip(2.0 * (1.0 - lag / (width + 1)), 0.0, 1.0)
+    ratio = 1.0 + 2.0 * np.sum(kernel * autocorrelation(centred, len(lag))[1:], axis=0)
+    lost = np.minimum((1.0 + 2.0 * kernel.sum(axis=0)) / blocks, LONG_RUN_SETTINGS.most_lost)
+    return np.asarray(np.sum(centred**2, axis=0) * np.maximum(ratio, LONG_RUN_SETTINGS.least) / (1.0 - lost))
 
 
 def _no_smaller(total: Floats, white: Floats) -> Floats:

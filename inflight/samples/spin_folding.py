@@ -22,7 +22,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from inflight.arrays import Floats, sums_of_runs
+from inflight.arrays import Floats
+from inflight.compiled import compiled
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
@@ -119,10 +120,11 @@ class FourierSums:
     def along(self, phase: Floats, group: npt.NDArray[np.int64]) -> Complex:
         """Return each sample's value of its own group's sum; (time, column)."""
         order = self.coefficients.shape[1] // 2
-        out = np.zeros((phase.size, self.coefficients.shape[2]), dtype=np.complex128)
-        for place, harmonic in enumerate(range(-order, order + 1)):
-            out += self.coefficients[group, place] * np.exp(1j * harmonic * phase)[:, None]
-        return out
+        wave = np.exp(1j * phase)[:, None]
+        out = self.coefficients[group, 0]
+        for place in range(1, 2 * order + 1):
+            out = out * wave + self.coefficients[group, place]
+        return np.asarray(out * np.conj(wave) ** order)
 
 
 def fourier_sums(
@@ -144,26 +146,50 @@ def fourier_sums(
     phase : ndarray, shape (time,)
         Radians.
     group : ndarray of int, shape (time,)
-        Group of each sample, never falling, below `groups`.
+        Group of each sample, below `groups`.
     order : int
         Highest harmonic H.
     good : ndarray of bool, shape (time,)
         Samples to be used.
     """
-    used = np.flatnonzero(good)
-    starts = np.searchsorted(group[used], np.arange(groups + 1))
-    wave, angle = np.exp(1j * phase[used]), np.ones(used.size, dtype=np.complex128)
-    data = values[used]
-    sums = np.empty((groups, 2 * order + 1), dtype=np.complex128)
-    right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
-    for harmonic in range(2 * order + 1):
-        sums[:, harmonic] = sums_of_runs(angle[:, None], starts)[:, 0]
-        if harmonic <= order:
-            right[:, order + harmonic] = sums_of_runs(data * np.conj(angle)[:, None], starts)
-            right[:, order - harmonic] = sums_of_runs(data * angle[:, None], starts)
-        angle = angle * wave
-    count = sums[:, 0].real.copy()
-    return FourierSums(_solve_sums(sums, right, order), count)
+    sums, right = _sums_of_groups(np.ascontiguousarray(values), phase, group, groups, order, good)
+    return FourierSums(_solve_sums(sums, right, order), sums[:, 0].real.copy())
+
+
+@compiled
+def _sums_of_groups(
+    values: Complex,
+    phase: Floats,
+    group: npt.NDArray[np.int64],
+    groups: int,
+    order: int,
+    good: npt.NDArray[np.bool_],
+) -> tuple[Complex, Complex]:  # pragma: no cover
+    """Return each group's sums of the waves and of the values times them, as for `fourier_sums`.
+
+    Returns
+    -------
+    sums : ndarray of complex, shape (group, 2 H + 1)
+        Of exp(i h phase), h from 0 to 2 H.
+    right : ndarray of complex, shape (group, 2 H + 1, column)
+        Of the values times exp(-i h phase), h from -H to H.
+    """
+    sums = np.zeros((groups, 2 * order + 1), dtype=np.complex128)
+    right = np.zeros((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
+    for i in range(phase.size):
+        if not good[i]:
+            continue
+        wave, angle = complex(np.cos(phase[i]), np.sin(phase[i])), complex(1.0, 0.0)
+        of_sums, of_right = sums[group[i]], right[group[i]]
+        for harmonic in range(2 * order + 1):
+            of_sums[harmonic] += angle
+            if harmonic <= order:
+                for column in range(values.shape[1]):
+                    of_right[order + harmonic, column] += values[i, column] * np.conj(angle)
+                    if harmonic > 0:
+                        of_right[order - harmonic, column] += values[i, column] * angle
+            angle = angle * wave
+    return sums, right
 
 
 def _solve_sums(sums: Complex, right: Complex, order: int) -> Complex:

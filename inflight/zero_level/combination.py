@@ -32,9 +32,10 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import long_run_covariance
+from inflight.lsq import long_run_variance
 from inflight.zero_level.estimate import SOLVER_SETTINGS, Estimate, OffsetSearch, covariance_of, freedom_of
 from inflight.zero_level.intervals import AXES, Intervals
+from inflight.zero_level.loops import likelihoods
 from inflight.zero_level.methods import (
     METHODS,
     IntervalKinds,
@@ -93,52 +94,43 @@ COMBINATION_SETTINGS = CombinationSettings()
 
 
 def log_likelihood(intervals: Intervals, offset: Floats) -> Floats:
-    """Return the mean of a sample's log-likelihood in each interval, up to a constant; (interval,).
+    """Return the mean of a sample's log-likelihood in each interval, up to a constant; (..., interval).
 
     Parameters
     ----------
     intervals : Intervals
-    offset : ndarray, shape (3,)
-        nT.
+    offset : ndarray, shape (..., 3)
+        One or many, nT.
     """
-    there = np.isfinite(intervals.field[..., 0])
-    field = np.where(there[..., None], intervals.field - offset, 1.0)
-    size = np.maximum(np.sqrt(np.einsum("ksi,ksi->ks", field, field)), 1e-9)
-    part = there / intervals.count[:, None]
-    unit = field / size[..., None]
-    mean = np.einsum("ks,ksi->ki", part, unit)
-    axis = mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-300)[:, None]
-    second = np.einsum("ks,ksi,ksj->kij", part, unit, unit, optimize=True)
-    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    turning = across @ (second - mean[:, :, None] * mean[:, None, :]) @ across
-    middle = np.einsum("ks,ks->k", part, size)
-    squeezed = np.einsum("ks,ks->k", part, (size - middle[:, None]) ** 2)
-    whole = squeezed + middle**2 * np.trace(turning, axis1=1, axis2=2)
-    least = LIKELIHOOD_SETTINGS.least_variance * np.maximum(whole, 1e-300)
-    plane = np.maximum(np.linalg.eigvalsh(turning)[:, 1:], (least / middle**2)[:, None])
-    volume = 2.0 * np.einsum("ks,ks->k", part, np.log(size))
-    return np.asarray(-0.5 * (np.log(np.maximum(squeezed, least)) + np.log(plane).sum(axis=1)) - volume)
+    each = np.ascontiguousarray(offset, dtype=np.float64).reshape(-1, 3)
+    found = likelihoods(np.ascontiguousarray(intervals.field), each, LIKELIHOOD_SETTINGS.least_variance)
+    return found.reshape(*np.shape(offset)[:-1], len(intervals))
 
 
-def likelihood_ratio(better: Floats, other: Floats) -> float:
-    """Return by how many standard deviations one offset is more likely than another (Vuong's statistic).
+def likelihood_ratio(better: Floats, other: Floats) -> Floats:
+    """Return by how many standard deviations one offset is more likely than others (Vuong's statistic).
 
     Intervals that agree on one offset are no contradiction, however their differences vary in size for hours:
     the sum is compared with the scatter about their common part.
 
     Parameters
     ----------
-    better, other : ndarray, shape (interval,)
+    better : ndarray, shape (interval,)
         Of `log_likelihood`, in order of time.
+    other : ndarray, shape (..., interval)
+        Of one other offset, or of many.
+
+    Returns
+    -------
+    ndarray, shape (...)
     """
-    apart = better - other
-    whole = float(np.abs(apart).sum())
-    if whole <= 0.0:
-        return 0.0
-    about = apart - apart.sum() / whole * np.abs(apart)
-    scatter = float(long_run_covariance(about[:, None])[0, 0])
-    chance = max(LIKELIHOOD_SETTINGS.least_chance * float(np.sum(apart**2)), scatter)
-    return float(apart.sum() / np.sqrt(chance))
+    apart = np.asarray(better - other)
+    size = np.abs(apart)
+    whole, total = size.sum(axis=-1), apart.sum(axis=-1)
+    about = apart - (total / np.where(whole > 0.0, whole, 1.0))[..., None] * size
+    scatter = long_run_variance(about.reshape(-1, about.shape[-1]).T).reshape(whole.shape)
+    chance = np.maximum(LIKELIHOOD_SETTINGS.least_chance * np.sum(apart**2, axis=-1), scatter)
+    return np.asarray(np.where(whole > 0.0, total / np.sqrt(np.where(whole > 0.0, chance, 1.0)), 0.0))
 
 
 def most_likely_offset(intervals: Intervals, through: Floats, search: OffsetSearch) -> Floats:
@@ -152,7 +144,7 @@ def most_likely_offset(intervals: Intervals, through: Floats, search: OffsetSear
     offset = np.asarray(through, dtype=np.float64)
     for axis in np.flatnonzero(search.free):
         line = offsets_along(offset, int(axis), search)
-        offset = line[int(np.argmax([log_likelihood(intervals, one).sum() for one in line]))]
+        offset = line[int(np.argmax(log_likelihood(intervals, line).sum(axis=1)))]
     return offset
 
 
@@ -178,7 +170,7 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: Offset
     determined = found.determined.copy()
     for axis in np.flatnonzero(found.determined):
         line = offsets_along(found.solution, int(axis), search)
-        ratio = np.array([likelihood_ratio(own, log_likelihood(intervals, one)) for one in line])
+        ratio = likelihood_ratio(own, log_likelihood(intervals, line))
         why = _rivals(ratio, line[:, axis], float(found.solution[axis]))
         if why:
             determined[axis] = False

@@ -228,17 +228,21 @@ def invert_slopes(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Fl
     keep = np.eye(3)[:, free]
     total = keep.T @ slopes.sum(axis=0) @ keep
     value, vector = np.linalg.eigh(0.5 * (total + total.T))
-    each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
-    # Slopes of one sign are no contradiction, however their size varies for hours: compare with the sum of
-    # sizes.
-    part = each.sum(axis=0) / np.maximum(np.abs(each).sum(axis=0), 1e-300)
-    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each - part * np.abs(each))), 0.0))
     size = np.abs(value)
-    known = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
+    known = size > 1e-12 * max(float(size.max()), 1e-300)
+    if least > 0.0:
+        # Slopes of one sign are no contradiction, however their size varies for hours: compare with the sum
+        # of sizes.
+        each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
+        part = each.sum(axis=0) / np.maximum(np.abs(each).sum(axis=0), 1e-300)
+        scatter = long_run_covariance(each - part * np.abs(each))
+        known &= size > least * np.sqrt(np.maximum(np.diag(scatter), 0.0))
     good = vector[:, known]
     # The slopes need not be symmetric; in these directions they are inverted as they are.
     inverse = good @ np.linalg.inv(good.T @ total @ good) @ good.T if known.any() else np.zeros_like(total)
-    return keep @ inverse @ keep.T, keep @ good @ good.T @ keep.T
+    # Exactly one where all are known: what is not known counts a hundred million times (`undetermined`).
+    projector = np.eye(len(value)) if known.all() else good @ good.T
+    return keep @ inverse @ keep.T, keep @ projector @ keep.T
 
 
 def solve(

@@ -8,6 +8,7 @@ methods work on the same intervals, so that their errors can be compared interva
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -169,12 +170,12 @@ class Intervals:
         kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in parts}
         return replace(self, **kept)
 
-    @property
+    @cached_property
     def count(self) -> Floats:
         """Samples of each interval; (interval,)."""
         return np.asarray(np.isfinite(self.field[..., 0]).sum(axis=1), dtype=np.float64)
 
-    @property
+    @cached_property
     def mean(self) -> Floats:
         """Mean reading; (interval, 3), nT."""
         return np.asarray(np.nansum(self.field, axis=1) / self.count[:, None])
@@ -184,13 +185,13 @@ class Intervals:
         """Readings less their interval's mean, 0 where missing; (interval, sample, 3), nT."""
         return np.nan_to_num(self.field - self.mean[:, None, :])
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
         """Covariance of the components; (interval, 3, 3), nT^2."""
         delta = self.fluctuation
         return np.asarray(np.einsum("ksi,ksj->kij", delta, delta) / self.count[:, None, None])
 
-    @property
+    @cached_property
     def above_noise(self) -> Bools:
         """Whether more than noise fluctuates; (interval,)."""
         total = np.trace(self.covariance, axis1=1, axis2=2)
@@ -205,7 +206,7 @@ class Intervals:
         square = np.sum((self.mean - offset) ** 2, axis=1)
         return bool(np.median(square / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
 
-    @property
+    @cached_property
     def neighbours(self) -> Bools:
         """Whether sample s + 1 follows sample s without a gap; (interval, sample - 1)."""
         apart = np.diff(self.tt2000, axis=1) / SECOND

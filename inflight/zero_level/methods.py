@@ -75,6 +75,7 @@ from inflight.zero_level.estimate import (
     solve,
 )
 from inflight.zero_level.intervals import INTERVAL_SETTINGS, Bools, Intervals
+from inflight.zero_level.loops import neighbour_sums
 
 DAVIS_SMITH, WANG_PAN, MIRROR_MODE = "davis-smith", "wang-pan", "mirror mode"
 
@@ -263,24 +264,14 @@ def compression_bias(intervals: Intervals, found: Estimate, search: OffsetSearch
 
 def compression_over_rotation(intervals: Intervals, offset: Floats) -> Floats:
     """Return compression over rotation, ``<dB^2/B^2> / (<dn^2>/2)``, of all pairs: blind at 1."""
-    change, turn, size, pair = pair_changes(intervals, offset)
-    squeezed = np.sum((change / size) ** 2, where=pair)
-    return np.asarray(squeezed / max(0.5 * float(np.sum(turn**2, where=pair[..., None])), 1e-300))
+    _, rotation, squeezed, _ = _neighbour_sums(intervals, offset)
+    return np.asarray(squeezed.sum() / max(0.5 * float(np.einsum("kii->", rotation)), 1e-300))
 
 
-def pair_changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return dB (interval, pair), dn (interval, pair, 3), B of the pair, and which pairs there are.
-
-    The offset has shape (3,), or (interval, 3) when each interval has its own.
-    """
-    field = intervals.field - _broadcast(offset)
-    size = np.linalg.norm(field, axis=2)
-    pair = intervals.neighbours & (size[:, 1:] > 0) & (size[:, :-1] > 0)
-    safe = np.where(np.isfinite(size) & (size > 0), size, 1.0)
-    unit = np.nan_to_num(field) / safe[..., None]
-    change = np.where(pair, np.diff(safe, axis=1), 0.0)
-    turn = np.where(pair[..., None], np.diff(unit, axis=1), 0.0)
-    return change, turn, np.sqrt(safe[:, 1:] * safe[:, :-1]), pair
+def _neighbour_sums(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return `neighbour_sums` under an offset (3,), or (interval, 3) when each interval has its own."""
+    each = np.array(np.broadcast_to(offset, (len(intervals), 3)), dtype=np.float64)
+    return neighbour_sums(np.ascontiguousarray(intervals.field), intervals.neighbours, each)
 
 
 def minimum_correlation(
@@ -329,20 +320,8 @@ def minimum_correlation(
 
 def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats]:
     """Return ``sum dB dn`` (interval, 3) and M (interval, 3, 3) of the pairs of each interval."""
-    change, turn, size, pair = pair_changes(intervals, offset)
-    middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - _broadcast(offset))
-    unit = middle / np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-300)
-    squeezed = np.where(pair, (change / size) ** 2, 0.0)
-    scores = np.einsum("kp,kpi->ki", change, turn)
-    rotation = np.einsum("kpi,kpj->kij", turn, turn)
-    along = np.einsum("kp,kpi,kpj->kij", squeezed, unit, unit, optimize=True)
-    across = squeezed.sum(axis=1)[:, None, None] * np.eye(3) - along
-    return scores, rotation - across
-
-
-def _broadcast(offset: Floats) -> Floats:
-    """Return an offset (3,), or one an interval (interval, 3), ready to be subtracted from readings."""
-    return offset[:, None, :] if offset.ndim == 2 else offset
+    both, rotation, squeezed, along = _neighbour_sums(intervals, offset)
+    return both, rotation - (squeezed[:, None, None] * np.eye(3) - along)
 
 
 def wang_pan(intervals: Intervals, used: Bools | None = None, search: OffsetSearch | None = None) -> Estimate:
