@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -17,29 +16,20 @@ MANIFEST: Final = "MANIFEST.sha256"
 _FLUSHES: Final = 8
 
 
-def write_manifest(folder: Path, known: Mapping[str, str] | None = None) -> str:
-    """Write the manifest of all files below `folder`; return its sha256.
-
-    Parameters
-    ----------
-    known : mapping of str to str, optional
-        Hashes of files by name; the others are read for theirs.
-    """
-    hashes = known or {}
+def write_manifest(folder: Path) -> str:
+    """Hash every file below `folder`, write its manifest; return the manifest's sha256."""
     manifest = folder / MANIFEST
-    lines = [f"{hashes.get(name) or _hash(folder / name)}  {name}\n" for name in _files(folder)]
-    content = "".join(lines).encode()
-    manifest.write_bytes(content)
-    return hashlib.sha256(content).hexdigest()
+    with manifest.open("w", encoding="utf-8", newline="\n") as stream:
+        stream.writelines(f"{_hash(folder / name)}  {name}\n" for name in _files(folder))
+    return _hash(manifest)
 
 
 def flush_files(folder: Path) -> None:
     """Put everything below `folder` on the disk: files and folders."""
-    paths = [*_below(folder), *(place for place, _, _ in os.walk(folder))]
     # Flushes wait for the disk, not for the processor: together they wait once.
     with ThreadPoolExecutor(_FLUSHES) as pool:
         # All are waited for: the first failure is raised here.
-        list(pool.map(_flush_all, [paths[first::_FLUSHES] for first in range(_FLUSHES)]))
+        list(pool.map(flush, [folder, *folder.rglob("*")]))
 
 
 def manifest_sha256(folder: Path) -> str:
@@ -93,7 +83,7 @@ def manifest_faults(folder: Path, sha256: str) -> list[tuple[str, str]]:
     return faults + [(name, "content is not what was written") for name in changed]
 
 
-def flush(path: Path | str) -> None:
+def flush(path: Path) -> None:
     """Put a file on the disk; of a folder its entries, so that a rename in it survives a power failure."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
@@ -102,26 +92,14 @@ def flush(path: Path | str) -> None:
         os.close(descriptor)
 
 
-def _flush_all(paths: Iterable[str]) -> None:
-    for path in paths:
-        flush(path)
-
-
 def folder_bytes(folder: Path) -> int:
     """Return the size of all files below a folder."""
-    return sum(Path(path).stat().st_size for path in _below(folder))
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _files(folder: Path) -> list[str]:
-    """Return the files below a folder by their names in its manifest, in order."""
-    skipped = len(os.fspath(folder)) + 1
-    names = (path[skipped:].replace(os.sep, "/") for path in _below(folder))
+    names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return sorted(name for name in names if name != MANIFEST)
-
-
-def _below(folder: Path) -> list[str]:
-    """Return all files below a folder; stores have so many that a `Path` of each would cost as much again."""
-    return [f"{place}{os.sep}{name}" for place, _, names in os.walk(folder) for name in names]
 
 
 def _hash(path: Path) -> str:

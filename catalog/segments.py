@@ -3,25 +3,24 @@
 In go the days of a dataset (`write_segment`), or a table (`write_table`); out comes a `Segment`, which
 `Run.attach` registers. Nothing here opens the database, so Dask workers in other processes may call it.
 
-A store is plain Zarr (version 3, consolidated metadata); its files are written here, metadata
-(`inflight.catalog.zarr_metadata`) and chunks (`ChunkWriter`). Zarr itself would take an event loop's turn for
-each of them, ten times as long as packing a chunk. The bytes are those that Zarr would write, which tests
-hold; each chunk, and what the reader makes of the metadata, is compared with what was to be written.
+Zarr writes the metadata of a store; its chunks go to the disk here (`ChunkWriter`), by the codecs that the
+metadata states. Zarr would take an event loop's turn for every chunk, ten times as long as packing it. The
+bytes are those that Zarr would write, which tests hold, and Zarr reads them back for the first day of every
+segment.
 """
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import itertools
 import os
 import re
 import shutil
 import uuid
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -43,12 +42,11 @@ from inflight.catalog.layout import (
 )
 from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.records import DayData, Segment
-from inflight.catalog.stores import parse_store
-from inflight.catalog.zarr_metadata import METADATA, array_metadata, as_text, group_metadata, has_delta
 from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
 
 if TYPE_CHECKING:
     import xarray as xr
+    import zarr
 
 # The layout is ours on purpose: delta is the filter that makes the archive small, and consolidated
 # metadata is one read instead of one a variable. Releases are written without the filter.
@@ -117,11 +115,9 @@ def write_segment(
     }
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
     with _staged(Path(workspace), run_id, label) as staged:
-        written = _write_store(staged.folder, contents, layout, common, described, portable)
-        path, sha256, size = staged.finish(written.hashes)
-    return Segment(
-        path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(written.notes)
-    )
+        notes = _write_store(staged.folder, contents, layout, common, described, portable)
+        path, sha256, size = staged.finish()
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
 
 def write_table(
@@ -146,9 +142,9 @@ def write_table(
     attributes = plain_attributes(dataset.attrs, f"dataset '{name}'")
     described: dict[str, Any] = {"row_dim": "", "chunk": 0, "days": [], "counts": []}
     with _staged(Path(workspace), run_id, _label(name)) as staged:
-        written = _write_store(staged.folder, contents, None, attributes, described, portable)
-        path, sha256, size = staged.finish(written.hashes)
-    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(written.notes))
+        notes = _write_store(staged.folder, contents, None, attributes, described, portable)
+        path, sha256, size = staged.finish()
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
 
 def flush_segment(workspace: Path, segment: Segment) -> None:
@@ -179,10 +175,10 @@ class _Staged:
         self._workspace, self._run_id, self._label = workspace, run_id, label
         self.folder = workspace / "staging" / run_id / f"{label}.{uuid.uuid4().hex[:12]}"
 
-    def finish(self, hashes: Mapping[str, str]) -> tuple[str, str, int]:
-        """Write the manifest and rename; return path relative to the workspace, manifest sha256, bytes."""
+    def finish(self) -> tuple[str, str, int]:
+        """Hash and rename; return path relative to the workspace, manifest sha256, bytes."""
         fault_point("segment_written")
-        sha256 = write_manifest(self.folder, hashes)
+        sha256 = write_manifest(self.folder)
         fault_point("manifest_written")
         size = folder_bytes(self.folder)
         target_folder = self._workspace / "stores" / self._run_id
@@ -226,41 +222,28 @@ def _write_store(
     attributes: dict[str, Any],
     described: dict[str, Any],
     portable: bool,
-) -> _Written:
-    """Write and read back all arrays."""
+) -> list[str]:
+    """Write and read back all arrays; return notes about values that could not be packed."""
+    import zarr  # only who writes waits for it
+
     coordinates = [item.name for item in contents if item.coordinate]
     root = {
         **attributes,
         LAYOUT_ATTRIBUTE: {"layout": LAYOUT_VERSION, **described, "coordinates": coordinates},
     }
+    group = zarr.open_group(folder, mode="w-", zarr_format=3, attributes=root)
     fault_point("segment_begun")
-    written, arrays = _Written(), {}
+    notes = []
     for item in contents:
         encoding = choose_encoding(item.name, item.pieces, item.attributes)
         blocks = _blocks(item, encoding, layout)
-        arrays[item.name] = metadata = _array_metadata(item, encoding, blocks, portable)
-        (folder / item.name).mkdir()
-        written.add_text(folder, f"{item.name}/{METADATA}", as_text(metadata))
-        _write_chunks(folder, item, metadata, blocks, written.hashes)
+        _write_array(folder, group, item, encoding, blocks, portable)
+        _read_back(folder / item.name, item, blocks[0])
         if encoding.note:
-            written.notes.append(encoding.note)
-    written.add_text(folder, METADATA, as_text(group_metadata(root, arrays)))
-    _check_metadata(folder, contents, arrays)
-    return written
-
-
-@dataclass
-class _Written:
-    """What was written of a store: the sha256 of its files by name, and values that could not be packed."""
-
-    hashes: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-    def add_text(self, folder: Path, name: str, text: str) -> None:
-        """Write a file of text."""
-        content = text.encode()
-        (folder / name).write_bytes(content)
-        self.hashes[name] = hashlib.sha256(content).hexdigest()
+            notes.append(encoding.note)
+    zarr.consolidate_metadata(folder)
+    _check_metadata(folder, contents)
+    return notes
 
 
 def _blocks(item: Variable, encoding: Encoding, layout: Layout | None) -> list[Array]:
@@ -275,56 +258,72 @@ def _blocks(item: Variable, encoding: Encoding, layout: Layout | None) -> list[A
     return blocks
 
 
-def _array_metadata(
-    item: Variable, encoding: Encoding, blocks: Sequence[Array], portable: bool
-) -> dict[str, Any]:
+def _write_array(
+    folder: Path,
+    group: zarr.Group,
+    item: Variable,
+    encoding: Encoding,
+    blocks: Sequence[Array],
+    portable: bool,
+) -> None:
+    from zarr.codecs import BloscCodec
+    from zarr.codecs.numcodecs import Delta
+
     inner = blocks[0].shape[1:] if item.in_rows else ()
     components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
-    return array_metadata(
+    delta = encoding.delta and not portable
+    array = group.create_array(
+        item.name,
         shape=shape,
+        dtype=encoding.stored,
         chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
-        dtype=np.dtype(encoding.stored),
-        fill=encoding.fill,
-        delta=encoding.delta and not portable,
-        compression=(COMPRESSOR, COMPRESSION_LEVEL),
+        filters=[Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
+        compressors=[BloscCodec(cname=COMPRESSOR, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
+        fill_value=encoding.fill,
         attributes={**item.attributes, **encoding.attributes()},
-        dims=item.dims,
+        dimension_names=item.dims,
+        # A chunk that is not there would read as fill without an error.
+        config={"write_empty_chunks": True},
     )
-
-
-def _write_chunks(
-    folder: Path, item: Variable, metadata: dict[str, Any], blocks: Sequence[Array], hashes: dict[str, str]
-) -> None:
-    """Write the chunks of an array, and add their hashes."""
-    writer = ChunkWriter(folder / item.name, has_delta(metadata))
     if not item.in_rows:
-        # Of an array without values nothing is stored.
-        if blocks[0].size:
-            place = (0,) * len(metadata["shape"])
-            hashes[writer.name(place)] = writer.write(place, blocks[0])
+        array[...] = blocks[0]
         return
-    inner = blocks[0].shape[1:]
-    rest = (0,) * (len(inner) - 1)
-    parts = len(inner) == 1 and metadata["chunk_grid"]["configuration"]["chunk_shape"][1] < inner[0]
+    writer, rest = ChunkWriter(folder / item.name, delta), (0,) * (len(inner) - 1)
     for index, block in enumerate(blocks):
-        for part in range(inner[0]) if parts else range(1):
-            place = (index, part, *rest) if inner else (index,)
-            hashes[writer.name(place)] = writer.write(place, block[:, part : part + 1] if parts else block)
+        for part in range(inner[0]) if components else range(1):
+            values = block[:, part : part + 1] if components else block
+            writer.write((index, part, *rest) if inner else (index,), values)
 
 
-def _check_metadata(folder: Path, contents: Sequence[Variable], arrays: Mapping[str, Any]) -> None:
-    """Compare what the reader makes of a store's metadata with what was written."""
-    store = parse_store(folder, (folder / METADATA).read_bytes())
+def _read_back(folder: Path, item: Variable, block: Array) -> None:
+    """Compare the first day of an array on disk with what it was written from, as any Zarr reader has it."""
+    import zarr
+
+    array = zarr.open_array(folder, mode="r")
+    found = np.asarray(array[: block.shape[0]] if item.in_rows else array[...])
+    if found.dtype != block.dtype or found.shape != block.shape or found.tobytes() != block.tobytes():
+        raise IntegrityError(
+            "an array reads back differently from what was written",
+            file=str(folder),
+            channel=item.name,
+            remedy="check the disk, then run again",
+        )
+
+
+def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:
+    import zarr
+
+    group = zarr.open_group(folder, mode="r", use_consolidated=True)
     for item in contents:
-        found = store.variables[item.name]
-        grid = arrays[item.name]["chunk_grid"]["configuration"]
-        if (found.shape, found.chunks) != (tuple(arrays[item.name]["shape"]), tuple(grid["chunk_shape"])) or (
-            found.attributes != item.attributes or found.delta != has_delta(arrays[item.name])
+        array = group[item.name]
+        stored = dict(array.attrs)
+        if not isinstance(array, zarr.Array) or any(
+            stored.get(key) != value for key, value in item.attributes.items()
         ):
             raise IntegrityError("attributes read back differently", file=str(folder), channel=item.name)
-    if set(store.variables) != {item.name for item in contents}:
+    if set(group.array_keys()) != {item.name for item in contents}:
         raise IntegrityError("variables read back differently", file=str(folder), remedy="run again")
 
 
@@ -343,11 +342,7 @@ class ChunkWriter:
     folder: Path
     delta: bool
 
-    def name(self, place: tuple[int, ...]) -> str:
-        """Return the file of a chunk, as the store's manifest names it."""
-        return "/".join((self.folder.name, "c", *map(str, place)))
-
-    def write(self, place: tuple[int, ...], values: Array) -> str:
+    def write(self, place: tuple[int, ...], values: Array) -> None:
         """Write one chunk.
 
         Parameters
@@ -357,11 +352,6 @@ class ChunkWriter:
         values : ndarray
             As stored, of the chunk's shape.
 
-        Returns
-        -------
-        str
-            The sha256 of the file, as it reads back.
-
         Raises
         ------
         OSError
@@ -369,27 +359,24 @@ class ChunkWriter:
         IntegrityError
             When what is read back is not what was written.
         """
-        # Zarr's bytes are little-endian.
-        flat = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).ravel()
+        flat = np.ascontiguousarray(values).ravel()
         if self.delta:
             flat = np.diff(flat, prepend=flat.dtype.type(0))
         path = self.folder.joinpath("c", *map(str, place))
-        if not any(place[1:]):
+        if not place[-1] or len(place) == 1:
             path.parent.mkdir(parents=True, exist_ok=True)
-        packed = numcodecs.blosc.compress(
-            flat,
-            COMPRESSOR.encode(),
-            COMPRESSION_LEVEL,
-            numcodecs.blosc.SHUFFLE,
-            numcodecs.blosc.AUTOBLOCKS,
-            typesize=flat.itemsize,
+        path.write_bytes(
+            numcodecs.blosc.compress(
+                flat,
+                COMPRESSOR.encode(),
+                COMPRESSION_LEVEL,
+                numcodecs.blosc.SHUFFLE,
+                numcodecs.blosc.AUTOBLOCKS,
+                typesize=flat.itemsize,
+            )
         )
-        with path.open("w+b") as stream:
-            stream.write(packed)
-            stream.seek(0)
-            stored = stream.read()
         try:
-            found = np.frombuffer(numcodecs.blosc.decompress(stored), dtype=np.uint8)
+            found = np.frombuffer(numcodecs.blosc.decompress(path.read_bytes()), dtype=np.uint8)
         except (RuntimeError, ValueError):
             found = np.empty(0, dtype=np.uint8)
         if not np.array_equal(found, flat.view(np.uint8)):
@@ -399,7 +386,6 @@ class ChunkWriter:
                 channel=self.folder.name,
                 remedy="check the disk, then run again",
             )
-        return hashlib.sha256(stored).hexdigest()
 
 
 def _label(name: str) -> str:

@@ -175,25 +175,17 @@ def _read_metadata(folder: str, _stamp: int) -> Store:
         text = (path / "zarr.json").read_bytes()
         if hashlib.sha256(text).hexdigest() != stated_hashes(path).get("zarr.json"):
             raise ValueError("its zarr.json is not what was written")
-    except (OSError, ValueError) as error:
-        raise _cannot_open(folder, error) from error
-    return parse_store(path, text)
-
-
-def parse_store(folder: Path, text: bytes) -> Store:
-    """Return a store from the content of its metadata file; errors are those of `open_store`."""
-    try:
         root = json.loads(text)
         described = root["attributes"].pop(LAYOUT_ATTRIBUTE)
         arrays = root["consolidated_metadata"]["metadata"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise _cannot_open(str(folder), error) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise _cannot_open(folder, error) from error
     if described["layout"] != LAYOUT_VERSION:
         raise IntegrityError(
-            f"store has layout {described['layout']}, this version reads {LAYOUT_VERSION}", file=str(folder)
+            f"store has layout {described['layout']}, this version reads {LAYOUT_VERSION}", file=folder
         )
     return Store(
-        folder=folder,
+        folder=path,
         row_dim=described["row_dim"],
         chunk=described["chunk"],
         counts=tuple(described["counts"]),

@@ -1,9 +1,7 @@
 import json
 import pickle
 import shutil
-from pathlib import Path
 
-import numcodecs.blosc
 import numpy as np
 import pytest
 import xarray as xr
@@ -272,20 +270,16 @@ def test_the_manifest_finds_changed_missing_and_added_files(tmp_path):
     assert manifest_faults(folder, "0" * 64)[0][0] == "MANIFEST.sha256"
 
 
-def _flipped_value(monkeypatch):
-    honest = numcodecs.blosc.decompress
-    monkeypatch.setattr(numcodecs.blosc, "decompress", lambda packed: honest(packed)[:-1] + b"\x7f")
+def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch):
 
+    honest = zarr.open_array
 
-def _other_unit(monkeypatch):
-    honest = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: honest(path).replace(b'"nT"', b'"mT"'))
+    def disturbed(*arguments, **options):
+        array = honest(*arguments, **options)
+        return np.asarray(array[...]) if array.ndim != 1 else np.zeros(array.shape, array.dtype)
 
-
-@pytest.mark.parametrize("disturb", [_flipped_value, _other_unit])
-def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch, disturb):
-    disturb(monkeypatch)
-    with pytest.raises(IntegrityError, match=r"reads? back differently"):
+    monkeypatch.setattr(zarr, "open_array", disturbed)
+    with pytest.raises(IntegrityError, match="reads back differently"):
         write_segment(tmp_path, "run", "l1/fgm", [DayData(DAYS[0], samples(DAYS[0]))])
     assert not (tmp_path / "stores").exists()
     assert not list((tmp_path / "staging" / "run").iterdir())
