@@ -1,7 +1,7 @@
 """The Dask cluster of a run: processes on this machine, or a scheduler that exists already.
 
-The processes are forks of one that has imported what they need (Python's fork server): what is imported is read
-once and in memory once, however many there are.
+The processes are forks of one that has imported what they need (Python's fork server): what is imported is
+read once and in memory once, however many there are.
 """
 
 from __future__ import annotations
