@@ -245,7 +245,10 @@ def test_a_figure_is_written_as_bokeh_writes_it():
     plot = dependence_figure(followed("current", "A", np.array([1.0, 2.0]), np.array([0.0, 3.0]), np.ones(2)))
     parts = figure_parts(plot, "place")
     text = html.unescape(parts["document"].replace("\\\\", "\\"))
-    assert json.loads(text)["place"] == json.loads(json.dumps(plot.document.to_json(deferred=False)))
+    bokehs = json.loads(json.dumps(plot.document.to_json(deferred=False)))
+    # Models that other libraries, once imported, define for pages of their own: no figure has one.
+    bokehs.pop("defs", None)
+    assert json.loads(text)["place"] == bokehs
     assert json.loads(parts["drawn"]) == [
         {"docid": "place", "roots": {plot.id: "place"}, "root_ids": [plot.id]}
     ]
