@@ -580,10 +580,15 @@ class Search:
         columns = [name for one in dated.values() for name in one.columns]
         core = self.raw.select(list(dict.fromkeys([*base, *own, *self.time_variable.names, *columns])))
         calibrated: dict[tuple[int, ...], CalibratedBlocks] = {}
+        always_asked = tuple(group[0] for group in self.requested_intervals)
 
         def blocks(intervals: Groups, functions: Mapping[str, tuple[str, Floats]]) -> TimedGrams:
             key = tuple(group[0] for group in intervals)
             if key not in calibrated:
+                # Of a long record hundreds of steps have intervals of their own, one after the other: those
+                # of the steps before would be gigabytes.
+                for done in calibrated.keys() - {always_asked}:
+                    del calibrated[done]
                 precision = self.precision(core, *self.base())
                 calibrated[key] = CalibratedBlocks(core, base, intervals, precision)
             return TimedGrams.of(calibrated[key], own, functions)
