@@ -18,7 +18,7 @@ readings, or goes with a recorded channel that fluctuates as much, is a signal a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -108,39 +108,46 @@ def term_columns(term: Term, rows: DesignRows) -> Floats:
     SamplesError
         When a channel is not in the samples.
     """
-    return np.stack(_columns_of(term, rows), axis=-1)
+    return np.stack(list(_columns_of(term, rows)), axis=-1)
 
 
-def _columns_of(term: Term, rows: DesignRows) -> list[Floats]:
-    """Return the columns of a term one by one; (time, row) each."""
+def _columns_of(term: Term, rows: DesignRows) -> Iterator[Floats]:
+    """Yield the columns of a term one by one; (time, row) each."""
+    outside = ~within_span(rows.samples["tt2000"].values, term.span) if term.span else None
+    for column in _columns_in_and_out(term, rows):
+        if outside is not None:
+            column[outside] = 0.0
+        yield column
+
+
+def _columns_in_and_out(term: Term, rows: DesignRows) -> Iterator[Floats]:
+    """Yield the columns of a term, whether or not a sample is within its span; (time, row) each."""
     entry = term.entry
     kinds = entry.effect.parameters()
     times = rows.samples["tt2000"].values
     values = {name: np.array(value) for name, value in entry.values(times).items()}
-    out: list[Floats] = []
     constant = all(value.ndim == 1 for value in values.values())
     for name in term.parameters:
         step = kinds[name].step
         if isinstance(entry.effect, _AFFINE) and constant:
-            out += _affine_columns(term, rows, values, name, step)
-            continue
-        if entry.is_additive and entry.effect.acts_along_axes():
+            yield from _affine_columns(term, rows, values, name, step)
+        elif entry.is_additive and entry.effect.acts_along_axes():
             series = -step * entry.effect.along_axes(rows.samples, name).reshape(len(times), -1)
-            direction = rows.directions[entry.sensor.name]
-            each = (divmod(index, series.shape[1]) for index in range(kinds[name].size))
-            out += [direction[:, :, axis] * series[:, source, None] for axis, source in each]
-            continue
-        if entry.is_additive:
-            out += [_additive(term, rows, values, name, index, step) for index in range(kinds[name].size)]
+            # Each series and each axis as one run of memory: they are read once a column.
+            series = np.ascontiguousarray(series.T)[:, :, None]
+            direction = np.ascontiguousarray(np.moveaxis(rows.directions[entry.sensor.name], -1, 0))
+            pairs = [(axis, source) for axis in range(len(AXES)) for source in range(len(series))]
+            if entry.effect.source_first:
+                pairs.sort(key=lambda pair: pair[1])
+            yield from (direction[axis] * series[source] for axis, source in pairs)
+        elif entry.is_additive:
+            yield from (_additive(term, rows, values, name, index, step) for index in range(kinds[name].size))
         elif entry.effect.axis_by_axis and kinds[name].size == len(AXES):
-            out += _differenced_by_axis(term, rows, values, name, step)
+            yield from _differenced_by_axis(term, rows, values, name, step)
         else:
-            out += [_differenced(term, rows, values, name, index, step) for index in range(kinds[name].size)]
-    if term.span:
-        outside = ~within_span(times, term.span)
-        for column in out:
-            column[outside] = 0.0
-    return out
+            yield from (
+                _differenced(term, rows, values, name, index, step) for index in range(kinds[name].size)
+            )
 
 
 def _with_step(values: Mapping[str, Floats], name: str, index: int | slice, step: float) -> dict[str, Floats]:

@@ -297,6 +297,12 @@ class SharedGrams:
         """Let the forms be made anew, from what they hold of the columns that are still there."""
         self.forms, self._earlier = {}, self._earlier | self.forms
 
+    def forget_products(self) -> None:
+        """Let go of the products that the forms keep: hundreds of megabytes of a long record."""
+        for form in (self.forms | self._earlier).values():
+            if isinstance(form, FactoredGrams):
+                form.forget_products()
+
     def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> None:
         """Add columns that are others times a function of the block (see `GramBlocks.expand`)."""
         if set(functions) & set(self.raw.names):

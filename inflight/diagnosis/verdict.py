@@ -131,7 +131,12 @@ def run_search(
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
-    cadence_s, values = native(search) if native else (data.cadence_s, {})
+    cadence_s, values = data.cadence_s, dict[str, Estimate]()
+    if native:
+        # The processes that make it need the memory of what is only kept to be quick.
+        search.shared.forget_products()
+        data.columns.clear()
+        cadence_s, values = native(search)
     effects = tuple(
         describe_effect(search, data, one, values.get(one.option.name), cadence_s) for one in checks
     )

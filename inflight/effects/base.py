@@ -235,6 +235,9 @@ class Effect:
     options: ClassVar[tuple[str, ...]] = CHANNEL_OPTIONS
     #: True when the field it adds is made from the field at the sensor.
     follows_field: ClassVar[bool] = False
+    #: Parameters of several sources (see `along_axes`) are listed source by source (x0, y0, z0, x1, ...);
+    #: otherwise axis by axis, as the rows of a matrix are.
+    source_first: ClassVar[bool] = False
     #: Each axis of the corrected reading depends on the reading and the parameters of that axis alone.
     axis_by_axis: ClassVar[bool] = False
     #: The user's file the class comes from; None for the library and for packages.
@@ -357,10 +360,11 @@ class Effect:
         raise NotImplementedError(f"{type(self).__name__} adds no field")
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
-        """Return what multiplies each axis of a parameter in `field`; (time,), of a matrix (time, source).
+        """Return what multiplies each axis of a parameter in `field`; (time,), of several (time, source).
 
-        To be defined beside `field`, where that is a sum of parameters (axis) times one series each, or
-        (axis, source) times as many: columns are then made of the series, without a field for every one.
+        To be defined beside `field`, where that is a sum of parameters (axis) times one series each, or of
+        parameters of several sources (in the order `source_first` says) times as many: columns are then made
+        of the series, without a field for every one.
         """
         raise NotImplementedError(f"the field of {type(self).__name__} is no series times a vector")
 

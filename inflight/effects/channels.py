@@ -102,7 +102,11 @@ class ChannelMatrix(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``matrix @ channel``; (time, axis) nT."""
-        return multiply(values["matrix"], self.drive(samples, "matrix"))
+        return multiply(values["matrix"], self.along_axes(samples, "matrix"))
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the channel's components, in units of the parameter; (time, source)."""
+        return self.drive(samples, parameter)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -188,6 +192,7 @@ class FunctionOfChannel(Effect):
     family = "current"
     family_by_channel = True
     options: ClassVar[tuple[str, ...]] = ("channel", "lag", "width", "knots")
+    source_first = True
     channels = ("",)
     value = Parameter("nT", AXES, sigma=10.0)
 
@@ -199,7 +204,11 @@ class FunctionOfChannel(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the spline's value; (time, axis) nT."""
-        return weighted_vectors(spline_basis(self.series(samples), self._knots), values["value"])
+        return weighted_vectors(self.along_axes(samples, "value"), values["value"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the spline of each knot; (time, source)."""
+        return spline_basis(self.series(samples), self._knots)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -222,6 +231,7 @@ class FunctionOfTwo(Effect):
     family = "current"
     family_by_channel = True
     options: ClassVar[tuple[str, ...]] = (*CHANNEL_OPTIONS, "knots", "second", "second_knots")
+    source_first = True
     channels = ("", "")
     value = Parameter("nT", AXES, sigma=10.0)
 
@@ -235,9 +245,12 @@ class FunctionOfTwo(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the surface's value; (time, axis) nT."""
+        return weighted_vectors(self.along_axes(samples, "value"), values["value"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the product of splines of each pair of knots; (time, source)."""
         first, second = (spline_basis(self.series(samples, i), knots) for i, knots in enumerate(self._knots))
-        basis = np.einsum("ti,tk->tik", first, second).reshape(len(first), -1)
-        return weighted_vectors(basis, values["value"])
+        return np.asarray(np.einsum("ti,tk->tik", first, second).reshape(len(first), -1))
 
 
 def knots_of(effect: Effect, key: str) -> Floats:

@@ -65,6 +65,7 @@ class SunDirectionField(Effect):
 
     family = "sun_angle"
     options: ClassVar[tuple[str, ...]] = ("channel", "degree")
+    source_first = True
     channels: tuple[str, ...] = ("sun_direction", "sunlit")
     amplitude = Parameter("nT", _of_harmonics(1), sigma=5.0, step=0.1)
 
@@ -78,11 +79,15 @@ class SunDirectionField(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of harmonics; (time, axis) nT."""
+        return weighted_vectors(self.along_axes(samples, "amplitude"), values["amplitude"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the harmonics, 0 in the shadow; (time, source)."""
         basis = spherical_harmonics(self.series(samples), self._degree)
         if len(self.channels) > 1:
             lit = self.series(samples, 1)[:, None]
             basis = np.where(lit == 0.0, 0.0, basis * lit)
-        return weighted_vectors(basis, values["amplitude"])
+        return basis
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -127,6 +132,7 @@ class Periodic(Effect):
     """
 
     options: ClassVar[tuple[str, ...]] = ("order",)
+    source_first = True
     #: Without sines the series is even: the same before and after the angle's zero.
     sines: ClassVar[bool] = True
     default_order: ClassVar[int] = 2
@@ -144,9 +150,13 @@ class Periodic(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the series; (time, axis) nT."""
+        return weighted_vectors(self.along_axes(samples, "amplitude"), values["amplitude"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the cosine and the sine of each order; (time, source)."""
         angles = self.angle(samples)[:, None] * np.arange(1, self._order + 1)
         parts = [np.cos(angles), np.sin(angles)] if self.sines else [np.cos(angles)]
-        return weighted_vectors(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
+        return np.stack(parts, axis=2).reshape(len(angles), -1)
 
 
 class OrbitPeriodic(Periodic):

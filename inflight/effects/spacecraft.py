@@ -158,6 +158,7 @@ class SolarArray(Effect):
     family = "solar"
     channels: tuple[str, ...] = ("solar_current",)
     options = ("channel", "lag", "normals", "areas", "since", "cycle")
+    source_first = True
     panels = Parameter("nT/A", _of_panels(2), sigma=1.0, step=1e-2)
 
     def prepare(self) -> None:
@@ -182,9 +183,13 @@ class SolarArray(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""
+        return weighted_vectors(self.along_axes(samples, "panels"), values["panels"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the current times the light on each panel; (time, source) A."""
         current = self.channel(samples, "A")
         if self._normals is None:
             light = panel_weights_of_cycle((samples["tt2000"].values - self._since) / self._cycle)
         else:
             light = panel_illumination(self.series(samples, 1), self._normals, self._areas)
-        return current[:, None] * weighted_vectors(light, values["panels"])
+        return np.asarray(current[:, None] * light)

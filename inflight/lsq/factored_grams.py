@@ -402,6 +402,11 @@ class FactoredGrams:
     def _kept_rows(self) -> _KeptRows:
         return _KeptRows()
 
+    def forget_products(self) -> None:
+        """Let go of the products that were kept: they are made again when they are asked for."""
+        for name in _CARRIED:
+            self.__dict__.pop(name, None)
+
     def _clear(self, out: Floats, own: Indices, other: Indices) -> None:
         """Set the products of dead columns to 0."""
         if self.dead is not None and self.dead.any():

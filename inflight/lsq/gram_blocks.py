@@ -73,6 +73,10 @@ def prewhiten(values: Floats, weight: Floats, stamps: npt.NDArray[np.int64], cor
     return out
 
 
+#: Samples of which a copy is made at a time, weighted.
+_AT_ONCE = 16_384
+
+
 def gram_of(columns: Floats, residuals: Floats, weight: Floats, parts: Sequence[slice]) -> Floats:
     """Return the Gram matrices of consecutive parts of a block; (part, column, column), nT^2.
 
@@ -90,12 +94,15 @@ def gram_of(columns: Floats, residuals: Floats, weight: Floats, parts: Sequence[
     root = np.sqrt(np.clip(weight, 0.0, None))[:, None]
     kinds = columns.shape[-1]
     for index, part in enumerate(parts):
-        # One run of memory a column, whatever the order the columns come in.
-        flat = np.empty((width, *root[part].shape[:1], columns.shape[1]))
-        np.multiply(np.moveaxis(columns[part], -1, 0), root[part], out=flat[:kinds])
-        np.multiply(np.moveaxis(residuals[part], -1, 0), root[part], out=flat[kinds:])
-        flat = flat.reshape(width, -1)
-        out[index] = flat @ flat.T
+        # Samples of a whole day at their own cadence are taken in turn: a copy of all would not fit a cache.
+        for start in range(part.start, part.stop, _AT_ONCE):
+            some = slice(start, min(start + _AT_ONCE, part.stop))
+            # One run of memory a column, whatever the order the columns come in.
+            flat = np.empty((width, some.stop - some.start, columns.shape[1]))
+            np.multiply(np.moveaxis(columns[some], -1, 0), root[some], out=flat[:kinds])
+            np.multiply(np.moveaxis(residuals[some], -1, 0), root[some], out=flat[kinds:])
+            flat = flat.reshape(width, -1)
+            out[index] += flat @ flat.T
     return out
 
 

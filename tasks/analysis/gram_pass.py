@@ -337,10 +337,10 @@ class PassPlan:
         )
 
     @property
-    def uses_geometry(self) -> bool:
-        """Whether rows need geometry: those of the series always do."""
+    def geometry(self) -> tuple[str, ...]:
+        """What rows need of the geometry: those of the series all of it."""
         used = {part.channel for name in self.library.channels if name for part in parse_channel(name).parts}
-        return not self.estimates or bool(used & set(GEOMETRY))
+        return tuple(name for name in GEOMETRY if name in used or not self.estimates)
 
     @property
     def base(self) -> list[str]:
@@ -428,6 +428,7 @@ def block_grams(
         raws.append(raw)
         sums = {name: sums[name] + value for name, value in more.items()} if sums else dict(more)
         if day_white is None:
+            del rows
             continue
         white = day_white if white is None else _sum_blocks(white, day_white)
         rows = _with_gaps(rows, derived.reader.day(day))
@@ -533,7 +534,7 @@ def day_rows(
         steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
         samples = samples.assign(vector=plan.model.disturb(steady)["vector"])
     start, end = day_bounds(day)
-    geometry = _geometry(mission, derived.reader, day, samples) if plan.uses_geometry else xr.Dataset()
+    geometry = _geometry(mission, derived.reader, day, samples, plan.geometry)
     there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
     values = derived.of_day(day, plan.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
@@ -567,8 +568,12 @@ def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.nd
     return out
 
 
-def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
-    """Return the geometry of a day's bins, from position and attitude."""
+def _geometry(
+    mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset, names: Sequence[str]
+) -> xr.Dataset:
+    """Return what is named of the geometry of a day's bins, from position and attitude."""
+    if not names:
+        return xr.Dataset()
     data = orbit_of(mission, reader, day)
     bins = data["tt2000"].size
     for role in ("vector", "outboard"):
@@ -576,7 +581,7 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
             attrs = {"orientation": samples[role].attrs.get("orientation", (0.0, 0.0, 0.0, 1.0))}
             data[role] = xr.Variable(("time", "axis"), np.zeros((bins, 3)), attrs)
             break
-    found = add_geometry(xr.Dataset(data))
+    found = add_geometry(xr.Dataset(data), names)
     return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])
 
 

@@ -21,7 +21,7 @@ from inflight.samples import parse_channel
 from inflight.tasks.analysis.gram_pass import PassPlan, load_estimate_grams, make_blocks
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import ArchiveIndex, Need
-from inflight.tasks.batches import end_processes
+from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
 from inflight.time import SECOND
@@ -68,6 +68,7 @@ class NativeEstimator:
         if same or not search.accepted or learns_states(self.mission, self.settings.comparison):
             return self.plan.cadence_ns / SECOND, {}
         plan = self._plan_for(search)
+        give_back_memory()
         _, blocks = make_blocks(
             self.cat,
             self.mission,
