@@ -14,7 +14,8 @@ from inflight.catalog import Catalog, DayData, Workspace, write_segment
 from inflight.time import to_tt2000
 
 STEP_S = 480
-LONG_START = "2010-01-01"
+#: The last day of 2008, which has a leap second, is in it.
+LONG_START = "2008-10-01"
 LONG_YAML = f"""\
 mission: long
 description: A rotating vector magnetometer beside an absolute one, with two currents

@@ -436,6 +436,8 @@ class DiagnosisData:
     switched : JumpAttribution, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
+    lost : mapping of datetime64[D] to str
+        Days that could not be taken in, and why: nothing here knows of them.
     """
 
     mission: Mission
@@ -452,6 +454,7 @@ class DiagnosisData:
     columns: dict[str, Floats] = field(default_factory=dict, compare=False, repr=False)
     gaps: UncorrectableRows | None = None
     switched: JumpAttribution | None = None
+    lost: Mapping[np.datetime64, str] = field(default_factory=dict)
 
     @property
     def sensor_matrices(self) -> dict[str, Floats]:

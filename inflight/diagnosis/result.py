@@ -319,7 +319,7 @@ def sentence(facts: Mapping[str, Any]) -> str:
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
         f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
-    bursts = _burst_text(facts.get("outliers", {}))
+    bursts = _burst_text(facts.get("outliers", {})) + _lost_text(facts["blocks"].get("lost", {}))
     entries = ranked_entries(facts)
     parts = [entry.words for entry in entries if entry.name != LEFT]
     if parts:
@@ -502,6 +502,14 @@ def _burst_text(outliers: Mapping[str, Any]) -> str:
     if outliers["kept"]:
         return f" {what} of wild readings hold{'s' if count == 1 else ''} {size}, too many to be left out."
     return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
+
+
+def _lost_text(days: Mapping[str, str]) -> str:
+    """Return how many days could not be taken in, and why the first of them; nothing where all were."""
+    if not days:
+        return ""
+    first, reason = next(iter(days.items()))
+    return f" {len(days)} {'day' if len(days) == 1 else 'days'} could not be taken in: {first}, {reason}."
 
 
 def _gap_text(channels: Sequence[Mapping[str, Any]]) -> str:

@@ -131,18 +131,18 @@ def run_search(
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
-    cadence_s, values = data.cadence_s, dict[str, Estimate]()
     if native:
         # The processes that make it need the memory of what is only kept to be quick.
         search.shared.forget_products()
         data.columns.clear()
-        cadence_s, values = native(search)
+    cadence_s, values = native(search) if native else (data.cadence_s, {})
     effects = tuple(
         describe_effect(search, data, one, values.get(one.option.name), cadence_s) for one in checks
     )
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
-    blocks = effective_blocks(search, known, residual)
+    lost = {str(day): reason for day, reason in sorted(data.lost.items())}
+    blocks = effective_blocks(search, known, residual) | {"lost": lost}
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))

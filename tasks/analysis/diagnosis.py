@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from inflight.catalog import Catalog, Day
+from inflight.catalog import Catalog
 from inflight.design import BURST_SETTINGS
 from inflight.diagnosis import (
     Diagnosis,
@@ -68,7 +68,10 @@ from inflight.time import DAY, SECOND, DayLike, day_bounds
 
 @dataclass(frozen=True, kw_only=True)
 class PassResult:
-    """A pass that has been made: what the search reads. `switched` are switchings that two sensors show."""
+    """A pass that has been made: what the search reads.
+
+    `failed` are the days that are in no block, and why; `switched` are switchings that two sensors show.
+    """
 
     plan: PassPlan
     used: VersionedModel
@@ -76,7 +79,7 @@ class PassResult:
     loaded: Loaded
     context: str
     run: str
-    days_failed: int
+    failed: Mapping[np.datetime64, str]
     index: ArchiveIndex
     base: Need
     switched: JumpAttribution | None = None
@@ -138,7 +141,7 @@ def examine(
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
-    facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
+    facts = {"evidence key": made.plan.key, "days that failed": len(made.failed) or None}
     native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
@@ -174,8 +177,8 @@ def make_pass(
     context = cat.save_context(mission.text, planned.used.model.name, planned.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
 
-    def make() -> tuple[str, Sequence[Day], Loaded]:
-        run, blocks = make_blocks(
+    def make() -> tuple[str, Mapping[np.datetime64, str], Loaded]:
+        run, blocks, failed = make_blocks(
             cat,
             mission,
             plan,
@@ -189,19 +192,19 @@ def make_pass(
         )
         # What follows needs the memory; where blocks are made again, other processes start.
         end_processes(client)
-        return run, blocks, load_grams(cat, plan, blocks)
+        return run, failed, load_grams(cat, plan, blocks)
 
-    run, blocks, loaded = make()
+    run, failed, loaded = make()
     if loaded.outliers.share > BURST_SETTINGS.largest_share:
         # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
         plan, dataset = replace(plan, keep_bursts=True), f"{dataset}-bursts"
-        run, blocks, loaded = make()
+        run, failed, loaded = make()
     switched = find_switchings(mission, plan, loaded.series)
     if switched is not None:
         # Rows at switchings are left out, and the levels between those that nobody recorded are free.
         plan = replace(plan, stretches=stretches_between(switched, plan))
         dataset = f"{dataset}-stretches"
-        run, blocks, loaded = make()
+        run, failed, loaded = make()
     return PassResult(
         plan=plan,
         used=planned.used,
@@ -209,7 +212,7 @@ def make_pass(
         loaded=loaded,
         context=context,
         run=run,
-        days_failed=len(plan.blocks) - len(blocks),
+        failed={day: failed[block[0]] for block in plan.blocks if block[0] in failed for day in block},
         index=planned.index,
         base=planned.base,
         switched=switched,
@@ -434,4 +437,5 @@ def diagnosis_data(made: PassResult, mission: Mission) -> DiagnosisData:
         correlation_time_s=made.plan.correlation_time_s,
         outliers=made.loaded.outliers,
         switched=made.switched,
+        lost=made.failed,
     )

@@ -55,6 +55,7 @@ from inflight.samples import FOLDING_VERSION, Folding, parse_channel
 from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
+    INPUT_SETTINGS,
     ArchiveIndex,
     ChannelReader,
     DerivedChannels,
@@ -64,7 +65,7 @@ from inflight.tasks.archive import (
     orbit_of,
     replacement_value,
 )
-from inflight.tasks.batches import iter_results
+from inflight.tasks.batches import give_back_memory, iter_results
 from inflight.tasks.pipelines import (
     Job,
     Outcome,
@@ -127,7 +128,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-GRAM_VERSION = 18
+GRAM_VERSION = 19
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -352,16 +353,20 @@ class PassPlan:
         """Days of a block at most: each is calibrated anew."""
         return max(len(block) for block in self.blocks)
 
+    @property
+    def reach(self) -> int:
+        """Days before its own that a day's columns are made from: placebos have other days."""
+        return 2 + int(max(self.library.placebos.values(), default=0.0) * SECOND // DAY)
+
     def read_for(self, blocks: Sequence[np.datetime64]) -> list[np.datetime64]:
-        """Return all days that blocks, named by their first day, are made from: placebos have other days."""
-        reach = 2 + int(max(self.library.placebos.values(), default=0.0) * SECOND // DAY)
+        """Return all days that blocks, named by their first day, are made from."""
         wanted = set(blocks)
         own = {day for block in self.blocks if block[0] in wanted for day in block}
         places = {
             place - step if place >= step else self.origin.days + place - step
             for place, day in enumerate(self.days)
             if day in own
-            for step in range(reach + 1)
+            for step in range(self.reach + 1)
         }
         return [self.days[place] for place in sorted(places) if 0 <= place < len(self.days)]
 
@@ -399,16 +404,20 @@ def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, job: Job) -> Outc
         plan.span,
         comparison,
         by_levels=learns_states(mission, comparison),
+        # At the native cadence a day is large, and no placebo needs others.
+        kept_days=min(plan.reach + 1, INPUT_SETTINGS.cached_days),
     )
     derived = DerivedChannels(
         reader, plan.days, plan.channel_summaries, plan.library.placebos, plan.origin.days
     )
     days_of = {block[0]: block for block in plan.blocks}
-    return make_days(
-        cat,
-        job,
-        lambda day: block_grams(cat, mission, plan, index, derived, days_of[day]),
-    )
+
+    def make(day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        made = block_grams(cat, mission, plan, index, derived, days_of[day])
+        give_back_memory()
+        return made
+
+    return make_days(cat, job, make)
 
 
 def block_grams(
@@ -490,6 +499,8 @@ def _day_grams(
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
     bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // plan.parts) for part in range(plan.parts + 1)]
+    # The last bin of a day with a leap second reaches into the next day, which is a block's of its own.
+    bounds[-1] = min(bounds[-1], day_bounds(day)[1])
     parts = parts_of(stamps, bounds)
     residual = rows.residual[:, :, None]
     white = (
@@ -664,8 +675,11 @@ def make_blocks(
     dataset: str,
     client: Any,
     report_progress: Progress,
-) -> tuple[str, list[Day]]:
-    """Make the blocks that are missing or out of date; return the run and all blocks' days."""
+) -> tuple[str, list[Day], Mapping[np.datetime64, str]]:
+    """Make the blocks that are missing or out of date; return the run, all blocks' days, and what failed.
+
+    Blocks go by their first day; what failed by it, too, with the reason.
+    """
     keys, parents = {}, {}
     for block in plan.blocks:
         sources = [
@@ -678,7 +692,7 @@ def make_blocks(
     kept = {day: there[day] for day in keys if day in there and there[day].key == keys[day]}
     todo = [block[0] for block in plan.blocks if block[0] not in kept]
     if not todo:
-        return "", [kept[day] for day in sorted(kept)]
+        return "", [kept[day] for day in sorted(kept)], {}
     with cat.run("diagnose", settings.model_dump(), context=context) as run:
         kept |= reuse_interrupted_days(run, dataset, keys, todo)
         todo = [day for day in todo if day not in kept]
@@ -713,7 +727,8 @@ def make_blocks(
                 remedy="see the message; 'inflight compare' shows single days",
             )
         run.publish(supersede=True)
-        return run.id, [kept[day] for day in sorted(kept)]
+        reasons = {day: failure["message"] for day, failure in failed.items()}
+        return run.id, [kept[day] for day in sorted(kept)], reasons
 
 
 @dataclass(frozen=True)

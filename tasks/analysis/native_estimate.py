@@ -12,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from inflight.catalog import Catalog
 from inflight.design import Library
 from inflight.diagnosis import Estimate, Search, estimate
@@ -24,7 +26,7 @@ from inflight.tasks.archive import ArchiveIndex, Need
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
-from inflight.time import SECOND
+from inflight.time import SECOND, day_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +61,9 @@ class NativeEstimator:
     def __call__(self, search: Search) -> tuple[float, dict[str, Estimate]]:
         """Return the cadence, s, and the estimate of each option taken, by its name.
 
-        There is none where the search itself was at the native cadence, where a block could not be made, and
-        where channels stand for the levels they switch between: of these, samples near a switching, which may
-        be on its wrong side, would only weigh more.
+        There is none where the search itself was at the native cadence, where a block of the search could not
+        be made, and where channels stand for the levels they switch between: of these, samples near a
+        switching, which may be on its wrong side, would only weigh more.
         """
         cadence = self.cadence_ns
         same = self.plan.folding is not None or cadence >= self.plan.cadence_ns
@@ -69,7 +71,7 @@ class NativeEstimator:
             return self.plan.cadence_ns / SECOND, {}
         plan = self._plan_for(search)
         give_back_memory()
-        _, blocks = make_blocks(
+        _, blocks, _ = make_blocks(
             self.cat,
             self.mission,
             plan,
@@ -105,8 +107,15 @@ class NativeEstimator:
         named = used | set(library.channels) | geometry
         needs = tuple(need for need in self.plan.channel_needs if need.name in named)
         summaries = {name: one for name, one in self.plan.channel_summaries.items() if name in named}
+        # Days whose blocks the search lacks have no part in what it found.
+        spans = [(day_bounds(block[0])[0], day_bounds(block[-1])[1]) for block in self.plan.blocks]
+        before = np.searchsorted(search.raw.start, np.array(spans))
+        blocks = tuple(
+            block for block, (first, last) in zip(self.plan.blocks, before, strict=True) if last > first
+        )
         return replace(
             self.plan,
+            blocks=blocks,
             cadence_ns=self.cadence_ns,
             library=library,
             channel_needs=needs,

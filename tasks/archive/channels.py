@@ -106,6 +106,8 @@ class ChannelReader:
     by_levels : bool
         Whether readings are replaced by the levels between which they switch. Where currents make fields
         of many times the noise, the noise of their readings would otherwise count as field.
+    kept_days : int
+        Days kept.
     """
 
     cat: Catalog
@@ -116,6 +118,7 @@ class ChannelReader:
     span: tuple[int, int]
     comparison: str = "main"
     by_levels: bool = False
+    kept_days: int = INPUT_SETTINGS.cached_days
     _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
 
     @property
@@ -142,7 +145,7 @@ class ChannelReader:
     def day(self, day: np.datetime64) -> dict[str, Floats]:
         """Return every channel of a day on its bins; NaN where there is nothing."""
         if day not in self._read:
-            while len(self._read) >= INPUT_SETTINGS.cached_days:
+            while len(self._read) >= self.kept_days:
                 self._read.pop(next(iter(self._read)))
             self._read[day] = self._load(day)
         return self._read[day]
@@ -218,7 +221,7 @@ class DerivedChannels:
     summaries: Mapping[str, ChannelSummary]
     shifts: Mapping[str, float]
     wrapped_at: int = 0
-    _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
+    _by_orbit: dict[tuple[np.datetime64, str], Floats] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _places(self) -> dict[np.datetime64, int]:
@@ -257,11 +260,13 @@ class DerivedChannels:
 
     def _from_orbit(self, day: np.datetime64, name: str) -> Floats:
         """Return what geometry makes of the orbit of a day."""
-        if day not in self._by_orbit:
-            while len(self._by_orbit) >= INPUT_SETTINGS.cached_days:
+        if (day, name) not in self._by_orbit:
+            while len(self._by_orbit) >= self.reader.kept_days:
                 self._by_orbit.pop(next(iter(self._by_orbit)))
-            self._by_orbit[day] = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
-        return np.asarray(self._by_orbit[day][name].values, dtype=np.float64)
+            orbit = xr.Dataset(orbit_of(self.reader.mission, self.reader, day))
+            found = add_geometry(orbit, [name])[name]
+            self._by_orbit[day, name] = np.asarray(found.values, dtype=np.float64)
+        return self._by_orbit[day, name]
 
     def _day_before(self, place: int) -> list[np.datetime64]:
         """Return the day before the day at a place of the span; none after a gap."""

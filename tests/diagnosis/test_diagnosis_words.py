@@ -247,3 +247,10 @@ def test_bursts_that_were_kept_are_said_to_be_there():
     said = sentence(told("NOTHING_LEFT", outliers=OUT | {"kept": True, "share": 0.04}))
     assert "hold 4% of the samples" in said
     assert "too many to be left out" in said
+
+
+def test_days_that_could_not_be_taken_in_are_told_with_the_reason():
+    lost = {"2010-03-02": "no sample is left", "2010-03-03": "no sample is left"}
+    text = sentence(told("NOTHING_LEFT", blocks=blocks(90.0, 90.0) | {"lost": lost}))
+    assert "2 days could not be taken in: 2010-03-02, no sample is left." in text
+    assert "taken in" not in sentence(told("NOTHING_LEFT"))

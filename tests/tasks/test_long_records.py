@@ -19,6 +19,8 @@ def found(request, tmp_path_factory):
 def test_a_slow_field_and_an_ageing_sensor_are_told_and_nothing_else(found):
     names = [one["name"].split("@")[0] for one in found.as_json()["effects"]]
     assert names == ["channel_field(heater_current)", "scale_drift"]
+    # Nor is a block lost to the leap second in the record.
+    assert found.blocks["lost"] == {}
 
 
 def test_the_lag_and_the_sizes_come_back(found):
@@ -30,6 +32,11 @@ def test_the_lag_and_the_sizes_come_back(found):
     told = np.array([one["value"] for one in drift["coefficients"]])
     # A reading that grows is calibrated by a factor that falls.
     assert told == pytest.approx(-DRIFT, rel=0.15)
+
+
+def test_values_are_those_of_the_datas_own_cadence(found):
+    for one in found.as_json()["effects"]:
+        assert one["cadence_s"] == STEP_S
 
 
 def test_further_days_make_their_own_blocks_only(tmp_path):
