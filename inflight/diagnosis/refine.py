@@ -169,6 +169,8 @@ class InteractionSettings:
         A channel is strong when its own effect reaches this t; assumed.
     nearly : float
         Products that reach this part of the t and of the gain of an addition are held against everything.
+    together : int
+        Products whose columns are made together: nobody asks for their products with each other.
     """
 
     channels: int = 8
@@ -176,6 +178,7 @@ class InteractionSettings:
     steady: float = 1e-3
     own_t: float = 1.0
     nearly: float = 0.5
+    together: int = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -387,14 +390,24 @@ def _with_width(search: Search, data: DiagnosisData, option: Option) -> Refined:
     def term(width: float, key: str) -> Term:
         return similar_term(data, source, key, {"width": width}, ("play",))
 
-    def loss(width: float, others: list[Term]) -> Floats:
-        return trials.loss([*others, term(width, f"{option.mechanism}@trial")])
+    channel = [trials.columns(one) for one in direct]
+    first = set(widths.tolist())
+    known: dict[tuple[float, bool], Floats] = {}
 
-    alone = _minimise(widths, lambda width: loss(width, []), WIDTH_SETTINGS.bracket)
-    width = _minimise(widths, lambda width: loss(width, direct), WIDTH_SETTINGS.bracket) if direct else alone
+    def loss(width: float, whole: bool) -> Floats:
+        """Return what the play leaves in each block, by itself or with the channel (`whole`)."""
+        if (width, whole) not in known:
+            own = trials.columns(term(width, f"{option.mechanism}@trial"))
+            # Both are asked for at every width of the first grid: its columns are made once.
+            for one in {False, bool(channel)} if width in first else {whole}:
+                known[width, one] = trials.remaining([*channel, own] if one else [own])
+        return known[width, whole]
+
+    alone = _minimise(widths, lambda width: loss(width, False), WIDTH_SETTINGS.bracket)
+    width = _minimise(widths, lambda width: loss(width, True), WIDTH_SETTINGS.bracket) if direct else alone
     needed = (
         bool(direct)
-        and float(hac_t((loss(alone, []) - loss(width, direct))[:, None])[0]) > WIDTH_SETTINGS.needed_t
+        and float(hac_t((loss(alone, False) - loss(width, True))[:, None])[0]) > WIDTH_SETTINGS.needed_t
     )
     width = width if needed else alone
     key = f"{option.mechanism}@width={width:g}"
@@ -470,7 +483,8 @@ def similar_term(
 class FormTrials:
     """Trials of forms of an option that the model holds; the option itself is taken off the model.
 
-    Rows of the coarse series, weighted, with the calibration marginalised interval by interval.
+    Rows of the coarse series, weighted, with the calibration marginalised interval by interval. Columns lie
+    one after another in memory: (column, row).
     """
 
     def __init__(self, search: Search, data: DiagnosisData, option: Option) -> None:
@@ -486,25 +500,33 @@ class FormTrials:
         # Rows are in order of time, and so are the blocks of each interval.
         edges = [np.searchsorted(self.block, [group[0], group[-1] + 1]) for group in search.intervals]
         self.groups = [slice(int(first), int(last)) for first, last in edges]
-        self.basis = [np.linalg.qr(base[group])[0] for group in self.groups] if base.shape[1] else []
-        self.y = self._marginalised((residual.reshape(-1) * self.root)[:, None])[:, 0]
+        self.basis = (
+            [np.ascontiguousarray(np.linalg.qr(base[:, group].T)[0].T) for group in self.groups]
+            if len(base)
+            else []
+        )
+        self.y = self._marginalised((residual.reshape(-1) * self.root)[None])[0]
         self.model = self._marginalised(self._kept_columns(kept))
-        self.rest = self._without_model(self.y[:, None])[:, 0]
+        self.rest = self._without_model(self.y[None])[0]
         self._known: dict[str, Floats] = {}
 
     def loss(self, terms: Sequence[Term]) -> Floats:
         """Return the sum of squares that the terms together leave in each block; (block,) nT^2."""
-        parts = []
-        for term in terms:
-            columns = self._known.get(term.key)
-            if columns is None:
-                columns = self._without_model(self._marginalised(self._flat([term])))
-            if term.key in self.terms:
-                self._known[term.key] = columns
-            parts.append(columns)
-        columns = np.concatenate(parts, axis=1)
-        value = solve_scaled(columns.T @ columns, columns.T @ self.rest)
-        rest = self.rest - columns @ value
+        return self.remaining([self.columns(term) for term in terms])
+
+    def columns(self, term: Term) -> Floats:
+        """Return what calibration and model leave of the columns of a term; (column, row)."""
+        columns = self._known.get(term.key)
+        if columns is None:
+            columns = self._without_model(self._marginalised(self._flat([term])))
+        if term.key in self.terms:
+            self._known[term.key] = columns
+        return columns
+
+    def remaining(self, parts: Sequence[Floats]) -> Floats:
+        """Return the sum of squares that columns (column, row) leave together in each block; (block,) nT^2."""
+        columns = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        rest = self.rest - solve_scaled(columns @ columns.T, columns @ self.rest) @ columns
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
 
     def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
@@ -520,26 +542,26 @@ class FormTrials:
             names = [name for term in terms for name in term.columns]
             flat = np.stack(
                 [
-                    flat[:, names.index(column)] * np.asarray(factor)[self.block]
+                    flat[names.index(column)] * np.asarray(factor)[self.block]
                     for column, factor in option.change.functions.values()
-                ],
-                axis=1,
+                ]
             )
         own = self._without_model(self._marginalised(flat))
-        return self.rest, self.rest - own @ solve_scaled(own.T @ own, own.T @ self.rest)
+        return self.rest, self.rest - solve_scaled(own @ own.T, own @ self.rest) @ own
 
     def _without_model(self, values: Floats) -> Floats:
-        """Return what the rest of the model leaves of columns (row, column)."""
-        if not self.model.shape[1]:
+        """Return what the rest of the model leaves of columns (column, row)."""
+        if not len(self.model):
             return values
-        left = values - self.model @ (self._inverse @ (self.model.T @ values))
+        left = values - (values @ self.model.T @ self._inverse) @ self.model
         # What is left of a combination of the model's columns is rounding.
-        left[:, np.sum(left**2, axis=0) <= LEAST_KEPT * np.sum(values**2, axis=0)] = 0.0
+        remaining, whole = (np.einsum("cr,cr->c", one, one) for one in (left, values))
+        left[remaining <= LEAST_KEPT * whole] = 0.0
         return np.asarray(left)
 
     @cached_property
     def _inverse(self) -> Floats:
-        inner = self.model.T @ self.model
+        inner = self.model @ self.model.T
         return solve_scaled(inner, np.eye(len(inner)))
 
     def _kept_columns(self, terms: Sequence[Term]) -> Floats:
@@ -550,17 +572,17 @@ class FormTrials:
         for key, term in zip(keys, terms, strict=True):
             if key not in kept:
                 kept[key] = self._flat([term])
-        return np.concatenate([np.zeros((self.root.size, 0)), *(kept[key] for key in keys)], axis=1)
+        return np.concatenate([np.zeros((0, self.root.size)), *(kept[key] for key in keys)])
 
     def _flat(self, terms: Sequence[Term]) -> Floats:
         derived = derived_channels(self.series, _channels_of(terms))
         columns = design_matrix(terms, self.series.rows(self.data.sensor_matrices, derived))
-        return np.asarray(columns.reshape(self.root.size, columns.shape[2]) * self.root[:, None])
+        return np.asarray(np.moveaxis(columns, -1, 0).reshape(columns.shape[2], self.root.size) * self.root)
 
     def _marginalised(self, values: Floats) -> Floats:
-        """Return what the calibration leaves of columns (row, column), in their place."""
+        """Return what the calibration leaves of columns (column, row), in their place."""
         for group, basis in zip(self.groups, self.basis, strict=False):
-            values[group] -= basis @ (basis.T @ values[group])
+            values[:, group] -= (values[:, group] @ basis.T) @ basis
         return values
 
 
@@ -826,14 +848,22 @@ def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> li
     Their products with the columns of the model and with the residual say so; those with all other columns of
     the library, many times as many, are made for them alone.
     """
-    if not terms:
-        return []
-    small = join_terms(search.of_model(), data, terms)
+    count = INTERACTION_SETTINGS.together
+    return [
+        term
+        for at in range(0, len(terms), count)
+        for term in _promising_of(search.of_model(), data, terms[at : at + count])
+    ]
+
+
+def _promising_of(small: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:
+    """Return those of a few terms; `small` has the columns of the model alone."""
+    small = join_terms(small, data, terms)
     best = np.zeros(len(terms), dtype=bool)
+    rules = small.rules
     for form, grams in small.forms.items():
         columns = [grams.index(term.columns) for term in terms]
         found = score(grams, small.present(form), columns, small.y(form), make_folds(len(grams)))
-        rules = search.rules
         best |= (found.t > INTERACTION_SETTINGS.nearly * rules.t) & (
             found.gain > INTERACTION_SETTINGS.nearly * rules.gain
         )

@@ -429,7 +429,7 @@ class DiagnosisData:
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
         Samples that the pass skipped.
-    columns : dict of str to ndarray, shape (row, column)
+    columns : dict of str to ndarray, shape (column, row)
         Columns of the series by term, weighted: those of the model are asked for again and again.
     gaps : UncorrectableRows, optional
         Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
