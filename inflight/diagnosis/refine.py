@@ -524,7 +524,7 @@ class FormTrials:
         return columns
 
     def remaining(self, parts: Sequence[Floats]) -> Floats:
-        """Return the sum of squares that columns (column, row) leave together in each block; (block,) nT^2."""
+        """Return the sum of squares that columns (column, row) leave together in a block; (block,) nT^2."""
         columns = parts[0] if len(parts) == 1 else np.concatenate(parts)
         rest = self.rest - solve_scaled(columns @ columns.T, columns @ self.rest) @ columns
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)

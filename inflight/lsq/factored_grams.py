@@ -171,11 +171,14 @@ class FactoredGrams:
         fitted = _own_fits(given)
         rest = np.zeros((len(grams), places.size, places.size), dtype=np.float32)
         for block in range(len(grams)):
-            total = np.zeros((places.size - k, places.size - k))
+            total: Floats | float = 0.0
             for part, one in enumerate(every):
                 b, f = given[block, part], fitted[block, part][:, k:]
                 cross = f.T @ (b[:, k:] - 0.5 * b[:, :k] @ f)
-                total += one.rows(places[k:], places[k:], np.array([block]))[0] - cross - cross.T
+                left = one.rows(places[k:], places[k:], np.array([block]))[0]
+                left -= cross
+                left -= cross.T
+                total = left if part == 0 else np.add(total, left, out=left)
             rest[block, k:, k:] = total
         count = np.sum([one.count for one in every], axis=0)
         shared = _Shared(rest, given, fitted)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -131,6 +132,7 @@ class DerivedChannel:
         return len(self.parts) == 1 and self.parts[0].is_plain
 
 
+@lru_cache(maxsize=4096)
 def parse_channel(name: str) -> DerivedChannel:
     """Read the name of a channel, derived or not.
 
