@@ -478,7 +478,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     for group in groups.values():
         # In one record of a hundred one of all the parameters is further off by chance.
         off = sum((one["moved"] / np.hypot(one["known"], one["sigma"])) ** 2 for one in group)
-        far = off > scipy.stats.chi2.isf(REPORT_SETTINGS.chance / len(groups), len(group))
+        far = off > scipy.special.chdtri(len(group), REPORT_SETTINGS.chance / len(groups))
         # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
         matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
         for one in group:
