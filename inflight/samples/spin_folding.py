@@ -121,8 +121,8 @@ class FourierSums:
         """Return each sample's value of its own group's sum; (time, column)."""
         order = self.coefficients.shape[1] // 2
         wave = np.exp(1j * phase)[:, None]
-        out = self.coefficients[group, 0]
-        for place in range(1, 2 * order + 1):
+        out = self.coefficients[group, 2 * order]
+        for place in range(2 * order - 1, -1, -1):
             out = out * wave + self.coefficients[group, place]
         return np.asarray(out * np.conj(wave) ** order)
 

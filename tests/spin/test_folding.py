@@ -154,10 +154,13 @@ def test_sums_are_least_squares_and_missing_where_samples_do_not_tell_them():
     group = np.repeat(np.arange(4), [len(one) for one in phases])
     phase = np.concatenate(phases)
     values = np.random.default_rng(1).normal(size=(phase.size, 2)) + 0j
-    found = fourier_sums(values, phase, group, 4, 2, np.ones(phase.size, dtype=bool)).coefficients
+    sums = fourier_sums(values, phase, group, 4, 2, np.ones(phase.size, dtype=bool))
+    found = sums.coefficients
     waves = np.exp(1j * phase[:, None] * np.arange(-2, 3))
     for one in range(2):
         part = group == one
         known = np.linalg.lstsq(waves[part], values[part])[0]
         assert np.allclose(found[one], known, rtol=1e-9, atol=1e-9)
+        assert np.allclose(sums.at(phase[part])[one], waves[part] @ known)
+        assert np.allclose(sums.along(phase, group)[part], waves[part] @ known)
     assert np.isnan(found[2:]).all()
