@@ -18,6 +18,8 @@ RECORD ?= golden-record
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
+# What is imported is compiled once, not by every process that the tests start.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-slow cases lint bench golden docs lock format clean
@@ -46,10 +48,10 @@ demo: setup  ## simulate a month, run the whole chain, show what came out (under
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
 test: setup  ## run the tests
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "not slow" --durations 40 $(ARGS)
+	.ci/in-memory $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "not slow" --durations 40 $(ARGS)
 
 test-slow: setup  ## run the long physics cases and real records that 'make test' leaves out
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist load -m slow --durations 40 $(ARGS)
+	.ci/in-memory $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist load -m slow --durations 40 $(ARGS)
 
 cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
 	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)

@@ -37,8 +37,10 @@ _KEEP_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
 }
 
-#: Imported once for all processes: what most of their tasks need.
+#: Imported once for all processes: what most of their tasks need, and what that imports at its first use:
+#: xarray asks for Dask's arrays, stores for Zarr, models for units.
 _IMPORTED = [
+    "dask.array",
     "distributed",
     "distributed.nanny",
     "inflight.tasks.pipelines.base.job",
@@ -46,6 +48,8 @@ _IMPORTED = [
     "inflight.tasks.pipelines.scalar.product",
     "inflight.samples.interpolation",
     "inflight.calibration.residual_loops",
+    "pint",
+    "zarr",
 ]
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the

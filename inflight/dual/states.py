@@ -471,9 +471,15 @@ def chi2_limit(tests: int) -> float:
     return float(scipy.stats.chi2.isf(UNIT_SETTINGS.missed / max(tests, 1), 3))
 
 
-def squared_distance(vector: Floats, covariance: Floats) -> float:
-    """Return the squared length of a vector (axis,) in units of its errors (Mahalanobis)."""
-    return float(vector @ np.linalg.solve(covariance, vector))
+def squared_distance(vector: Floats, covariance: Floats) -> Floats:
+    """Return the squared lengths of vectors (..., axis) in units of their errors (Mahalanobis); (...).
+
+    Parameters
+    ----------
+    vector : ndarray, shape (..., axis)
+    covariance : ndarray, shape (..., axis, axis)
+    """
+    return np.asarray(np.sum(vector * np.linalg.solve(covariance, vector[..., None])[..., 0], axis=-1))
 
 
 def match_or_add(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
@@ -487,15 +493,16 @@ def match_or_add(changes: list[Change], new: Change, limit: float) -> tuple[int,
     limit : float
         Squared distance, in errors, up to which both are one.
     """
-    best = (np.inf, 0, 1)
-    for index, known in enumerate(changes):
-        for sign in (1, -1):
-            distance = squared_distance(new.vector - sign * known.vector, new.covariance + known.covariance)
-            best = min(best, (distance, index, sign))
-    distance, index, sign = best
-    if distance > limit:
+    distance, signs = np.full((0, 2), np.inf), (-1, 1)
+    if changes:
+        vector = np.array([[sign * known.vector for sign in signs] for known in changes])
+        spread = new.covariance + np.array([known.covariance for known in changes])
+        distance = squared_distance(new.vector - vector, spread[:, None])
+    if distance.min(initial=np.inf) > limit:
         changes.append(new)
         return len(changes) - 1, 1
+    index, at = divmod(int(distance.argmin()), 2)
+    sign = signs[at]
     known = changes[index]
     gain = known.covariance @ np.linalg.inv(new.covariance + known.covariance)
     changes[index] = Change(
@@ -537,30 +544,24 @@ def reduce_to_units(changes: list[Change]) -> tuple[list[int], dict[int, dict[in
 
 def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int] | None:
     """Return a change as a signed sum of two or three others; None when it is none."""
-    target = changes[one]
-    size = float(np.sqrt(np.mean([np.sum(change.vector**2) for change in changes])))
+    target, limit = changes[one], chi2_limit(1)
+    vector = np.array([change.vector for change in changes])
+    covariance = np.array([change.covariance for change in changes])
+    size = float(np.sqrt(np.mean(np.sum(vector**2, axis=1))))
     for number in range(2, min(UNIT_SETTINGS.together, len(others)) + 1):
-        choices = list(combinations(others, number))
-        signs = list(product((1, -1), repeat=number))
-        limit = chi2_limit(1)
-        best: tuple[float, dict[int, int]] | None = None
-        for choice in choices:
-            spread = target.covariance + sum(changes[part].covariance for part in choice)
-            # Volume within the limit, over that of the sphere which sums of so many vectors fill.
-            volume = (
-                limit**1.5
-                * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
-                / (size**2 * number / 3.0 * limit) ** 1.5
-            )
-            if len(choices) * len(signs) * volume > UNIT_SETTINGS.accidents:
-                continue
-            for sign in signs:
-                total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
-                distance = squared_distance(target.vector - total, spread)
-                if distance < limit and (best is None or distance < best[0]):
-                    best = distance, dict(zip(choice, sign, strict=True))
-        if best is not None:
-            return best[1]
+        choices = np.array(list(combinations(others, number)))
+        signs = np.array(list(product((1, -1), repeat=number)))
+        spread = target.covariance + covariance[choices].sum(axis=1)
+        # Volume within the limit, over that of the sphere which sums of so many vectors fill.
+        room = (size**2 * number / 3.0 * limit) ** 1.5
+        volume = limit**1.5 * np.sqrt(np.maximum(np.linalg.det(spread), 0.0)) / room
+        told = len(choices) * len(signs) * volume <= UNIT_SETTINGS.accidents
+        choices, spread = choices[told], spread[told]
+        total = np.einsum("sp,cpi->csi", signs, vector[choices])
+        distance = squared_distance(target.vector - total, spread[:, None])
+        if distance.min(initial=np.inf) < limit:
+            choice, sign = np.unravel_index(distance.argmin(), distance.shape)
+            return dict(zip(choices[choice].tolist(), signs[sign].tolist(), strict=True))
     return None
 
 

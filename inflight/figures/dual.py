@@ -96,18 +96,30 @@ def difference_figure(
         }
     )
     plot.scatter("x", "y", source=source, color="colour", size=4, alpha=0.5)
-    for number, (middle, spread) in known.items():
-        if not np.isfinite(middle).all():
-            continue
-        part = spread[np.ix_(plane, plane)]
-        values, vectors = np.linalg.eigh(part)
-        reach = _SIGMAS * np.sqrt(np.clip(values, 0.0, None))
-        ring = vectors @ (reach[:, None] * np.stack([np.cos(_ROUND), np.sin(_ROUND)]))
-        plot.line(middle[right] + ring[0], middle[up] + ring[1], color=colours[number], line_width=1.5)
-        plot.text(
-            [middle[right]], [middle[up]], [str(number)], text_font_size="10px", x_offset=5, y_offset=-3
-        )
+    seen = {number: one for number, one in known.items() if np.isfinite(one[0]).all()}
+    rings = [_ellipse(middle, spread, plane) for middle, spread in seen.values()]
+    # One glyph for all rings and one for all numbers: Bokeh makes a dozen models for each.
+    shown = ColumnDataSource(
+        {
+            "xs": [ring[0] for ring in rings],
+            "ys": [ring[1] for ring in rings],
+            "x": [float(middle[right]) for middle, _ in seen.values()],
+            "y": [float(middle[up]) for middle, _ in seen.values()],
+            "colour": [colours[number] for number in seen],
+            "number": [str(number) for number in seen],
+        }
+    )
+    plot.multi_line("xs", "ys", source=shown, color="colour", line_width=1.5)
+    plot.text("x", "y", "number", source=shown, text_font_size="10px", x_offset=5, y_offset=-3)
     return plot
+
+
+def _ellipse(middle: Floats, spread: Floats, plane: tuple[int, int]) -> Floats:
+    """Return the ellipse of two sigmas about a state's place in a plane; (2, point), nT."""
+    values, vectors = np.linalg.eigh(spread[np.ix_(plane, plane)])
+    reach = _SIGMAS * np.sqrt(np.clip(values, 0.0, None))
+    ring = vectors @ (reach[:, None] * np.stack([np.cos(_ROUND), np.sin(_ROUND)]))
+    return np.asarray(middle[list(plane), None] + ring)
 
 
 def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) -> figure:

@@ -236,19 +236,29 @@ def with_auxiliary_columns(
     CalibrationError
         When no day has all of the columns.
     """
-    parts: dict[int, xr.Dataset] = {}
+    blocks, across, inner, scale = list[int](), list[Floats](), list[Floats](), np.zeros(0)
     for block, part in enumerate(auxiliary):
-        if part is not None and set(names) <= set(part["beside"].values[part["known"].values != 0].tolist()):
-            parts[block] = part.sel(beside=list(names), other=list(names))
-    if not parts:
+        if part is None:
+            continue
+        known = part["known"].values != 0
+        place = {name: row for row, name in enumerate(part["beside"].values.tolist()) if known[row]}
+        if not set(names) <= place.keys():
+            continue
+        rows = [place[name] for name in names]
+        # By number: xarray's selection by name takes milliseconds, and there are thousands of days.
+        across.append(part["cross"].values[rows].T)
+        inner.append(part["own"].values[np.ix_(rows, rows)])
+        if not blocks:
+            scale = part["scale"].values[rows]
+        blocks.append(block)
+    if not blocks:
         raise CalibrationError(
             f"no day knows the columns of {', '.join(sorted({name.partition('.')[0] for name in names}))}",
             remedy="see the missing days of the channels, and of the orbit",
         )
-    across = np.stack([part["cross"].values for part in parts.values()]).swapaxes(1, 2)
-    inner = np.stack([part["own"].values for part in parts.values()])
-    scale = next(iter(parts.values()))["scale"].values
-    return equations.of_blocks(np.array(list(parts))).bordered(list(names), scale, across, inner)
+    return equations.of_blocks(np.array(blocks)).bordered(
+        list(names), scale, np.stack(across), np.stack(inner)
+    )
 
 
 @dataclass(frozen=True)

@@ -121,8 +121,8 @@ class FourierSums:
         """Return each sample's value of its own group's sum; (time, column)."""
         order = self.coefficients.shape[1] // 2
         wave = np.exp(1j * phase)[:, None]
-        out = self.coefficients[group, 0]
-        for place in range(1, 2 * order + 1):
+        out = self.coefficients[group, 2 * order]
+        for place in range(2 * order - 1, -1, -1):
             out = out * wave + self.coefficients[group, place]
         return np.asarray(out * np.conj(wave) ** order)
 
@@ -199,12 +199,17 @@ def _solve_sums(sums: Complex, right: Complex, order: int) -> Complex:
     gram = sums[:, np.abs(difference)]
     gram = np.where(difference[None] < 0, np.conj(gram), gram)
     out = np.full(right.shape, np.nan + 0j)
-    enough = sums[:, 0].real >= size
-    if enough.any():
-        spread = np.linalg.eigvalsh(gram[enough])
-        sound = np.flatnonzero(enough)[spread[:, 0] * FOLDING_SETTINGS.worst_condition > spread[:, -1]]
-        if sound.size:
-            out[sound] = np.linalg.solve(gram[sound], right[sound])
+    count, worst = sums[:, 0].real, FOLDING_SETTINGS.worst_condition
+    # No eigenvalue is farther from the number of samples than this (Gershgorin): in an unbroken turn that is
+    # little, and only the eigenvalues of the others have to be known.
+    reach = 2.0 * np.abs(sums[:, 1:]).sum(axis=1)
+    sound = (count >= size) & ((count - reach) * worst > count + reach)
+    doubt = np.flatnonzero((count >= size) & ~sound)
+    if doubt.size:
+        spread = np.linalg.eigvalsh(gram[doubt])
+        sound[doubt] = spread[:, 0] * worst > spread[:, -1]
+    if sound.any():
+        out[sound] = np.linalg.solve(gram[sound], right[sound])
     return out
 
 

@@ -162,8 +162,9 @@ def with_noise(made: MadeUp, seed: int, sigma: float) -> MadeUp:
     """
     random, data = np.random.default_rng(seed), made.equations.dataset
     gram, auxiliary = data["gram"].values.copy(), []
-    for place, part in enumerate(made.auxiliary):
-        inner, cross = gram[place, :-1, :-1], part["cross"].values.copy()
+    for place, quiet in enumerate(made.auxiliary):
+        part = quiet.copy(deep=True)
+        inner, cross = gram[place, :-1, :-1], part["cross"].values
         both = np.block([[inner, cross[:, :-1].T], [cross[:, :-1], part["own"].values]])
         size = np.sqrt(np.diag(both))
         own, vectors = np.linalg.eigh(both / np.outer(size, size))
@@ -180,6 +181,6 @@ def with_noise(made: MadeUp, seed: int, sigma: float) -> MadeUp:
         gram[place, -1, :-1] += noise[:wide]
         gram[place, -1, -1] += more
         cross[:, -1] += noise[wide:]
-        auxiliary.append(part.assign(cross=(part["cross"].dims, cross)))
+        auxiliary.append(part)
     equations = NormalEquations(data.assign(gram=(data["gram"].dims, gram)))
     return MadeUp(made.model, equations, auxiliary, fit_mission(equations, made.model, "linear"))

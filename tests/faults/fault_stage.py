@@ -4,6 +4,7 @@ Run as a program, this module imports the project once and forks a child for eac
 it is told of on standard input: a fresh process in everything but the seconds of importing.
 """
 
+import gc
 import json
 import os
 import resource
@@ -94,13 +95,21 @@ def _reprocess(workspace, scheduler=None, **settings):
     return reprocess(Catalog(workspace), mission, settings=chosen, client=_client(scheduler))
 
 
-#: What is imported before anything is forked: all that the work below needs.
+#: What is imported before anything is forked: all that the work below needs, at its first use too.
 IMPORTED = (
     "alembic.command",
+    "dask.array",
     "distributed",
     "pyarrow.pandas_compat",
     "inflight.tasks.archive.ingestion",
     "inflight.tasks.pipelines.registry",
+    "inflight.tasks.pipelines.scalar.day",
+    "inflight.tasks.pipelines.scalar.product",
+    "inflight.tasks.pipelines.two_sensor.day",
+    "inflight.calibration.residual_loops",
+    "pint",
+    "sqlalchemy.dialects.sqlite",
+    "zarr",
 )
 #: What a process can be told to do.
 WORK = {"ingest": _ingest, "reprocess": _reprocess}
@@ -150,6 +159,12 @@ def _serve():
 if __name__ == "__main__":
     import importlib
 
+    import numba
+
     for name in IMPORTED:
         importlib.import_module(name)
+    # Numba reads half of itself at its first call.
+    numba.njit(lambda value: value)(1)
+    # Nothing of this can go: children need not look for it, nor touch, and so copy, memory that they share.
+    gc.freeze()
     _serve()

@@ -2,7 +2,7 @@
 
 import numpy as np
 from bokeh.embed import file_html
-from bokeh.models import Quad, Text
+from bokeh.models import MultiLine, Quad, Text
 from bokeh.resources import INLINE
 
 from inflight.figures import (
@@ -26,10 +26,16 @@ def test_each_known_state_has_an_ellipse_and_its_number():
     known = {number: (centre[number], 0.1 * np.eye(3)) for number in (3, 0, 2, 1)}
     for plane in PLANES:
         plot = difference_figure(points, state, known, plane)
-        drawn = {one.data_source.data["text"][0]: one.data_source.data for one in glyphs(plot, Text)}
-        assert sorted(drawn) == ["0", "1", "3"]
-        for number, data in drawn.items():
-            assert (data["x"][0], data["y"][0]) == tuple(centre[int(number)][list(plane)])
+        (numbers,), (rings,) = glyphs(plot, Text), glyphs(plot, MultiLine)
+        data = numbers.data_source.data
+        assert sorted(data[numbers.glyph.text]) == ["0", "1", "3"]
+        assert rings.data_source is numbers.data_source
+        for number, x, y, xs, ys in zip(
+            *(data[name] for name in ("number", "x", "y", "xs", "ys")), strict=True
+        ):
+            middle = centre[int(number)][list(plane)]
+            assert (x, y) == tuple(middle)
+            assert np.allclose(np.hypot(xs - middle[0], ys - middle[1]), 2.0 * np.sqrt(0.1))
 
 
 def test_the_timeline_has_one_bar_a_stretch():

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from inflight.simulate import Parameters, SimulationSettings, effect_names, simulate_day
 from inflight.simulate.fluxgate import reading, solve_reading
 from inflight.simulate.overhauser import low_pass
+from inflight.simulate.randomness import drift
 from inflight.simulate.settings import EXTRA_EFFECTS, STANDARD_EFFECTS
 from inflight.time import SECOND, day_bounds, in_leap_second
 
@@ -315,3 +316,14 @@ def test_the_nine_parameters_of_the_second_fluxgate_are_in_the_truth():
     corrected = (day.instruments["fgm2"]["FGM_RAW"].values - nine["offset"]) @ k.T
     turn = Rotation.from_rotvec(settings.parameters.second_rotation, degrees=True)
     assert np.abs(turn.apply(corrected) - day.truth["FIELD"].values).max() < 0.02
+
+
+@pytest.mark.parametrize("count", [0, 1, 700, 5000, 86_400])
+def test_coloured_noise_is_the_same_at_even_steps_and_at_any_times(count):
+    """A long series at even steps is summed in blocks; with a time left out wave by wave at every time."""
+    seconds = 3.9e8 + 0.123 + np.arange(count)
+    kept = np.arange(count) != 300
+    asked = {"seed": 3, "stream": "any", "rms": (1.0, 2.0), "periods": (250.0, 4e5)}
+    whole = drift(seconds, **asked)
+    assert whole.shape == (count, 2)
+    assert np.allclose(whole[kept], drift(seconds[kept], **asked), rtol=0.0, atol=1e-7)

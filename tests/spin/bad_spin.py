@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,12 @@ HOURS = 9.0
 Spoil = Callable[[dict[str, xr.Dataset]], None]
 
 
+@cache
+def simulated(day: np.datetime64):
+    """Return a day as it is simulated: what is delivered and the truth; not to be changed."""
+    return simulate_spinning_day(SETTINGS, day)
+
+
 def at(hours: float) -> int:
     """Return the TT2000 so many hours into the bad day."""
     return day_bounds(BAD)[0] + round(hours * 3600 * SECOND)
@@ -37,7 +44,7 @@ def deliver(folder: Path, spoil: Spoil | None = None) -> None:
     source = SPINNING[SETTINGS.craft]
     for day in SETTINGS.day_list:
         last = day_bounds(day)[0] + round(HOURS * 3600 * SECOND)
-        made = simulate_spinning_day(SETTINGS, day).instruments
+        made = simulated(day).instruments
         instruments = {name: data.isel(record=data["Epoch"].values < last) for name, data in made.items()}
         if spoil is not None and day == BAD:
             spoil(instruments)
@@ -68,7 +75,7 @@ def product(cat: Catalog, day: np.datetime64 = BAD) -> xr.Dataset:
 
 def truth_of(data: xr.Dataset, day: np.datetime64 = BAD) -> tuple[np.ndarray, np.ndarray]:
     """Return the true field in turning and in payload axes at a product's samples; (time, 3) nT each."""
-    true = simulate_spinning_day(SETTINGS, day).truth
+    true = simulated(day).truth
     place = np.searchsorted(true["Epoch"].values, data["tt2000"].values)
     field, phase = true["FIELD"].values[place], true["PHASE"].values[place]
     c, s = np.cos(phase), np.sin(phase)

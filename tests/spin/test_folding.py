@@ -6,6 +6,7 @@ import xarray as xr
 
 from inflight.errors import SamplesError
 from inflight.samples import Folding, fold_series, fold_spins
+from inflight.samples.spin_folding import fourier_sums
 from inflight.time import SECOND, day_bounds
 
 DAY = np.datetime64("2012-03-02")
@@ -144,3 +145,22 @@ def test_intervals_divide_a_day_and_samples_stand_evenly():
 def test_without_a_phase_nothing_is_folded():
     with pytest.raises(SamplesError, match="phase"):
         fold_spins(turning().drop_vars("spin_phase"), Folding.of_period(3 * SECOND), SPAN)
+
+
+def test_sums_are_least_squares_and_missing_where_samples_do_not_tell_them():
+    """An unbroken turn, half of one, samples that lie together, and too few."""
+    around = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    phases = [around, around[:9], 1.0 + 1e-5 * np.arange(6), around[:4]]
+    group = np.repeat(np.arange(4), [len(one) for one in phases])
+    phase = np.concatenate(phases)
+    values = np.random.default_rng(1).normal(size=(phase.size, 2)) + 0j
+    sums = fourier_sums(values, phase, group, 4, 2, np.ones(phase.size, dtype=bool))
+    found = sums.coefficients
+    waves = np.exp(1j * phase[:, None] * np.arange(-2, 3))
+    for one in range(2):
+        part = group == one
+        known = np.linalg.lstsq(waves[part], values[part])[0]
+        assert np.allclose(found[one], known, rtol=1e-9, atol=1e-9)
+        assert np.allclose(sums.at(phase[part])[one], waves[part] @ known)
+        assert np.allclose(sums.along(phase, group)[part], waves[part] @ known)
+    assert np.isnan(found[2:]).all()

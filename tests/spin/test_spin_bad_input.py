@@ -1,10 +1,13 @@
 """Deliveries of a spinning mission that are not as they should be: handled, flagged, told, harmless."""
 
+import shutil
+
 import numpy as np
 import pytest
 import xarray as xr
 from bad_spin import BAD, SETTINGS, at, deliver, mission_of, product, truth_of, without
 
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.spin import PARAMETER_NAMES, SPIN_RELATED
@@ -115,14 +118,27 @@ def plain(tmp_path_factory):
     return cat.table("main-window", str(BAD)).isel(interval=0).load()
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a function: a mission with one kind of fault, reprocessed, made when first asked for."""
+    ready = {}
+
+    def case(name):
+        if name not in ready:
+            spoil, instead, *_ = CASES[name]
+            folder = tmp_path_factory.mktemp("bad") / name.replace(" ", "-")
+            cat, mission, taken = mission_of(folder, spoil, instead)
+            assert taken.days["failed"] == 0
+            ready[name] = cat, reprocess(cat, mission)
+        return ready[name]
+
+    return case
+
+
 @pytest.fixture(scope="module", params=CASES)
-def spoilt(request, tmp_path_factory):
+def spoilt(request, made):
     """A mission with one kind of fault, reprocessed: its case, catalog and report."""
-    spoil, instead, *_ = CASES[request.param]
-    folder = tmp_path_factory.mktemp("bad") / request.param.replace(" ", "-")
-    cat, mission, taken = mission_of(folder, spoil, instead)
-    assert taken.days["failed"] == 0
-    return request.param, cat, reprocess(cat, mission)
+    return request.param, *made(request.param)
 
 
 def test_no_day_is_lost_and_the_fault_is_flagged_and_told(spoilt):
@@ -169,9 +185,8 @@ def test_the_field_that_is_given_is_right_where_no_flag_speaks_against_it(spoilt
     assert np.isnan(data["field_payload"].values[(flag & np.uint32(Flag.NO_PHASE)) != 0, :2]).all()
 
 
-def test_jumps_that_come_back_leave_the_field_right(tmp_path):
-    cat, mission, _ = mission_of(tmp_path / "jumps", pulses_late(4.0, 4.5))
-    reprocess(cat, mission)
+def test_jumps_that_come_back_leave_the_field_right(made):
+    cat, _ = made("jumps")
     data = product(cat)
     _, payload = truth_of(data)
     flag = data["flag"].values
@@ -181,9 +196,8 @@ def test_jumps_that_come_back_leave_the_field_right(tmp_path):
     assert np.sqrt(np.mean(off**2)) < 0.05
 
 
-def test_a_jump_that_stays_is_in_doubt_on_both_sides(tmp_path):
-    cat, mission, _ = mission_of(tmp_path / "jump", pulses_late(4.0, 9.0))
-    report = reprocess(cat, mission)
+def test_a_jump_that_stays_is_in_doubt_on_both_sides(made):
+    cat, report = made("one jump")
     assert ((product(cat)["flag"].values & np.uint32(Flag.PHASE_JUMP)) != 0).all()
     assert "nothing tells which side of it is right" in report.problems[0]["remedy"]
 
@@ -216,10 +230,10 @@ def test_a_damaged_file_of_pulses_leaves_the_field_in_turning_axes(tmp_path):
     assert report.days["failed"] == 0
 
 
-def test_pulses_that_come_late_are_taken_in_and_the_day_is_made_anew(tmp_path):
+def test_pulses_that_come_late_are_taken_in_and_the_day_is_made_anew(made, tmp_path):
     folder = tmp_path / "late"
-    cat, mission, _ = mission_of(folder, no_pulses)
-    reprocess(cat, mission)
+    shutil.copytree(made("no pulses")[0].workspace, folder)
+    cat, mission = Catalog(folder), Workspace.open(folder).mission()
     assert np.isnan(product(cat)["field_payload"].values).any()
     deliver(folder / "data")
     assert ingest(cat, mission, folder / "data").days["failed"] == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,12 @@ CHOSEN = ReprocessSettings(table="daily", batch_days=1)
 Spoil = Callable[[dict[str, xr.Dataset]], None]
 
 
+@cache
+def simulated(day: np.datetime64):
+    """Return a day as it is simulated: what is delivered and the truth; not to be changed."""
+    return simulate_dual_day(SETTINGS, day)
+
+
 def boom(folder: Path, days: Sequence[np.datetime64] = (GOOD, BAD)) -> Workspace:
     """Return a workspace of good days, reprocessed one by one."""
     source = folder / "boom.yaml"
@@ -38,7 +45,7 @@ def boom(folder: Path, days: Sequence[np.datetime64] = (GOOD, BAD)) -> Workspace
 
 def deliver(made: Workspace, day: np.datetime64, spoil: Spoil | None = None) -> None:
     """Write a day's files as `spoil` leaves them; an instrument that it takes away has none."""
-    instruments = dict(simulate_dual_day(SETTINGS, day).instruments)
+    instruments = dict(simulated(day).instruments)
     for name in instruments:
         VENUS_EXPRESS.path(made.data, name, day).unlink(missing_ok=True)
     if spoil is not None:
@@ -72,7 +79,7 @@ def product(made: Workspace, day: np.datetime64 = BAD) -> xr.Dataset:
 def errors(data: xr.Dataset, day: np.datetime64 = BAD, between: bool = False) -> dict[str, np.ndarray]:
     """Return errors of the outboard reading and of the field, without constants; (time, axis) nT, NaN
     where the product is missing. The truth is interpolated where the product has stamps between its own."""
-    truth = simulate_dual_day(SETTINGS, day).truth
+    truth = simulated(day).truth
     stamps = truth["Epoch"].values.astype(np.int64)
     known = truth["FIELD"].values + truth["OFFSET_OUT"].values
     if between:
