@@ -169,8 +169,6 @@ class InteractionSettings:
         A channel is strong when its own effect reaches this t; assumed.
     nearly : float
         Products that reach this part of the t and of the gain of an addition are held against everything.
-    together : int
-        Products whose columns are made together: nobody asks for their products with each other.
     """
 
     channels: int = 8
@@ -178,7 +176,6 @@ class InteractionSettings:
     steady: float = 1e-3
     own_t: float = 1.0
     nearly: float = 0.5
-    together: int = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -848,22 +845,14 @@ def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> li
     Their products with the columns of the model and with the residual say so; those with all other columns of
     the library, many times as many, are made for them alone.
     """
-    count = INTERACTION_SETTINGS.together
-    return [
-        term
-        for at in range(0, len(terms), count)
-        for term in _promising_of(search.of_model(), data, terms[at : at + count])
-    ]
-
-
-def _promising_of(small: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:
-    """Return those of a few terms; `small` has the columns of the model alone."""
-    small = join_terms(small, data, terms)
+    if not terms:
+        return []
+    small = join_terms(search.of_model(), data, terms)
     best = np.zeros(len(terms), dtype=bool)
-    rules = small.rules
     for form, grams in small.forms.items():
         columns = [grams.index(term.columns) for term in terms]
         found = score(grams, small.present(form), columns, small.y(form), make_folds(len(grams)))
+        rules = search.rules
         best |= (found.t > INTERACTION_SETTINGS.nearly * rules.t) & (
             found.gain > INTERACTION_SETTINGS.nearly * rules.gain
         )
