@@ -88,7 +88,11 @@ class JobPane:
         self._job, self._show = self._background.begin(name, work), show
         self._status.visible = True
         self._status.object = panes.progress(self._job)
-        if self._poll_callback is None:
+        # What changes while a browser still takes the page in may never reach it: a quick job's result.
+        pn.state.onload(self._begin_to_poll)
+
+    def _begin_to_poll(self) -> None:
+        if self._poll_callback is None and self._job is not None:
             self._poll_callback = pn.state.add_periodic_callback(self._poll, period=_POLL_MS)
 
     def _poll(self) -> None:
