@@ -1,4 +1,5 @@
 import panel as pn
+
 from inflight.explorer.background import Background
 from inflight.explorer.job_pane import JobPane
 
