@@ -63,8 +63,8 @@ def dask_setup(worker: Any) -> None:
     What is imported stays: Python need not look again and again which of it could go, nor touch, and so copy,
     memory that the processes share.
 
-    What a worker says when its scheduler is gone is no news: its command has ended. What goes wrong with a task
-    is the task's error.
+    What a worker says when its scheduler is gone is no news: its command has ended. What goes wrong with a
+    task is the task's error.
     """
     del worker
     logging.getLogger("distributed.worker").setLevel(logging.CRITICAL)
