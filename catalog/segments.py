@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numcodecs.blosc
 import numpy as np
@@ -278,7 +278,7 @@ def _write_array(
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
     delta = encoding.delta and not portable
     dense = np.dtype(encoding.stored).kind == "f" and len(inner) > 0 and inner[0] > MOST_COMPONENTS
-    compressor: Literal["lz4", "zstd"] = DENSE_COMPRESSOR if dense else COMPRESSOR
+    compressor = DENSE_COMPRESSOR if dense else COMPRESSOR
     array = group.create_array(
         item.name,
         shape=shape,
