@@ -414,7 +414,9 @@ def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, job: Job) -> Outc
 
     def make(day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         made = block_grams(cat, mission, plan, index, derived, days_of[day])
-        give_back_memory()
+        if plan.estimates:
+            # Days at the native cadence are large, and the search is held in memory beside them.
+            give_back_memory()
         return made
 
     return make_days(cat, job, make)

@@ -5,7 +5,8 @@ import pytest
 from long_mission import DRIFT, HEATER, HEATER_LAG_S, STEP_S, add_later_days, make_long_workspace
 
 from inflight.catalog import Workspace
-from inflight.tasks.analysis import DiagnoseSettings, block_grams, diagnose
+from inflight.errors import CalibrationError
+from inflight.tasks.analysis import DiagnoseSettings, block_grams, diagnose, gram_pass
 from inflight.tasks.analysis.diagnosis import make_pass, plan_pass
 from inflight.tasks.archive import ChannelReader, DerivedChannels
 
@@ -34,9 +35,25 @@ def test_the_lag_and_the_sizes_come_back(found):
     assert told == pytest.approx(-DRIFT, rel=0.15)
 
 
-def test_values_are_those_of_the_datas_own_cadence(found):
-    for one in found.as_json()["effects"]:
+def test_values_are_those_of_the_datas_own_cadence_though_a_block_is_lost(tmp_path, monkeypatch):
+    cat = make_long_workspace(tmp_path / "mission", 202)
+    made = gram_pass.block_grams
+
+    def without_the_third(cat, mission, plan, index, derived, days):
+        if not plan.estimates and days[0] == plan.blocks[2][0]:
+            raise CalibrationError("nothing is left of it", remedy="none")
+        return made(cat, mission, plan, index, derived, days)
+
+    monkeypatch.setattr(gram_pass, "block_grams", without_the_third)
+    mission = Workspace.open(tmp_path / "mission").mission()
+    found = diagnose(cat, mission, settings=DiagnoseSettings(cadence_s=2 * STEP_S))
+    assert len(found.blocks["lost"]) == 2
+    assert set(found.blocks["lost"].values()) == {"nothing is left of it"}
+    effects = found.as_json()["effects"]
+    assert effects
+    for one in effects:
         assert one["cadence_s"] == STEP_S
+        assert one["cadence_shift"] is not None
 
 
 def test_further_days_make_their_own_blocks_only(tmp_path):
