@@ -89,7 +89,7 @@ def sun_direction(days: Floats) -> Floats:
     )
     tilt = np.deg2rad(23.439 - 4.0e-7 * days)
     east = np.sin(longitude)
-    return np.stack([np.cos(longitude), np.cos(tilt) * east, np.sin(tilt) * east], axis=1)
+    return np.stack([np.cos(longitude), np.cos(tilt) * east, np.sin(tilt) * east]).T
 
 
 def to_date(vectors: Floats, days: Floats) -> Floats:
@@ -119,7 +119,7 @@ def rotate_with_earth(vectors: Floats, days: Floats, sign: int) -> Floats:
     angle = sign * sidereal_angle(days)
     cos, sin = np.cos(angle), np.sin(angle)
     x, y, z = vectors.T
-    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z]).T
 
 
 def sunlit_fraction(position: Floats, sun: Floats) -> Floats:
@@ -183,6 +183,12 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     return out
 
 
+def cross(one: Floats, other: Floats) -> Floats:
+    """Return the cross products of vectors (time, 3)."""
+    (x, y, z), (u, v, w) = one.T, other.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u]).T
+
+
 def latitude_longitude(position: Floats) -> tuple[Floats, Floats]:
     """Return geocentric latitude and longitude (deg) of Earth-fixed positions (time, 3), any unit."""
     x, y, z = position.T
@@ -207,7 +213,7 @@ def itrf_to_nec(field: Floats, position: Floats) -> Floats:
     north = -sin_lat * along + cos_lat * fz
     east = -sin_lon * fx + cos_lon * fy
     centre = -cos_lat * along - sin_lat * fz
-    return np.stack([north, east, centre], axis=1)
+    return np.stack([north, east, centre]).T
 
 
 def to_nec(field: Floats, attitude: Floats, position: Floats | None, frame: str) -> Floats:
@@ -404,9 +410,9 @@ class _Place:
 
 def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     """Return the angles along the orbit from the ascending node, and from the point nearest the Sun; deg."""
-    node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+    node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))]).T
     node[np.hypot(node[:, 0], node[:, 1]) < GEOMETRY_SETTINGS.least_inclination] = (1.0, 0.0, 0.0)
-    ahead = np.cross(normal, node)
+    ahead = cross(normal, node)
 
     def angle(vectors: Floats) -> Floats:
         sine, cosine = np.einsum("ta,ta->t", vectors, ahead), np.einsum("ta,ta->t", vectors, node)
@@ -428,7 +434,9 @@ def _normals(
     place: _Place, before: Int64, after: Int64, longest: float
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return unit vectors along the orbital angular momentum (row, 3), of date, and which are known."""
-    normal = np.cross(place.inertial[before], place.inertial[after])
+    along = place.inertial.T
+    # One axis after the other: rows of three are gathered many times as slowly.
+    normal = cross(*(np.stack([axis[index] for axis in along]).T for index in (before, after)))
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     # Across a gap the two may be half an orbit apart and give the opposite plane.
@@ -447,7 +455,7 @@ def _orbit_normal(place: _Place) -> Floats:
         return np.full_like(normal, np.nan)
     stamps = place.tt2000 - place.tt2000[0]
     parts = [np.interp(stamps, stamps[known], normal[known, axis]) for axis in range(3)]
-    whole = np.stack(parts, axis=1)
+    whole = np.stack(parts).T
     return np.asarray(whole / np.linalg.norm(whole, axis=1, keepdims=True))
 
 
@@ -593,7 +601,7 @@ def payload_to_gse(field: Floats, axis: Floats, towards: Floats) -> Floats:
         across = towards - np.einsum("ta,ta->t", towards, up)[:, None] * up
         size = np.linalg.norm(across, axis=1, keepdims=True)
         ahead = across / np.where(size > GEOMETRY_SETTINGS.least_projection, size, np.nan)
-    side = np.cross(up, ahead)
+    side = cross(up, ahead)
     return np.asarray(field[:, :1] * ahead + field[:, 1:2] * side + field[:, 2:] * up)
 
 
@@ -602,8 +610,8 @@ def _equator_to_gse(vectors: Floats, days: Floats) -> Floats:
     sun = sun_direction(days)
     # The Sun's path lies in the ecliptic: the angle to the equator is that of `sun_direction`.
     tilt = np.deg2rad(23.439 - 4.0e-7 * days)
-    pole = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)], axis=1)
-    axes = (sun, np.cross(pole, sun), pole)
+    pole = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)]).T
+    axes = (sun, cross(pole, sun), pole)
     return np.stack([np.einsum("ta,ta->t", vectors, one) for one in axes], axis=1)
 
 
@@ -611,4 +619,4 @@ def _about_x(vectors: Floats, angle: Floats) -> Floats:
     """Return components in axes turned about x by an angle (time,) from y towards z."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y, z = vectors.T
-    return np.stack([x, cosine * y + sine * z, cosine * z - sine * y], axis=1)
+    return np.stack([x, cosine * y + sine * z, cosine * z - sine * y]).T

@@ -8,6 +8,7 @@ from .columns import (
     bin_means,
     bridge_gaps,
     coarsen,
+    design_gram,
     design_matrix,
     sensor_matrices,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "bin_means",
     "bridge_gaps",
     "coarsen",
+    "design_gram",
     "design_matrix",
     "sensor_matrices",
     "term_of",

@@ -537,7 +537,8 @@ def multiply(flat: Floats, vectors: Floats) -> Floats:
     vectors : ndarray, shape (time, 3)
     """
     if flat.ndim == 1:
-        return vectors @ flat.reshape(3, 3).T
+        # This way round each axis of the product is one run of memory.
+        return np.asarray((flat.reshape(3, 3) @ vectors.T).T)
     return np.asarray(np.einsum("tij,tj->ti", flat.reshape(-1, 3, 3), vectors))
 
 

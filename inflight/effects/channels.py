@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, times_axes
 from inflight.effects.base import (
     AXES,
     CHANNEL_OPTIONS,
@@ -54,7 +54,7 @@ class ChannelField(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * channel``; (time, axis) nT."""
-        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+        return times_axes(self.along_axes(samples, "coefficient"), values["coefficient"])
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return the channel, in units of the parameter; (time,)."""
@@ -76,7 +76,7 @@ class ChannelPower(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * channel ** 2``; (time, axis) nT."""
-        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+        return times_axes(self.along_axes(samples, "coefficient"), values["coefficient"])
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return the channel, in units of the parameter; (time,)."""
@@ -130,7 +130,7 @@ class ChannelRate(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * dc/dt``; (time, axis) nT."""
-        return np.asarray(self.along_axes(samples, "coefficient")[:, None] * values["coefficient"])
+        return times_axes(self.along_axes(samples, "coefficient"), values["coefficient"])
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return the channel's rate of change; (time,)."""
@@ -169,7 +169,7 @@ class Hysteresis(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of both; (time, axis) nT."""
         direct, play = (self.along_axes(samples, name) for name in ("direct", "play"))
-        return np.asarray(direct[:, None] * values["direct"] + play[:, None] * values["play"])
+        return times_axes(direct, values["direct"]) + times_axes(play, values["play"])
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return the channel, or its play; (time,)."""
@@ -290,7 +290,7 @@ def weighted_vectors(basis: Floats, vectors: Floats) -> Floats:
         x, y, z of the first function, then of the second, ...
     """
     if vectors.ndim == 1:
-        return basis @ vectors.reshape(-1, 3)
+        return np.asarray((vectors.reshape(-1, 3).T @ basis.T).T)
     return np.asarray(np.einsum("tk,tka->ta", basis, vectors.reshape(len(basis), -1, 3)))
 
 
@@ -412,9 +412,7 @@ def _symmetric(parts: Floats, field: Floats) -> Floats:
     """Return a symmetric matrix, (6,) or (time, 6) ordered as `SYMMETRIC`, times vectors; (time, 3)."""
     xx, yy, zz, xy, xz, yz = np.moveaxis(parts, -1, 0)
     bx, by, bz = field.T
-    return np.stack(
-        [xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz], axis=1
-    )
+    return np.stack([xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz]).T
 
 
 def _field_rate(samples: xr.Dataset) -> Floats:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, times_axes
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.channels import weighted_vectors
 from inflight.effects.families import channels_of_kind, has_orbit, has_sun_direction, options_of_channels
@@ -34,7 +34,7 @@ class DayNight(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the field by day; (time, axis) nT."""
-        return np.asarray(self.along_axes(samples, "vector")[:, None] * values["vector"])
+        return times_axes(self.along_axes(samples, "vector"), values["vector"])
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return whether the Sun shines; (time,)."""
@@ -111,7 +111,7 @@ def spherical_harmonics(direction: Floats, degree: int) -> Floats:
     found = [y, z, x]
     if degree > 1:
         found += [2 * x * y, 2 * y * z, 0.5 * (3 * z * z - 1), 2 * x * z, x * x - y * y]
-    return np.stack(found, axis=1)
+    return np.stack(found).T
 
 
 #: Highest order of a series; above it the shape is better taken from a channel.
@@ -154,9 +154,9 @@ class Periodic(Effect):
 
     def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
         """Return the cosine and the sine of each order; (time, source)."""
-        angles = self.angle(samples)[:, None] * np.arange(1, self._order + 1)
+        angles = np.arange(1, self._order + 1)[:, None] * self.angle(samples)
         parts = [np.cos(angles), np.sin(angles)] if self.sines else [np.cos(angles)]
-        return np.stack(parts, axis=2).reshape(len(angles), -1)
+        return np.stack(parts, axis=1).reshape(-1, angles.shape[1]).T
 
 
 class OrbitPeriodic(Periodic):

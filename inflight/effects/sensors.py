@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, times_axes
 from inflight.effects.base import AXES, Effect, Parameter, Values, field_strength, multiply, time_derivative
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
@@ -182,8 +182,9 @@ class Temperature(ScaledReading):
 
     def factor(self, samples: xr.Dataset, values: Values) -> Floats:
         """Return 1 less what the temperature does; (time, axis)."""
-        dt = (self.channel(samples, "degC") - values["reference"][..., 0])[:, None]
-        return np.asarray(1.0 - dt * (values["linear"] + values["quadratic"] * dt))
+        dt = self.channel(samples, "degC") - values["reference"][..., 0]
+        slope = times_axes(dt, values["quadratic"]) + values["linear"]
+        return np.asarray(1.0 - dt[:, None] * slope)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -380,7 +381,7 @@ class ChannelScale(ScaledReading):
     def factor(self, samples: xr.Dataset, values: Values) -> Floats:
         """Return 1 less what the channel does; (time, axis)."""
         change = self.drive(samples, "coefficient", about=values["reference"][..., 0])
-        return np.asarray(1.0 - change[:, None] * values["coefficient"])
+        return np.asarray(1.0 - times_axes(change, values["coefficient"]))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -401,7 +402,7 @@ class AdcTemperature(ChannelScale):
 
     def _zero(self, samples: xr.Dataset, values: Values) -> Floats:
         change = self.drive(samples, "bias", about=values["reference"][..., 0])
-        return np.asarray(change[:, None] * values["bias"])
+        return times_axes(change, values["bias"])
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading at the reference temperature; (time, axis) nT."""
@@ -434,7 +435,7 @@ class ChannelAngle(Effect):
 
     def _change(self, samples: xr.Dataset, values: Values) -> Floats:
         change = self.drive(samples, "coefficient", about=values["reference"][..., 0])
-        return np.asarray(change[:, None] * values["coefficient"])
+        return times_axes(change, values["coefficient"])
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a sensor with the reference's angles; (time, axis) nT."""

@@ -73,7 +73,7 @@ def prewhiten(values: Floats, weight: Floats, stamps: npt.NDArray[np.int64], cor
     return out
 
 
-#: Samples of which a copy is made at a time, weighted.
+#: Samples that are multiplied at a time.
 _AT_ONCE = 16_384
 
 
@@ -89,21 +89,27 @@ def gram_of(columns: Floats, residuals: Floats, weight: Floats, parts: Sequence[
     parts : sequence of slice
         Of the time.
     """
-    width = columns.shape[-1] + residuals.shape[-1]
-    out = np.zeros((len(parts), width, width))
-    root = np.sqrt(np.clip(weight, 0.0, None))[:, None]
     kinds = columns.shape[-1]
-    for index, part in enumerate(parts):
+    out = np.zeros((len(parts), kinds + residuals.shape[-1], kinds + residuals.shape[-1]))
+    for gram, part in zip(out, parts, strict=True):
         # Samples of a whole day at their own cadence are taken in turn: a copy of all would not fit a cache.
         for start in range(part.start, part.stop, _AT_ONCE):
             some = slice(start, min(start + _AT_ONCE, part.stop))
-            # One run of memory a column, whatever the order the columns come in.
-            flat = np.empty((width, some.stop - some.start, columns.shape[1]))
-            np.multiply(np.moveaxis(columns[some], -1, 0), root[some], out=flat[:kinds])
-            np.multiply(np.moveaxis(residuals[some], -1, 0), root[some], out=flat[kinds:])
-            flat = flat.reshape(width, -1)
-            out[index] += flat @ flat.T
+            for row in range(columns.shape[1]):
+                own, left = (_weighted(values[some, row], weight[some]) for values in (columns, residuals))
+                gram[:kinds, :kinds] += own.T @ own
+                gram[:kinds, kinds:] += own.T @ left
+                gram[kinds:, kinds:] += left.T @ left
+        gram[kinds:, :kinds] = gram[:kinds, kinds:].T
     return out
+
+
+def _weighted(values: Floats, weight: Floats) -> Floats:
+    """Return values (time, column) times the root of each weight: themselves where that is the same."""
+    lost = weight == 0.0
+    if np.all(lost | (weight == 1.0)) and not values[lost].any():
+        return np.asarray(values, dtype=np.float64)
+    return values * np.sqrt(np.clip(weight, 0.0, None))[:, None]
 
 
 def parts_of(stamps: npt.NDArray[np.int64], edges: Sequence[int]) -> list[slice]:

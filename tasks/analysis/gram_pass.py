@@ -39,6 +39,7 @@ from inflight.design import (
     OutlierReport,
     Term,
     coarsen,
+    design_gram,
     design_matrix,
     sensor_matrices,
 )
@@ -128,7 +129,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-GRAM_VERSION = 19
+GRAM_VERSION = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -497,22 +498,13 @@ def _day_grams(
 ) -> tuple[GramArrays, GramArrays | None, DesignRows, dict[str, Any]]:
     """Return a day's blocks, raw and prewhitened, its rows, and sums over its samples."""
     rows, sums = day_rows(cat, mission, plan, index, derived, day)
-    columns = design_matrix(plan.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
     bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // plan.parts) for part in range(plan.parts + 1)]
     # The last bin of a day with a leap second reaches into the next day, which is a block's of its own.
     bounds[-1] = min(bounds[-1], day_bounds(day)[1])
     parts = parts_of(stamps, bounds)
-    residual = rows.residual[:, :, None]
-    white = (
-        []
-        if plan.estimates
-        else [
-            prewhiten(values, rows.weight, stamps, plan.correlation_time_s) for values in (columns, residual)
-        ]
-    )
-    count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
+    count = np.array([rows.weight[part].sum() * rows.residual.shape[1] for part in parts])
     names = (*plan.library.columns, "residual")
     common = (
         np.array(bounds[:-1], dtype=np.int64),
@@ -520,12 +512,15 @@ def _day_grams(
         count,
         np.array([*plan.scale, 1.0]),
     )
-    return (
-        GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common),
-        GramArrays(names, gram_of(white[0], white[1], rows.weight, parts), *common) if white else None,
-        rows,
-        sums,
+    if plan.estimates:
+        gram = design_gram(plan.library.all_terms, rows, parts)
+        return GramArrays(names, gram, *common), None, rows, sums
+    values = (design_matrix(plan.library.all_terms, rows), rows.residual[:, :, None])
+    white = [prewhiten(one, rows.weight, stamps, plan.correlation_time_s) for one in values]
+    raw, prewhitened = (
+        GramArrays(names, gram_of(*pair, rows.weight, parts), *common) for pair in (values, white)
     )
+    return raw, prewhitened, rows, sums
 
 
 def day_rows(

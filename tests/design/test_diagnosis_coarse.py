@@ -60,6 +60,17 @@ def test_samples_outside_the_bins_are_left_out():
     np.testing.assert_allclose(mean, [14.5, 24.5])
 
 
+def test_bins_of_one_sample_leave_out_what_is_outside_them_and_take_every_sample_inside():
+    values, good = np.arange(60.0).reshape(20, 3), np.arange(20) != 7
+    edges = bin_edges(START, START + 20 * SECOND, SECOND)
+    mean, count = bin_means(values, stamps_of(20), edges, good)
+    np.testing.assert_array_equal(mean, np.where(good[:, None], values, np.nan))
+    np.testing.assert_array_equal(count, good * 1.0)
+    mean, count = bin_means(values, stamps_of(20) - 5 * SECOND, edges, good)
+    np.testing.assert_array_equal(mean[:15], np.where(good[5:, None], values[5:], np.nan))
+    np.testing.assert_array_equal(count, [*(good[5:] * 1.0), *np.zeros(5)])
+
+
 def quiet(seed=1, count=3000):
     return np.random.default_rng(seed).normal(0, 0.1, (count, 1))
 

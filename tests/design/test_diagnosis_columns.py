@@ -9,8 +9,9 @@ from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
 from inflight.calibration import PARAMETER_SCALE, kernel_scale, matrix_parameters
 from inflight.calibration.residual_loops import _fill
-from inflight.design import DesignRows, Term, design_matrix, sensor_matrices, term_of
+from inflight.design import DesignRows, Term, design_gram, design_matrix, sensor_matrices, term_of
 from inflight.design.columns import term_columns
+from inflight.lsq import gram_of
 from inflight.model import Model, make_effect, rows_of
 
 #: Effects whose column is taken of one evaluation, and such inside an instrument's equation.
@@ -184,3 +185,30 @@ def test_missing_values_and_rows_without_weight_are_nought(flown):
 def test_no_terms_are_no_columns(flown):
     _, _, rows = flown
     assert design_matrix([], rows).shape == (*rows.residual.shape, 0)
+
+
+@pytest.mark.parametrize("fraction", [1.0, 0.5])
+def test_products_made_a_stretch_at_a_time_are_those_of_all_columns_together(flown, fraction, monkeypatch):
+    """Gaps of a channel, samples without weight, weights below one, a term's span, parts of any length."""
+    _, samples, rows = flown
+    channel = np.array(samples["solar_current"].values, dtype=float)
+    channel[10:20] = np.nan
+    held = rows.samples.assign(solar_current=("time", channel, samples["solar_current"].attrs))
+    weight = np.where(np.arange(len(rows.weight)) % 7 == 0, fraction, rows.weight)
+    weight[30:40] = 0.0
+    residual = np.random.default_rng(3).normal(size=rows.residual.shape)
+    rows = replace(rows, samples=held, weight=weight, residual=residual)
+    entries = [
+        make_effect({"effect": name, **options}, SENSORS, (), MISSION)
+        for name, options in (*ADDITIVE[:4], *DIFFERENCED[:3])
+    ]
+    terms = [term_of(entry, f"tried{place}") for place, entry in enumerate(entries)]
+    stamps = rows.samples["tt2000"].values
+    terms[0] = replace(terms[0], span=(int(stamps[15]), int(stamps[45])))
+    monkeypatch.setattr("inflight.design.columns._AT_ONCE", 13)
+    parts = [slice(0, 37), slice(37, len(stamps))]
+    made = gram_of(design_matrix(terms, rows), rows.residual[:, :, None], weight, parts)
+    size = np.sqrt(np.einsum("pii->pi", made))
+    error = np.abs(design_gram(terms, rows, parts) - made) / (size[:, :, None] * size[:, None, :] + 1e-300)
+    assert error.max() < 1e-12
+    assert size.all()
