@@ -293,7 +293,7 @@ def design_matrix(terms: Sequence[Term], rows: DesignRows) -> Floats:
     made = found.transpose(2, 1, 0)
     if rows.row_filter is None:
         return made
-    return np.nan_to_num(rows.row_filter.keep(made, rows.samples["tt2000"].values, ~unused))
+    return np.nan_to_num(rows.row_filter.keep(made, rows.samples["tt2000"].values, rows.weight > 0))
 
 
 def _all_columns(terms: Sequence[Term], rows: DesignRows) -> Iterator[_Column]:

@@ -515,11 +515,12 @@ def _day_grams(
     if plan.estimates:
         gram = design_gram(plan.library.all_terms, rows, parts)
         return GramArrays(names, gram, *common), None, rows, sums
-    values = (design_matrix(plan.library.all_terms, rows), rows.residual[:, :, None])
-    white = [prewhiten(one, rows.weight, stamps, plan.correlation_time_s) for one in values]
-    raw, prewhitened = (
-        GramArrays(names, gram_of(*pair, rows.weight, parts), *common) for pair in (values, white)
+    columns, residual = design_matrix(plan.library.all_terms, rows), rows.residual[:, :, None]
+    raw = GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common)
+    columns, residual = (
+        prewhiten(one, rows.weight, stamps, plan.correlation_time_s) for one in (columns, residual)
     )
+    prewhitened = GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common)
     return raw, prewhitened, rows, sums
 
 
