@@ -229,9 +229,8 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
     """
     grams = search.forms["raw"]
     refined = [name for term in search.library.refined for name in term.columns]
-    sigma = [s for term in search.library.refined for s in term.sigma]
     names = [*refined, *present]
-    precision = search.precision(grams, names, np.asarray([*sigma, *[np.inf] * len(present)]))
+    precision = search.precision(grams, names, search.sigma_of_model(len(names)))
     place, y = grams.index(names), search.y("raw")
     total = grams.rows(place, np.append(place, y)).sum(axis=0)
     common = -solve_scaled(total[:, :-1] + np.diag(precision), total[:, -1]) if names else np.zeros(0)

@@ -392,15 +392,17 @@ def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
             continue
         worst = max(wrong, key=lambda one: abs(one["moved"]) / one["known"])
         times = abs(worst["moved"]) / worst["known"]
+        rivals = tuple(dict.fromkeys(one["instead_of"] for one in wrong if one.get("instead_of")))
         found.append(
             Entry(
                 name=name,
                 words=(
                     f"a number of the model's own, {worst['name']}, off by {worst['moved']:.3g} +- "
-                    f"{worst['sigma']:.2g}, {times:.1f} times the sigma it states"
+                    f"{worst['sigma']:.2g}, {times:.1f} times the sigma it states{_rivals_text(rivals)}"
                 ),
                 # What stands beside it may have moved it, as long as something is left.
-                status="sure" if facts["remaining"] == "NOTHING_LEFT" else "weak",
+                status="rivals" if rivals else "sure" if facts["remaining"] == "NOTHING_LEFT" else "weak",
+                rivals=rivals,
                 takes_off_nT=sqrt(sum(float(one["rms_nT"]) ** 2 for one in wrong)),
                 command="inflight model show",
             )
@@ -542,9 +544,12 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.model_effects:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
-    if effect.rivals:
-        text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE_SETTINGS.rivals])}"
-    return text
+    return text + _rivals_text(effect.rivals)
+
+
+def _rivals_text(rivals: Sequence[str]) -> str:
+    few = ", ".join(rivals[: SENTENCE_SETTINGS.rivals])
+    return f", which these data cannot tell from {few}" if rivals else ""
 
 
 def _signature_text(signature: Signature | None) -> str:

@@ -363,6 +363,9 @@ class Search:
         Mechanisms that were taken back, because what they added was others'; and that were dropped once.
     hidden : tuple of Change
         Changes that the requested intervals take up whole.
+    freed : dict of str to str
+        Numbers of the model, such as ``model:temperature.linear``, that data may move as far as they like, and
+        the option whose place that took: what the model states of them does not fit.
     ran_out : bool
         The rounds ended because there were as many as the rules allow.
     design_cache : CachedDesign
@@ -384,6 +387,7 @@ class Search:
     banned: frozenset[str] = frozenset()
     dropped: frozenset[str] = frozenset()
     hidden: tuple[Change, ...] = ()
+    freed: Mapping[str, str] = field(default_factory=dict)
     ran_out: bool = False
     design_cache: CachedDesign = field(default_factory=CachedDesign)
 
@@ -516,9 +520,17 @@ class Search:
     def present_in(self, grams: BlockProducts, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self._model_columns(without)
-        sigma = [s for term in self.library.refined for s in term.sigma]
-        sigma += [np.inf] * (len(names) - len(sigma))
-        return ModelColumns(grams.index(names), self.precision(grams, names, np.asarray(sigma)))
+        sigma = self.sigma_of_model(len(names))
+        return ModelColumns(grams.index(names), self.precision(grams, names, sigma))
+
+    def sigma_of_model(self, count: int) -> Floats:
+        """Return what is known beforehand of the model's columns, refined ones first; (count,)."""
+        refined = [
+            np.inf if name.partition("[")[0] in self.freed else sigma
+            for term in self.library.refined
+            for name, sigma in zip(term.columns, term.sigma, strict=True)
+        ]
+        return np.array([*refined, *[np.inf] * (count - len(refined))])
 
     def _marginalised(self, grams: GramBlocks, intervals: Groups) -> GramBlocks:
         names, sigma = self.base()
@@ -759,6 +771,7 @@ class Search:
             rounds=other.rounds,
             banned=other.banned,
             dropped=other.dropped,
+            freed=other.freed,
             ran_out=other.ran_out,
         ).with_safe_intervals()
 
@@ -793,6 +806,10 @@ class Search:
             form=form,
         )
         return replace(self, rounds=(*self.rounds, entry))
+
+    def with_freed(self, number: str, option: Option) -> Search:
+        """Return the state in which data may move a number of the model instead of taking an option."""
+        return replace(self, freed={**self.freed, number: option.name})
 
     def with_banned(self, mechanism: str) -> Search:
         """Return the state that will not take a mechanism again."""
@@ -868,7 +885,7 @@ class Search:
 
     def as_found(self) -> Search:
         """Return the search with nothing taken and the requested intervals; of the raw form alone."""
-        other = self.with_accepted([])
+        other = replace(self.with_accepted([]), freed={})
         if self.intervals == self.requested_intervals:
             return other
         base, _ = self.base()

@@ -55,6 +55,8 @@ class SelectionSettings:
         Held-out gain from which an addition may make others weakly known; assumed.
     exchanges : int
         Exchanges of an effect for a better one at most, so that a search ends; assumed.
+    most_sigmas : float
+        A number of the model that had to be further off than so many of its sigmas is no explanation; assumed.
     few_columns, part_of_best : int, float
         Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
         reach; assumed.
@@ -67,6 +69,7 @@ class SelectionSettings:
     weak: float = 0.02
     large_gain: float = 0.1
     exchanges: int = 3
+    most_sigmas: float = 30.0
     few_columns: int = 12
     part_of_best: float = 0.3
 
@@ -386,9 +389,47 @@ def select_effects(
         table = table.without_fits()
         if found is None:
             return replace(search, ran_out=False), first, table
+        number = number_that_explains(search, found[0])
+        if number is not None:
+            search = search.with_freed(number, found[0]).with_round("free", found[0], name=number)
+            continue
         search = _one_round(search, data, table, *found)
     last = search.table().without_fits()
     return replace(search, ran_out=bool(search.rules.rounds)), first or last, last
+
+
+def number_that_explains(search: Search, option: Option) -> str | None:
+    """Return the number of the model that, free, leaves an option nothing to explain; None when none does.
+
+    A wrong number is the commonest cause of a residual. Its columns are there, but held by what the model
+    states of it, which an option that does nearly the same is not: it would be taken in its place.
+    """
+    numbers = {name.partition("[")[0] for term in search.library.refined for name in term.columns}
+    found = []
+    for number in sorted(numbers - set(search.freed)):
+        free = search.with_freed(number, option)
+        if search.rules.margin(free.held_out_worth(option)) < 1.0:
+            found.append((_sigmas_moved(free, number), number))
+    # Several may do: the one that has to move least of what the model states of it is the likeliest.
+    moved, number = min(found, default=(np.inf, ""))
+    return number if moved < SELECTION_SETTINGS.most_sigmas else None
+
+
+def _sigmas_moved(search: Search, number: str) -> float:
+    """Return how far data move a number of the model that is free, in the sigmas the model states of it."""
+    known = {
+        name: sigma
+        for term in search.library.refined
+        for name, sigma in zip(term.columns, term.sigma, strict=True)
+        if name.partition("[")[0] == number
+    }
+    present = search.present()
+    value, covariance = joint_fit(search.forms["raw"], present, search.y())
+    columns = search.forms["raw"].index(list(known))
+    places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
+    scale = search.raw.scale[search.raw.index(list(known))]
+    spread = np.hypot(np.array(list(known.values())), np.sqrt(np.diag(covariance)[places]) * scale)
+    return float(np.sqrt(np.sum((value[places] * scale / spread) ** 2)))
 
 
 def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: Option, form: str) -> Search:

@@ -224,7 +224,7 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
 def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
     before = held_out_rms(search, data)
-    blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
+    blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset(), freed={})
     other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
     fewer = len(other.accepted) < len(search.accepted)
     if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
@@ -481,8 +481,10 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
         far = off > scipy.special.chdtri(len(group), REPORT_SETTINGS.chance / len(groups))
         # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
         matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
+        freed = search.freed.get("model:" + group[0]["name"].partition("[")[0])
         for one in group:
-            one["wrong"] = bool(far and matters)
+            one["wrong"] = bool(far and (matters or freed))
+            one["instead_of"] = freed
     return tuple(out)
 
 

@@ -93,6 +93,8 @@ _DAY = np.timedelta64(1, "D")
 class ChannelReader:
     """Reads channels of single days, onto bins; keeps the last days it read.
 
+    A channel's lag and its averaging are those of the mission, as in the samples of a model.
+
     Attributes
     ----------
     index : ArchiveIndex
@@ -161,7 +163,7 @@ class ChannelReader:
         for needs in by_dataset.values():
             source, channels = self.index.get(needs[0], day), [need.channel for need in needs]
             data = None if source is None else self.cat.read(source, channels, with_time=False)
-            phase: Floats | None = None
+            phases: dict[tuple[int, int], Floats] = {}
             for need in needs:
                 instrument, name = homes[need.name]
                 width = len(self.mission.instruments[instrument].channels[name].axis_names)
@@ -173,12 +175,18 @@ class ChannelReader:
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
+                if need.lag_ns or need.smooth_ns:
+                    # As the model's samples have it: averaged as the mission says, and late by its lag.
+                    series = channel_series(self.cat, need, day, self.index)
+                    assert series is not None
+                    values, stamps = series.values, series.stamps + need.lag_ns
                 if self.by_levels and values.ndim == 1:
                     values = piecewise_mean(np.asarray(values, dtype=np.float64))
                 if clock is not None and clock.is_resolved_by(cadence):
-                    # One instrument's channels have the same stamps.
-                    phase = clock.phase(stamps) if phase is None else phase
-                    out[need.name] = clock.folded(values, stamps, phase, edges)
+                    # One instrument's channels have the same stamps, those of one lag.
+                    delay = need.lag_ns, need.smooth_ns
+                    phases[delay] = clock.phase(stamps) if delay not in phases else phases[delay]
+                    out[need.name] = clock.folded(values, stamps, phases[delay], edges)
                 else:
                     out[need.name] = bin_channel(values, stamps, edges, cadence)
         return out

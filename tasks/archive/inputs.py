@@ -207,15 +207,7 @@ def geometry_channels(mission: Mission) -> list[str]:
 
 def channel_needs(mission: Mission) -> tuple[Need, ...]:
     """Return one need for every channel of the mission."""
-    return tuple(
-        Need(
-            name=name,
-            instrument=instrument,
-            channel=channel,
-            cadence_ns=mission.instruments[instrument].cadence,
-        )
-        for name, (instrument, channel) in channels_by_name(mission).items()
-    )
+    return tuple(_need_of(mission, name) for name in channels_by_name(mission))
 
 
 def clock_of(mission: Mission, comparison: str) -> list[Need]:

@@ -7,9 +7,10 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import SamplesError
 from inflight.frames import GEOMETRY, add_geometry
+from inflight.mission import Mission
 from inflight.samples import slow_response
 from inflight.samples.derived import play
-from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.archive import ArchiveIndex, ChannelReader, channel_needs, load_samples, needs_of
 from inflight.tasks.models import ideal_model
 from inflight.time import SECOND, day_bounds
 
@@ -209,3 +210,22 @@ def test_names_the_mission_has_not_are_left_out_and_placebos_refused(workspace):
     assert names == {"vector", "scalar"}
     with pytest.raises(SamplesError, match="placebo"):
         needs_of(mission, model, ["current~2"])
+
+
+def test_the_search_reads_a_channel_as_late_and_as_averaged_as_the_model_does(workspace):
+    """A lag of 100 s moves the temperature by up to 0.4 K; columns of the model are made of both readings."""
+    cat, _ = workspace
+    delayed = Mission.parse(
+        YAML.replace("kind: temperature}", "kind: temperature, lag: 100 s, smooth: 120 s}")
+    )
+    needs = channel_needs(delayed)
+    index = ArchiveIndex.of(cat, needs)
+    reader = ChannelReader(cat, delayed, needs, index, 10 * SECOND, (FIRST, LAST))
+    for day in DAYS[1:4]:
+        samples = loaded((cat, delayed), ["warmth", "current"], day)
+        edges = reader.edges(day)
+        centre = edges[:-1] + 5 * SECOND
+        expected = np.interp(centre, samples["tt2000"].values, samples["warmth"].values)
+        np.testing.assert_allclose(reader.day(day)["warmth"][:-6], expected[:-6], atol=2e-3)
+        plain = 10 + 8 * np.sin((centre - FIRST) / SECOND / 2000)
+        assert np.abs(reader.day(day)["warmth"] - plain).max() > 0.3
