@@ -22,7 +22,7 @@ export MKL_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow cases lint bench golden docs lock format clean
+.PHONY: help setup demo test test-slow cases coverage lint bench golden docs lock format clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,9 @@ test-slow: setup  ## run the long physics cases and real records that 'make test
 
 cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
 	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)
+
+coverage: setup  ## print how often the truth lies within the stated sigmas, by effect (half an hour)
+	$(BIN)/python -m benchmarks coverage
 
 lint: setup  ## check style, types and the direction of imports
 	$(BIN)/ruff check .

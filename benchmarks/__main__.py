@@ -30,16 +30,33 @@ def _show_each(name: str, measured: Iterable[Row]) -> None:
     _show(name, rows)
 
 
+def _show_coverage(kept: Path | None, seeds: int) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from benchmarks.archive import simulated_workspace
+    from benchmarks.coverage import Coverage, coverage, table
+
+    counts: list[Coverage] = []
+    with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
+        for one in coverage(simulated_workspace((kept or Path(scratch)) / "archive-30", 30), seeds):
+            counts.append(one)
+            print(f"{one.name}: {one.within} of {one.values}, found {one.found_values}", flush=True)
+    print("\n".join(table(counts)), flush=True)
+
+
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
-    parser.add_argument("which", nargs="*", choices=[*_ALL, []], help="all when absent")
+    parser.add_argument(
+        "which", nargs="*", choices=[*_ALL, "coverage", []], help="all but coverage when absent"
+    )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
     parser.add_argument(
         "--growth", type=int, nargs="*", default=[30, 100], help="lengths of growing records, days (30 100)"
     )
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
+    parser.add_argument("--seeds", type=int, default=200, help="residuals drawn of each effect (200)")
     given = parser.parse_args()
     which = given.which or _ALL
 
@@ -63,6 +80,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as scratch:
             cat = simulated_workspace((given.keep or Path(scratch)) / "archive-10", 10)
             _show("nine", nine_parameters(cat))
+    if "coverage" in which:
+        _show_coverage(given.keep, given.seeds)
     if "spin_fits" in which:
         print("\n".join(spin_fit_ratios()), flush=True)
     if "spin_eight" in which:

@@ -1,9 +1,11 @@
 """Coverage: how often the truth lies within one and two stated sigmas of the values a search gives an effect.
 
-The design is that of a simulated mission's own pass: its rows, its calibration, its library. Only the residual
-is drawn anew, many times: an effect of known values, the noise of the samples, a parameter of the calibration
-that drifts irregularly, and, in half of the table, a unit that no channel tells of and that switches at random.
-Right counts lie within their binomial interval, all but one in a hundred.
+The design is that of a simulated mission's own pass: its rows, its calibration, its library. Only the
+residual is drawn anew, many times: an effect of known values, the noise of the samples, a parameter of the
+calibration that drifts irregularly, and, in half of the table, a unit that no channel tells of and that
+switches at random. Right counts lie within their binomial interval, all but one in a hundred.
+
+``make coverage`` prints the table; docs/reference/coverage.md shows it.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class CoverageSettings:
         Chance of right counts to be outside their interval.
     """
 
-    noise_nT: float = 0.1
+    noise_nT: float = 0.1  # noqa: N815 (a unit)
     size: float = 0.5
     unit: float = 0.2
     drift: float = 0.2
@@ -243,9 +245,8 @@ def _drawn(
         walk, state = scipy.signal.lfilter([1.0], [1.0, -drift], kicks, axis=0, zi=drift * state)
         state = state / drift
         own = design_matrix(library.base, rows)[:, 0]
-        drawn += (
-            settings.drift * settings.noise_nT * walk * (own / np.sqrt(np.mean(own**2, axis=0)))[:, which]
-        )
+        own /= np.sqrt(np.mean(own**2, axis=0))
+        drawn += settings.drift * settings.noise_nT * walk * own[:, which]
         changes = np.cumsum(generator.random(size=(times, seeds)) < cadence / settings.dwell_s, axis=0)
         state_of_unit = (changes + switched) % 2
         switched = state_of_unit[-1]
@@ -254,3 +255,27 @@ def _drawn(
         drawn -= design_matrix(terms, rows)[:, 0] @ values
         out.append(drawn)
     return out
+
+
+def table(counts: list[Coverage], settings: CoverageSettings | None = None) -> list[str]:
+    """Return the lines of the table, as Markdown: shares within one and two sigmas, rms errors in sigmas."""
+    settings = settings or CoverageSettings()
+    out = [
+        "| effect | a unit switches | given: 1 sigma | 2 sigma | rms | found | 1 sigma | 2 sigma | rms |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+
+    def shares(count: int, within: tuple[int, int], pull: float, right: bool) -> str:
+        if not count:
+            return "- | - | -"
+        return f"{within[0] / count:.1%} | {within[1] / count:.1%} | {pull:.2f}{'' if right else ' *'}"
+
+    for one in counts:
+        given, found = one.is_right(settings.chance)
+        out.append(
+            f"| {one.name} | {'yes' if one.unit else 'no'} "
+            f"| {shares(one.values, one.within, one.pull, given)} "
+            f"| {one.found_values / one.values:.0%} "
+            f"| {shares(one.found_values, one.found_within, one.found_pull, found)} |"
+        )
+    return [*out, "", "`*`: outside the interval that holds 99 of 100 right counts."]
