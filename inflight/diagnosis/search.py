@@ -364,7 +364,7 @@ class Search:
     hidden : tuple of Change
         Changes that the requested intervals take up whole.
     freed : dict of str to str
-        Numbers of the model, such as ``model:temperature.linear``, that data may move as far as they like, and
+        Numbers of the model, such as ``model:temperature.linear``, that data may move freely, and
         the option whose place that took: what the model states of them does not fit.
     ran_out : bool
         The rounds ended because there were as many as the rules allow.
@@ -705,13 +705,27 @@ class Search:
             out.append(visible or is_at_edge(self.raw, self.requested_intervals, at, sharp))
         return np.array(out)
 
-    def held_out_worth(self, option: Option) -> tuple[float, float]:
-        """Return held-out gain and t of an effect of the model against the model without it, best form."""
+    def grams_with(self, option: Option) -> list[GramBlocks]:
+        """Return each form's Gram blocks of the model and an option alone: what its worth is told from."""
+        names = [*self._model_columns(option), *option.columns]
+        return [
+            grams.select(names)
+            for form, grams in self.forms.items()
+            if option.change is None or form != "within"
+        ]
+
+    def held_out_worth(
+        self, option: Option, of_forms: Sequence[GramBlocks] | None = None
+    ) -> tuple[float, float]:
+        """Return held-out gain and t of an effect of the model against the model without it, best form.
+
+        Parameters
+        ----------
+        of_forms : sequence of GramBlocks, optional
+            As `grams_with` returns them.
+        """
         found: list[tuple[float, float]] = []
-        for form, grams in self.forms.items():
-            if option.change is not None and form == "within":
-                continue
-            small = grams.select([*self._model_columns(option), *option.columns])
+        for small in of_forms or self.grams_with(option):
             folds = make_folds(len(small), option.interleaved)
             y = small.residuals[self.residual]
             one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)

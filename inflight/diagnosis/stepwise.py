@@ -56,7 +56,7 @@ class SelectionSettings:
     exchanges : int
         Exchanges of an effect for a better one at most, so that a search ends; assumed.
     most_sigmas : float
-        A number of the model that had to be further off than so many of its sigmas is no explanation; assumed.
+        A number of the model that had to be off by more of its sigmas is no explanation; assumed.
     few_columns, part_of_best : int, float
         Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
         reach; assumed.
@@ -404,11 +404,14 @@ def number_that_explains(search: Search, option: Option) -> str | None:
     A wrong number is the commonest cause of a residual. Its columns are there, but held by what the model
     states of it, which an option that does nearly the same is not: it would be taken in its place.
     """
+    if option.change is not None:
+        # What changes at a time no constant is.
+        return None
     numbers = {name.partition("[")[0] for term in search.library.refined for name in term.columns}
-    found = []
+    found, of_forms = [], search.grams_with(option)
     for number in sorted(numbers - set(search.freed)):
         free = search.with_freed(number, option)
-        if search.rules.margin(free.held_out_worth(option)) < 1.0:
+        if search.rules.margin(free.held_out_worth(option, of_forms)) < 1.0:
             found.append((_sigmas_moved(free, number), number))
     # Several may do: the one that has to move least of what the model states of it is the likeliest.
     moved, number = min(found, default=(np.inf, ""))
