@@ -9,7 +9,7 @@ rejected candidate hints at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -95,7 +95,8 @@ class RemainingSettings:
     Attributes
     ----------
     white : float
-        Structure below this part of the noise does not make a residual coloured, however sure it is; assumed.
+        Structure below this part of the noise does not make a residual coloured, however sure it is, and less
+        than it within the search's means is not looked for; assumed.
     hint_t : float
         A rejected candidate hints at what remains from this held-out t on: two sigma.
     as_much : float
@@ -111,12 +112,13 @@ REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
 
-#: Estimates what a search took from the native samples: their cadence (s), and an estimate a name.
-NativeEstimates = Callable[[Search], tuple[float, Mapping[str, Estimate]]]
+#: Returns what a search took at the data's own cadence (s), for estimates; None where there is nothing to
+#: estimate. The model's own numbers are something when asked for.
+AtNativeCadence = Callable[[Search, bool], tuple[Search, float] | None]
 
 
 def run_search(
-    search: Search, data: DiagnosisData, native: NativeEstimates | None = None
+    search: Search, data: DiagnosisData, native: AtNativeCadence | None = None
 ) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
@@ -125,7 +127,7 @@ def run_search(
     search : Search
         The first state: nothing taken yet.
     native : callable, optional
-        Estimates what was taken at the data's own cadence; values are those of the search without it.
+        Puts what was taken on Gram blocks at the data's own cadence; values are the search's without it.
     """
     search, first, last = run_rounds(search, data)
     search, checks, after_checks = exchange_and_check(search, data)
@@ -135,28 +137,32 @@ def run_search(
         # The processes that make it need the memory of what is only kept to be quick.
         search.shared.forget_products()
         data.columns.clear()
-    cadence_s, values = native(search) if native else (data.cadence_s, {})
+    is_fast = is_left_within_bins(search, data)
+    at_native, cadence_s = (native(search, is_fast) if native else None) or (None, data.cadence_s)
     effects = tuple(
-        describe_effect(search, data, one, values.get(one.option.name), cadence_s) for one in checks
+        describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
+        for one in checks
     )
+    fast_numbers = at_native if is_fast else None
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     lost = {str(day): reason for day, reason in sorted(data.lost.items())}
     blocks = effective_blocks(search, known, residual) | {"lost": lost}
-    remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
+    structure = structure_of(known.series, residual)
+    remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
-        "residual": _residual_sizes(search, known, remaining),
+        "residual": _residual_sizes(search, known, remaining, fast_numbers),
         "remaining": after,
         "blocks": blocks,
         "outliers": data.outliers.as_json(),
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
-        "refined": refined_parameters(search),
+        "refined": refined_at_both(search, fast_numbers),
     }
     entries = ranked_entries(facts)
     verdict = entries[0].verdict if entries else after
@@ -195,6 +201,12 @@ def run_search(
         outliers=facts["outliers"],
     )
     return found, search
+
+
+def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
+    """Return True when more than noise is left, and it is faster than the samples of the search."""
+    more = native_rms(data, search) ** 2 - data.floor.high_nT**2
+    return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
 
 
 def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable, ScoreTable]:
@@ -476,9 +488,11 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     for one in out:
         groups.setdefault(one["name"].partition("[")[0], []).append(one)
     for group in groups.values():
-        # In one record of a hundred one of all the parameters is further off by chance.
-        off = sum((one["moved"] / np.hypot(one["known"], one["sigma"])) ** 2 for one in group)
-        far = off > scipy.special.chdtri(len(group), REPORT_SETTINGS.chance / len(groups))
+        # In one record of a hundred one of all the parameters is further off by chance, or one component.
+        off = [(one["moved"] / np.hypot(one["known"], one["sigma"])) ** 2 for one in group]
+        chance = 0.5 * REPORT_SETTINGS.chance
+        far = sum(off) > scipy.special.chdtri(len(group), chance / len(groups))
+        far |= max(off) > scipy.special.chdtri(1, chance / len(out))
         # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
         matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
         freed = search.freed.get("model:" + group[0]["name"].partition("[")[0])
@@ -486,6 +500,21 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
             one["wrong"] = bool(far and (matters or freed))
             one["instead_of"] = freed
     return tuple(out)
+
+
+def refined_at_both(search: Search, at_native: Search | None) -> tuple[dict[str, Any], ...]:
+    """Return the model's own parameters as the search moved them; those only faster samples show wrong, so.
+
+    A torquer that pulses every second hardly shows in means of ten.
+    """
+    found = refined_parameters(search)
+    if at_native is None:
+        return found
+    known = {one["name"].partition("[")[0] for one in found if one["wrong"]}
+    fast = {one["name"]: one for one in refined_parameters(at_native) if one["wrong"]}
+    return tuple(
+        one if one["name"].partition("[")[0] in known else fast.get(one["name"], one) for one in found
+    )
 
 
 @dataclass(frozen=True)
@@ -538,9 +567,17 @@ class Remaining:
 
 
 def describe_remaining(
-    search: Search, data: DiagnosisData, last: ScoreTable, residual: Floats, structure: Structure
+    search: Search,
+    data: DiagnosisData,
+    last: ScoreTable,
+    residual: Floats,
+    structure: Structure,
+    at_native: Search | None = None,
 ) -> Remaining:
-    """Describe what remains: a line, else what the best rejected candidate hints at, else its size."""
+    """Describe what remains: a line, else what the best rejected candidate hints at, else its size.
+
+    With `at_native`, the size is that which the model's numbers leave of all samples.
+    """
     known = 1.0 - data.gaps.part if data.gaps else 1.0
     floor = remaining_floor(data.series, residual, known * data.sums.get("count", 0.0), data.floor)
     noise = floor.level_nT
@@ -554,7 +591,7 @@ def describe_remaining(
     found = Remaining(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
-    size = native_rms(data, search)
+    size, _ = sizes_left(search, data, at_native)
     fast = fast_part(data.series, residual, size, floor.level_nT, structure)
     found = replace(found, has_band=fast is not None and is_unknown_band(data, fast))
     if not found.is_there:
@@ -570,6 +607,14 @@ def describe_remaining(
             periods_s=fast.periods_s,
         )
     return replace(found, signature=hint)
+
+
+def sizes_left(search: Search, data: DiagnosisData, at_native: Search | None) -> tuple[float, float]:
+    """Return the rms that is left, in sample and held out, nT; with `at_native`, all samples' own."""
+    if at_native is None:
+        return native_rms(data, search), held_out_rms(search, data)
+    whole = replace(data, gaps=None, sums={})
+    return native_rms(whole, at_native), held_out_rms(at_native, whole)
 
 
 def unrecorded_unit(data: DiagnosisData) -> Signature | None:
@@ -621,14 +666,17 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
     )
 
 
-def _residual_sizes(search: Search, data: DiagnosisData, remaining: Remaining) -> dict[str, Any]:
+def _residual_sizes(
+    search: Search, data: DiagnosisData, remaining: Remaining, at_native: Search | None
+) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
     nothing = search.as_found()
+    after = sizes_left(search, data, at_native)
     return {
         "before_nT": native_rms(data, nothing),
-        "after_nT": native_rms(data, search),
+        "after_nT": after[0],
         "held_out_before_nT": held_out_rms(nothing, data),
-        "held_out_after_nT": held_out_rms(search, data),
+        "held_out_after_nT": after[1],
         # A record without a fast part, filtered or rounded away, has no floor.
         "noise_floor_nT": remaining.floor.level_nT or float("nan"),
         "noise_floor_low_nT": remaining.floor.low_nT,

@@ -2,9 +2,8 @@
 
 A search works on means of 10 s to a minute. Values and errors that are published must not depend on that
 choice: `NativeEstimator` makes Gram blocks of the model's columns and of those taken from the native samples
-(a pass of its own, over few columns and the channels they need), puts the search's choices on them, and
-returns each effect's values in the joint fit of everything. Blocks are kept like those of the search: the
-same effects cost no second pass.
+(a pass of its own, over few columns and the channels they need) and returns the search on them: its choices,
+in a joint fit of everything. Blocks are kept like those of the search: the same effects cost no second pass.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.design import Library
-from inflight.diagnosis import Estimate, Search, estimate
+from inflight.diagnosis import Search
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.samples import parse_channel
@@ -58,17 +57,22 @@ class NativeEstimator:
         """The slower of the cadences of the instruments that are compared."""
         return max(need.cadence_ns for need in self.plan.needs if need.channel == "field")
 
-    def __call__(self, search: Search) -> tuple[float, dict[str, Estimate]]:
-        """Return the cadence, s, and the estimate of each option taken, by its name.
+    def __call__(self, search: Search, numbers: bool = False) -> tuple[Search, float] | None:
+        """Return what a search took on Gram blocks at the native cadence, and that cadence, s.
 
         There is none where the search itself was at the native cadence, where a block of the search could not
         be made, and where channels stand for the levels they switch between: of these, samples near a
         switching, which may be on its wrong side, would only weigh more.
+
+        Parameters
+        ----------
+        numbers : bool
+            The model's own numbers are estimated, too, and where nothing was taken they alone.
         """
-        cadence = self.cadence_ns
-        same = self.plan.folding is not None or cadence >= self.plan.cadence_ns
-        if same or not search.accepted or learns_states(self.mission, self.settings.comparison):
-            return self.plan.cadence_ns / SECOND, {}
+        same = self.plan.folding is not None or self.cadence_ns >= self.plan.cadence_ns
+        nothing = not search.accepted and not (numbers and search.library.refined)
+        if same or nothing or learns_states(self.mission, self.settings.comparison):
+            return None
         plan = self._plan_for(search)
         give_back_memory()
         _, blocks, _ = make_blocks(
@@ -86,14 +90,13 @@ class NativeEstimator:
         end_processes(self.client)
         raw = load_estimate_grams(self.cat, plan, blocks)
         if raw.start.tolist() != search.raw.start.tolist():
-            return cadence / SECOND, {}
-        native = search.with_grams(raw, plan.library)
-        return cadence / SECOND, {option.name: estimate(native, option) for option in native.accepted}
+            return None
+        return search.with_grams(raw, plan.library), self.cadence_ns / SECOND
 
     def _plan_for(self, search: Search) -> PassPlan:
         """Return the plan of a pass over what the search took, with the channels that it needs."""
         own = search.library
-        sources = set().union(*(option.sources for option in search.accepted))
+        sources = {source for option in search.accepted for source in option.sources}
         there = {name for term in (*own.base, *own.refined) for name in term.columns}
         needed = {term.key: term for term in own.all_terms if set(term.columns) & (sources - there)}
         library = Library(own.base, own.refined, needed)
