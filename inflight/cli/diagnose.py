@@ -47,6 +47,9 @@ CadenceOption = Annotated[
 RoundsOption = Annotated[
     int | None, typer.Option(min=0, help="Additions at most; 0 only ranks (default: 8)", show_default=False)
 ]
+EmpiricalOption = Annotated[
+    bool, typer.Option("--empirical", help="It is added for what it looks like: its cause is not known.")
+]
 EffectArgument = Annotated[
     str,
     typer.Argument(
@@ -115,6 +118,7 @@ def add(
     command: Command,
     effect: EffectArgument,
     *,
+    empirical: EmpiricalOption = False,
     comparison: ComparisonOption = None,
     workers: WorkersOption = None,
 ) -> None:
@@ -126,7 +130,7 @@ def add(
         except (OSError, UnicodeDecodeError) as error:
             remedy = "name a file with one entry of a model, or write the entry itself"
             raise SettingsError(f"{effect}: {error}", remedy=remedy) from None
-    _revise(command, comparison, workers, lambda bench: bench.add(entry))
+    _revise(command, comparison, workers, lambda bench: bench.add(entry, empirical=empirical))
 
 
 def drop(
@@ -289,6 +293,9 @@ def _next_step(fields: Fields) -> str:
         return undo if fields.get("versions") else ""
     if fields["effects"]:
         return f'next: inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+    left = next((each for each in fields.get("entries", ()) if each["status"] == "unknown"), None)
+    if left is not None and left["command"] != "inflight compare":
+        return f"next: {left['command']}    (its cause stays to be found)"
     if fields["verdict"] == "UNKNOWN_EFFECT":
         return "next: write the effect as a class of your own, and inflight add it"
     return "next: nothing to add; inflight reprocess uses the model as it is"

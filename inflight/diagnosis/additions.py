@@ -285,6 +285,10 @@ class Addition:
     gains: Mapping[str, tuple[tuple[str, float], ...]] | None = None
     unit: str = ""
 
+    def as_empirical(self) -> Addition:
+        """Return the addition of effects that are marked as there for what they look like."""
+        return replace(self, entries=tuple(entry.as_empirical() for entry in self.entries))
+
     def put_into(self, model: Model, value: Mapping[str, float], sigma: Mapping[str, float]) -> Model:
         """Return the model with the effect at fitted values, which later fits may move.
 

@@ -40,6 +40,9 @@ _TIMED = re.compile(
 #: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
 _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
 
+#: What is added for what it looks like: a line by its period.
+_CALLED = re.compile(r"^tone\((?P<period>[^(),]+)(?:,\s*order=(?P<order>\d+))?\)$")
+
 #: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
 
@@ -93,7 +96,11 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
         edges = np.append(maker.raw.start, maker.raw.end[-1])
         nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
         at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
-        return Request(step_of(maker, timed["kind"], at.tolist()), {}, maker)
+        return Request(step_of(maker, timed["kind"], _lasting(maker, given, at.tolist())), {}, maker)
+    if called := _CALLED.match(given):
+        tone = {"effect": "tone", "period": called["period"].strip()}
+        order = {"order": int(called["order"])} if called["order"] else {}
+        return Request(_addition_of_text(maker, tone | order), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
         # An effect as a search names it; its channel carries the lag.
@@ -110,6 +117,18 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
         return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
     return Request(maker.of_candidate(candidate), bank, maker, candidate)
+
+
+def _lasting(maker: AdditionMaker, name: str, at: list[int]) -> list[int]:
+    """Return when a change begins, and ends if it does: what reaches an end of the record is a step."""
+    if len(at) < 2:
+        return at
+    inner = [when for when in at if maker.raw.start[0] < when < maker.raw.end[-1]]
+    if not inner:
+        raise ModelError(
+            f"{name!r} lasts as long as the record: nothing changes in it", remedy="state times within it"
+        )
+    return inner
 
 
 def _parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
@@ -180,6 +199,11 @@ def _parse_time(name: str, text: str) -> int:
 
 def _addition_of_text(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
     """Return the addition of an entry: a candidate's when it is one, else one that needs a pass."""
+    found = _unmarked_addition(maker, given)
+    return found.as_empirical() if given.get("empirical") else found
+
+
+def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
     sensors = sensors_of(maker.mission, maker.model.comparison)
     entry = make_effect(given, sensors, maker.model.own, maker.mission)
     known = {*channels_of(maker.mission), *GEOMETRY}
@@ -259,6 +283,11 @@ def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
 
 def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     """Return the addition that an effect of a later version of the model is."""
+    found = _plain_addition_of_entry(maker, entry)
+    return found.as_empirical() if entry.effect.empirical else found
+
+
+def _plain_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     label = entry.effect.label()
     if label == "affine":
         for key in ("matrix", "shift"):

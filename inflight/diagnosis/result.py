@@ -161,6 +161,8 @@ class Signature:
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
     bound it. Of a unit without housekeeping `switchings` counts how often two sensors saw it switch.
+    `added_by` is what ``inflight add`` takes to put it into the model as an empirical effect; empty of what no
+    term describes.
     """
 
     period_s: float | None = None
@@ -177,6 +179,7 @@ class Signature:
     faster_than_s: float | None = None
     periods_s: tuple[float, float] | None = None
     switchings: int | None = None
+    added_by: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -334,7 +337,8 @@ def sentence(facts: Mapping[str, Any]) -> str:
             text = f"{text[0].upper()}{text[1:]} ({sizes})."
             text += f" Something is left, {rest.takes_off_nT:.3g} nT rms: {rest.words}." if rest else ""
         text += _substitute_text(facts) if rest else ""
-        return text + _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ())) + bursts
+        text += _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ()))
+        return text + bursts + _empirical_text(facts)
     # Whole mechanisms that these data cannot show, whether they are there or not.
     names = [str(one["name"]) for one in facts.get("unscorable", ())]
     hidden = ", ".join(name.replace("_", " ") for name in names if name in MECHANISMS)
@@ -345,7 +349,13 @@ def sentence(facts: Mapping[str, Any]) -> str:
         "UNKNOWN_EFFECT": lambda: (
             f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
         ),
-    }[facts["remaining"]]() + bursts
+    }[facts["remaining"]]() + bursts + _empirical_text(facts)
+
+
+def _empirical_text(facts: Mapping[str, Any]) -> str:
+    """Return which effects the model holds for what they look like: their causes are still to be found."""
+    names = facts.get("empirical", ())
+    return f" In the model without a known cause: {', '.join(names)}." if names else ""
 
 
 def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
@@ -374,10 +384,17 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         words=_signature_text(facts["signature"]) if sure else why_not_identifiable(facts),
         status="unknown" if sure else "weak",
         takes_off_nT=_size_left(facts["residual"], facts["signature"]),
-        command="inflight compare",
+        command=_command_left(facts["signature"]) if sure else "inflight compare",
     )
     place = sum(one.takes_off_nT >= left.takes_off_nT for one in found) if sure else len(found)
     return (*found[:place], left, *found[place:])
+
+
+def _command_left(signature: Signature | None) -> str:
+    """Return the command that puts what is left into the model for what it looks like, or looks at it."""
+    if signature is None or not signature.added_by:
+        return "inflight compare"
+    return f"inflight add {signature.added_by}"
 
 
 def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:

@@ -157,6 +157,7 @@ def run_search(
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
         "refined": refined_parameters(search),
+        "empirical": tuple(data.model.empirical),
     }
     entries = ranked_entries(facts)
     verdict = entries[0].verdict if entries else after
@@ -189,7 +190,11 @@ def run_search(
         blocks=blocks,
         stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
         comparison=data.model.comparison,
-        model={"name": data.model.name, "version": data.model.version},
+        model={
+            "name": data.model.name,
+            "version": data.model.version,
+            "empirical": list(facts["empirical"]),
+        },
         context=data.context_id,
         run=data.run,
         outliers=facts["outliers"],
@@ -616,6 +621,9 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
         shape=shape,
         amplitude_nT=structure.rms_nT,
         gain=gain,
+        # It is named for what it looks like, not as the cause: shapes in time say so of themselves.
+        added_by=f'"{option.name}"'
+        + ("" if option.agnostic or (option.change and option.change.at) else " --empirical"),
     )
 
 
