@@ -601,7 +601,8 @@ def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> R
     moved = max(abs(new - old) for new, old in zip(at, change.at, strict=True))
     at = _within_record(data.series, at, sigma)
     still = len(at) == len(change.at)
-    if still and option.terms and moved <= max(CHANGE_TIME_SETTINGS.near * sigma, data.series.step_s * SECOND):
+    near = max(CHANGE_TIME_SETTINGS.near * sigma, data.series.step_s * SECOND)
+    if still and option.terms and moved <= near:
         return search, option
     made = _every_kind(search, at, round(sigma))
     terms = []
@@ -618,9 +619,9 @@ def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> R
 
 
 def _within_record(series: Series, at: tuple[int, ...], sigma: float) -> tuple[int, ...]:
-    """Return when a change begins, and ends if it does: an episode that reaches an end of the record is a step.
+    """Return when a change begins, and ends if it does; one that reaches an end of the record is a step.
 
-    It does so when its time is no further from that end than its standard deviation `sigma`, ns.
+    It reaches it when its time is no further from that end than its standard deviation `sigma`, ns.
     """
     used = series.tt2000[series["weight"] > 0]
     inner = tuple(when for when in at if used[0] + sigma < when < used[-1] - sigma)

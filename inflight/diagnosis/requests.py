@@ -41,7 +41,7 @@ _TIMED = re.compile(
 _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
 
 #: What is added for what it looks like: a line by its period.
-_CALLED = re.compile(r"^tone\((?P<period>[^(),]+)(?:,\s*order=(?P<order>\d+))?\)$")
+_TONE = re.compile(r"^tone\((?P<period>[^(),]+)(?:,\s*order=(?P<order>\d+))?\)$")
 
 #: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
@@ -88,19 +88,8 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
     given = _parse_entry(effect)
     if not isinstance(given, str):
         return Request(_addition_of_text(maker, given), {}, maker)
-    if given in DRIFTS:
-        return Request(drift_of(maker, given), {}, maker)
-    if timed := _TIMED.match(given):
-        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
-        # A time within a second of an edge of blocks is that edge.
-        edges = np.append(maker.raw.start, maker.raw.end[-1])
-        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
-        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
-        return Request(step_of(maker, timed["kind"], _lasting(maker, given, at.tolist())), {}, maker)
-    if called := _CALLED.match(given):
-        tone = {"effect": "tone", "period": called["period"].strip()}
-        order = {"order": int(called["order"])} if called["order"] else {}
-        return Request(_addition_of_text(maker, tone | order), {}, maker)
+    if (known := _shape_in_time(maker, given)) is not None:
+        return Request(known, {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
         # An effect as a search names it; its channel carries the lag.
@@ -117,6 +106,23 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
         return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
     return Request(maker.of_candidate(candidate), bank, maker, candidate)
+
+
+def _shape_in_time(maker: AdditionMaker, given: str) -> Addition | None:
+    """Return the addition of a drift, of a step or episode with its time, or of a line; else None."""
+    if given in DRIFTS:
+        return drift_of(maker, given)
+    if timed := _TIMED.match(given):
+        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
+        # A time within a second of an edge of blocks is that edge.
+        edges = np.append(maker.raw.start, maker.raw.end[-1])
+        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
+        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
+        return step_of(maker, timed["kind"], _lasting(maker, given, at.tolist()))
+    if tone := _TONE.match(given):
+        order = {"order": int(tone["order"])} if tone["order"] else {}
+        return _addition_of_text(maker, {"effect": "tone", "period": tone["period"].strip()} | order)
+    return None
 
 
 def _lasting(maker: AdditionMaker, name: str, at: list[int]) -> list[int]:

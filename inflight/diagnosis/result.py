@@ -161,8 +161,8 @@ class Signature:
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
     bound it. Of a unit without housekeeping `switchings` counts how often two sensors saw it switch.
-    `added_by` is what ``inflight add`` takes to put it into the model as an empirical effect; empty of what no
-    term describes.
+    `added_by` is what ``inflight add`` takes to put it into the model as an empirical effect; empty of what
+    no term describes.
     """
 
     period_s: float | None = None
@@ -343,13 +343,17 @@ def sentence(facts: Mapping[str, Any]) -> str:
     names = [str(one["name"]) for one in facts.get("unscorable", ())]
     hidden = ", ".join(name.replace("_", " ") for name in names if name in MECHANISMS)
     not_shown = f" These data could not have shown: {hidden}." if hidden else ""
-    return {
-        "NOTHING_LEFT": lambda: f"{_noise_text(residual)} ({sizes}).{not_shown}",
-        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
-        "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
-        ),
-    }[facts["remaining"]]() + bursts + _empirical_text(facts)
+    return (
+        {
+            "NOTHING_LEFT": lambda: f"{_noise_text(residual)} ({sizes}).{not_shown}",
+            "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
+            "UNKNOWN_EFFECT": lambda: (
+                f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
+            ),
+        }[facts["remaining"]]()
+        + bursts
+        + _empirical_text(facts)
+    )
 
 
 def _empirical_text(facts: Mapping[str, Any]) -> str:
