@@ -185,6 +185,8 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         if rows:
             console.print(table(rows))
     line(_sizes_text(fields["residual"]))
+    for text in _in_time(fields.get("in_time", ())):
+        line(text)
     if fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT":
         line("what is left: only noise")
     console.print(_candidates_table(fields["candidates"]))
@@ -207,6 +209,18 @@ def _sizes_text(residual: Fields) -> str:
         f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
     )
+
+
+def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
+    """Yield a line on each parameter of the calibration that is not constant."""
+    for each in parameters:
+        if each["form"] != "constant":
+            times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
+            windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
+            yield (
+                f"in time: {each['parameter']}: {each['form']}{times}{windows}: takes {_percent(each['gain'])} off "
+                f"of blocks held out one by one ({_percent(each['contiguous_gain'])} of runs of blocks)"
+            )
 
 
 def _entries_table(entries: Sequence[Fields]) -> Table:

@@ -19,10 +19,18 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from inflight.design import Candidate, term_of
-from inflight.diagnosis.additions import Addition, AdditionMaker, Column, FitSetup, drift_of, step_of
+from inflight.diagnosis.additions import (
+    Addition,
+    AdditionMaker,
+    Column,
+    FitSetup,
+    drift_of,
+    step_of,
+    wander_of,
+)
 from inflight.diagnosis.refine import profile_lag
 from inflight.diagnosis.scoring import fit, make_folds
-from inflight.diagnosis.time_changes import DRIFTS
+from inflight.diagnosis.time_changes import DRIFTS, block_length, lines_between_windows
 from inflight.effects import channels_of, did_you_mean, known_effects
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
@@ -42,6 +50,9 @@ _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|wid
 
 #: What is added for what it looks like: a line by its period.
 _TONE = re.compile(r"^tone\((?P<period>[^(),]+)(?:,\s*order=(?P<order>\d+))?\)$")
+
+#: A parameter that drifts irregularly, by the length of the windows that follow it.
+_WANDER = re.compile(r"^wander\((?P<of>[^(),]+),\s*(?P<window>[^(),]+)\)$")
 
 #: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
@@ -122,6 +133,10 @@ def _shape_in_time(maker: AdditionMaker, given: str) -> Addition | None:
     if tone := _TONE.match(given):
         order = {"order": int(tone["order"])} if tone["order"] else {}
         return _addition_of_text(maker, {"effect": "tone", "period": tone["period"].strip()} | order)
+    if wander := _WANDER.match(given):
+        width = _parsed(given, wander["window"].strip(), parse_duration, "wander(scale_factor[z], 2 d)")
+        blocks = max(round(width / block_length(maker.raw)), 1)
+        return wander_of(maker, wander["of"].strip(), lines_between_windows(maker.raw, blocks))
     return None
 
 
@@ -294,22 +309,9 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
 
 
 def _plain_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
+    if (changing := _changing_addition_of_entry(maker, entry)) is not None:
+        return changing
     label = entry.effect.label()
-    if label == "affine":
-        for key in ("matrix", "shift"):
-            if entry.parameters[key].time == "linear":
-                kind = "offset_drift"
-                if key == "matrix":
-                    growth = np.reshape(entry.parameters[key].value[:, 1], (3, 3))
-                    kind = "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
-                return drift_of(maker, kind, entry.name)
-    for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
-        if (
-            key in entry.parameters
-            and entry.parameters[key].time == "linear"
-            and not entry.parameters[key].free
-        ):
-            return drift_of(maker, kind, entry.name)
     kind, _, form = label.partition("_")
     if kind in _KINDS and form in ("step", "episode"):
         at = [
@@ -323,6 +325,22 @@ def _plain_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Additi
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
     return _outside_library(maker, entry)
+
+
+def _changing_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition | None:
+    """Return the addition that an effect is that drifts or wanders; None of another one."""
+    for key, timed in entry.parameters.items():
+        if timed.time == "spline" and key in ("change", "seconds", "bias"):
+            return wander_of(maker, str(entry.effect.given.get("of", key)), timed.dependence, entry.name)
+        if timed.time != "linear" or timed.free:
+            continue
+        kind = {"shift": "offset", "matrix": "scale", "seconds": "clock", "bias": "bias"}.get(key)
+        if key == "matrix":
+            growth = np.reshape(timed.value[:, 1], (3, 3))
+            kind = "angle" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale"
+        if kind is not None:
+            return drift_of(maker, f"{kind}_drift", entry.name)
+    return None
 
 
 # Lags.

@@ -41,7 +41,8 @@ class FoundEffect:
     `status` is that of its `Entry`, `first_in_nT` what it explains without the others (rms). `cadence_s` is
     that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
-    `model_effects` are the effects of the model that use its channel already, or are of its kind.
+    `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
+    what it does in words, where family and channels do not say it.
     """
 
     name: str
@@ -67,6 +68,7 @@ class FoundEffect:
     status: Status = "sure"
     first_in_nT: float | None = None  # noqa: N815 (a unit)
     model_effects: tuple[str, ...] = ()
+    said: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -220,6 +222,9 @@ class Diagnosis:
         The ranked table, best first.
     refined : tuple of dict
         Parameters of the model that the data moved within what was known of them.
+    in_time : tuple of dict
+        How each parameter of the calibration depends on time: ``form`` constant, drift, steps or irregular,
+        and what it takes off of blocks held out, every k-th of them and in runs.
     blocks : dict
         Number and length of the blocks, how many of them are independent, and the few that hold nearly all
         of the residual's square.
@@ -247,6 +252,7 @@ class Diagnosis:
     context: str = ""
     run: str = ""
     outliers: dict[str, Any] = field(default_factory=dict)
+    in_time: tuple[dict[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""
@@ -550,6 +556,8 @@ def _percent(share: float) -> str:
 
 
 def _effect_text(effect: FoundEffect) -> str:
+    if effect.said:
+        return f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
     family = effect.family.replace("_", " ")
     what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""

@@ -509,7 +509,7 @@ class Search:
         return self.present_in(self.forms[form], without)
 
     def model_columns(self, without: Option | None = None) -> list[str]:
-        """Return the names of the model's columns without the calibration's: refined ones, then those taken."""
+        """Return the model's columns without those of the calibration: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
@@ -846,7 +846,7 @@ class Search:
         return replace(self, library=library)
 
     def of_model(self, more: Sequence[str] = ()) -> Search:
-        """Return the state with the columns of its model and some more: what joins it does not join this one."""
+        """Return the state with its model's columns and some more; what joins it does not join this one."""
         sources = {
             source
             for one in self.accepted

@@ -138,16 +138,15 @@ class TimeVariableColumns:
         return TimeVariableColumns(clock=clock, bias=tuple(name for name in self.bias if name not in base))
 
 
-def lines_between_windows(grams: GramBlocks, width: int) -> TimeDependence:
-    """Return lines between values at the middles of windows, of those that have rows.
+def block_length(grams: GramBlocks) -> int:
+    """Return the usual length of a block, ns."""
+    return int(np.median(grams.end - grams.start))
 
-    Parameters
-    ----------
-    width : int
-        Of a window, ns; edges of windows are those of blocks.
-    """
-    block = int(np.median(grams.end - grams.start))
-    place = (grams.start - grams.start[0] + block // 2) // width
+
+def lines_between_windows(grams: GramBlocks, blocks: int) -> TimeDependence:
+    """Return lines between values at the middles of windows of so many blocks, of those that have rows."""
+    block = block_length(grams)
+    place = (grams.start - grams.start[0] + block // 2) // (blocks * block)
     middles = [
         int(grams.start[inside[0]] // 2 + grams.end[inside[-1]] // 2)
         for one in np.unique(place[grams.count > 0])

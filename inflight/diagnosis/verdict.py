@@ -58,6 +58,7 @@ from inflight.diagnosis.stepwise import (
     refine_all,
     select_effects,
 )
+from inflight.diagnosis.wander import InTime, with_wander
 from inflight.effects import coefficient_unit
 from inflight.mission import Mission
 from inflight.model import Model
@@ -131,6 +132,9 @@ def run_search(
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
+    other, checks, in_time = with_wander(search, checks)
+    if other is not search:
+        search, last = other, other.table()
     if native:
         # The processes that make it need the memory of what is only kept to be quick.
         search.shared.forget_products()
@@ -139,6 +143,7 @@ def run_search(
     effects = tuple(
         describe_effect(search, data, one, values.get(one.option.name), cadence_s) for one in checks
     )
+    effects = tuple(_in_words(one, in_time) for one in effects)
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     lost = {str(day): reason for day, reason in sorted(data.lost.items())}
@@ -187,6 +192,7 @@ def run_search(
         rounds=tuple(one.as_json() for one in search.rounds),
         candidates=candidate_rows(search, first, last),
         refined=facts["refined"],
+        in_time=tuple(one.as_json() for one in in_time),
         blocks=blocks,
         stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
         comparison=data.model.comparison,
@@ -200,6 +206,14 @@ def run_search(
         outliers=facts["outliers"],
     )
     return found, search
+
+
+def _in_words(effect: FoundEffect, in_time: Sequence[InTime]) -> FoundEffect:
+    """Return an effect with the words for a parameter that wanders, if it is one."""
+    for one in in_time:
+        if one.window_blocks and one.name == effect.name:
+            return replace(effect, said=one.words(effect.coefficients[0].unit))
+    return effect
 
 
 def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable, ScoreTable]:
@@ -258,7 +272,7 @@ def describe_effect(
     told = native.covering(found) if native else found
     coefficients = _coefficients(search, data, option, terms, told)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
-    if found.retained < SELECTION_SETTINGS.weak:
+    if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
     lag_sigma = option.lag_sigma_s
     if lag_sigma is None and option.lag_s:

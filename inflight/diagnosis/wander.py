@@ -1,17 +1,18 @@
 """How each parameter of the calibration depends on time: constant, a drift, steps, or irregular.
 
-Takes a state of the search; makes `InTime` of each parameter (`parameters_in_time`), and a state in which those
-that wander have a value a window, with lines between (`with_wander`). Everything comes from products of blocks.
+Takes a state of the search; makes `InTime` of each parameter (`parameters_in_time`), and a state in which
+those that wander have a value a window, with lines between (`with_wander`). All is made of block products.
 
-Irregular is a random walk w over the blocks, beside everything the model has and what each calibration interval
-fits anew. Its scores v have the covariance ``s (M + r M K M)``: M is what the model leaves of the parameter's
-columns block by block, K that of the walk, s a row's variance and r the ratio of the walk's to it. Both are
-estimated by restricted likelihood (Patterson and Thompson, Biometrika 58, 545, 1971), in the eigenvectors in
-which that covariance is diagonal. Whether r is more than 0 is told by the likelihood ratio, whose distribution
-at r = 0 is exact by simulation (Crainiceanu and Ruppert, J. R. Stat. Soc. B 66, 165, 2004).
+Irregular is a random walk w over the blocks, beside everything the model has and what each calibration
+interval fits anew. Its scores v have the covariance ``s (M + r M K M)``: M is what the model leaves of the
+parameter's columns block by block, K that of the walk, s a row's variance and r the walk's over it. Both
+are estimated by restricted likelihood (Patterson and Thompson, Biometrika 58, 545, 1971), in the
+eigenvectors in which that covariance is diagonal. Whether r is more than 0 is told by the likelihood ratio,
+whose distribution at r = 0 is exact by simulation (Crainiceanu and Ruppert, J. R. Stat. Soc. B 66, 165,
+2004).
 
-Which form a parameter has is decided by what it leaves of blocks that are held out, every k-th of them: what
-wanders is not foretold, only followed. A dependence on time is not a cause.
+Of the forms the simplest stays beside which no walk is left. What it takes off is measured on blocks that are
+held out, every k-th of them: what wanders is not foretold, only followed. A dependence on time is no cause.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from inflight.arrays import Floats
 from inflight.diagnosis.scoring import make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.stepwise import RivalCheck
-from inflight.diagnosis.time_changes import Change, lines_between_windows, time_text
+from inflight.diagnosis.time_changes import Change, block_length, lines_between_windows, time_text
+from inflight.effects import Affine
 from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse, hac_t
 from inflight.time import DAY, SECOND, Int64
 
@@ -136,9 +138,9 @@ class InTime:
 class Walk:
     """A random walk of a parameter.
 
-    `row` and `day` are the variances of a row and of what a day adds to the walk, `day_sigma` the latter's error;
-    `p` the chance of a constant parameter to look so, `clear` by how much likelier the walk makes the residual
-    (its logarithm, twice) where the variance of a row is given.
+    `row` and `day` are the variances of a row and of what a day adds to the walk, `day_sigma` the latter's
+    error; `p` the chance of a constant parameter to look so, `clear` by how much likelier the walk makes the
+    residual (its logarithm, twice) where the variance of a row is given.
     """
 
     row: float = 0.0
@@ -212,7 +214,7 @@ def _log_likelihood(square: Floats, own: Floats, ratios: Floats) -> Floats:
 
 
 def _chance(ratio: float, own: Floats, ratios: Floats) -> float:
-    """Return how often a constant parameter reaches a likelihood ratio; of what is common, from fewer draws."""
+    """Return how often a constant parameter reaches a likelihood ratio, of what is common from few draws."""
     generator, found = np.random.default_rng(WANDER_SETTINGS.seed), 1.0
     for draws in (WANDER_SETTINGS.first_draws, WANDER_SETTINGS.draws):
         square = generator.standard_normal((draws, own.size)) ** 2
@@ -237,8 +239,12 @@ class BlockScores:
 
     @property
     def parameters(self) -> list[str]:
-        """Columns of everything that may depend on time."""
-        return list(self.search.time_variable.names)
+        """Columns of everything that may depend on time and can be added so."""
+        return [
+            name
+            for name in self.search.time_variable.names
+            if not isinstance(self.search.library.by_key[name.rpartition(".")[0]].entry.effect, Affine)
+        ]
 
     @cached_property
     def names(self) -> list[str]:
@@ -264,14 +270,13 @@ class BlockScores:
 
     @cached_property
     def _across(self) -> tuple[Floats, Floats]:
-        """What the calibration leaves of products with the model and residual; (block, column, other), whole."""
+        """What the calibration leaves of products with model and residual (block, column, other); sums."""
         base = len(self.search.base()[0])
-        left, whole = self._products[:, :, base:].copy(), np.zeros(0)
+        left = self._products[:, :, base:].copy()
         for group, inverse in zip(self.search.intervals, self._inverses, strict=True):
             fitted = inverse @ self._products[group, :base, base:].sum(axis=0)
             left[group] -= self._products[group, :, :base] @ fitted
-        whole = left[:, base:].sum(axis=0)
-        return left, whole
+        return left, left[:, base:].sum(axis=0)
 
     @cached_property
     def _model_inverse(self) -> Floats:
@@ -296,7 +301,7 @@ class BlockScores:
 
 
 def parameters_in_time(search: Search) -> tuple[list[InTime], InTime | None]:
-    """Return how each parameter depends on time beside a state's model, and the clearest that wanders.
+    """Return how each parameter depends on time beside the model, and the clearest one if it wanders.
 
     Only the clearest of those that chance does not make is held against other forms: what it does may be in
     the scores of others.
@@ -332,7 +337,7 @@ def parameters_in_time(search: Search) -> tuple[list[InTime], InTime | None]:
 def _with_form(search: Search, one: InTime, blocks: BlockScores, covariance: Floats, chance: float) -> InTime:
     """Return a parameter with the simplest form beside which chance makes what is left of a walk.
 
-    That form must take enough off of held-out blocks; of windows, those that leave least of them are the best.
+    It must take enough off of held-out blocks; of windows, those that leave least of them are the best.
     """
     matrix, scores = blocks.of(one.column)
     days = (search.raw.start / 2 + search.raw.end / 2 - float(search.raw.start[0])) / DAY
@@ -372,7 +377,8 @@ def _held_out(search: Search, one: InTime, forms: Sequence[tuple[Change, int]]) 
     columns = [grams.index(list(change.functions)) for change, _ in forms]
     y, present = grams.residuals[0], search.present_in(grams)
     apart, runs = (
-        score(grams, present, columns, y, make_folds(len(grams), interleaved)) for interleaved in (True, False)
+        score(grams, present, columns, y, make_folds(len(grams), interleaved))
+        for interleaved in (True, False)
     )
     best, rules = int(np.argmin(apart.loss.sum(axis=0))), search.rules
     if not (apart.gain[best] > rules.gain and apart.t[best] > rules.t):
@@ -385,12 +391,8 @@ def _held_out(search: Search, one: InTime, forms: Sequence[tuple[Change, int]]) 
         t=float(apart.t[best]),
         contiguous_gain=float(runs.gain[best]),
         window_blocks=width,
-        window_s=width * _block_length(search) / SECOND,
+        window_s=width * block_length(search.raw) / SECOND,
     )
-
-
-def _block_length(search: Search) -> int:
-    return int(np.median(search.raw.end - search.raw.start))
 
 
 def _step_edges(matrix: Floats, scores: Floats) -> list[int]:
@@ -413,9 +415,9 @@ def _step_edges(matrix: Floats, scores: Floats) -> list[int]:
 
 def windows_of(search: Search, one: InTime, blocks: int) -> Change:
     """Return the change that gives a parameter a value in the middle of each window of so many blocks."""
-    raw, width = search.raw, blocks * _block_length(search)
-    told, middle = replace(one, window_s=width / SECOND), raw.start // 2 + raw.end // 2
-    basis = lines_between_windows(raw, width).basis(middle)
+    raw = search.raw
+    told = replace(one, window_s=blocks * block_length(raw) / SECOND)
+    basis = lines_between_windows(raw, blocks).basis(raw.start // 2 + raw.end // 2)
     functions = {f"{told.name}.k{place}": (one.column, factor) for place, factor in enumerate(basis.T)}
     return Change(told.name, f"wander({one.parameter})", "unknown", functions, windows=blocks)
 
@@ -423,10 +425,10 @@ def windows_of(search: Search, one: InTime, blocks: int) -> Change:
 def with_wander(
     search: Search, checks: Sequence[RivalCheck]
 ) -> tuple[Search, list[RivalCheck], list[InTime]]:
-    """Return the state in which what wanders has a value a window, checks of its effects, and all parameters.
+    """Return the state in which what wanders has a value a window, checks of its effects, and parameters.
 
-    Steps and drifts that were taken stand in for what wanders when it leaves less of held-out blocks than they
-    do: it takes their place.
+    Steps and drifts that were taken stand in for what wanders when it leaves less of held-out blocks than
+    they do: it takes their place.
     """
     if not search.rules.rounds:
         return search, list(checks), []
