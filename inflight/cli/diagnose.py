@@ -185,12 +185,11 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         if rows:
             console.print(table(rows))
     line(_sizes_text(fields["residual"]))
-    for text in _in_time(fields.get("in_time", ())):
-        line(text)
     if fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT":
         line("what is left: only noise")
     console.print(_candidates_table(fields["candidates"]))
-    for text in (*_undecided(fields), *(unit["sentence"] for unit in fields.get("units", ()))):
+    units = (unit["sentence"] for unit in fields.get("units", ()))
+    for text in (*_in_time(fields.get("in_time", ())), *_undecided(fields), *units):
         line(text)
     for step in fields.get("versions", ()):
         _print_step(console, step)
@@ -217,10 +216,9 @@ def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
         if each["form"] != "constant":
             times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
             windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
-            yield (
-                f"in time: {each['parameter']}: {each['form']}{times}{windows}: takes {_percent(each['gain'])} off "
-                f"of blocks held out one by one ({_percent(each['contiguous_gain'])} of runs of blocks)"
-            )
+            gain, runs = _percent(each["gain"]), _percent(each["contiguous_gain"])
+            what = f"in time: {each['parameter']}: {each['form']}{times}{windows}"
+            yield f"{what}: takes {gain} off of blocks held out one by one ({runs} of runs of them)"
 
 
 def _entries_table(entries: Sequence[Fields]) -> Table:

@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from heated_mission import make_heated_workspace
+from heated_mission import HEATED_DAYS, make_heated_workspace
 from tiny_mission import TINY_START
 
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.pipelines import reprocess
 
 NOISE = 0.05 * np.sqrt(2)
 PERIOD_S = 2460.0
@@ -20,6 +21,10 @@ def tone(day, reading):
     return 0.4 * np.sin(phase)[:, None] * np.array([0.0, 0.0, 1.0])
 
 
+def residual_of_products(root):
+    return reprocess(Catalog(root), Workspace.open(root).mission()).extra["residual"]["after_nT"]
+
+
 def test_a_line_without_a_channel_is_added_as_told_and_marked_empirical_everywhere(inflight, tmp_path):
     root = make_heated_workspace(tmp_path / "made", tone).root
     told = inflight("diagnose", "--no-prefect", "--json", "-w", root).json
@@ -29,12 +34,10 @@ def test_a_line_without_a_channel_is_added_as_told_and_marked_empirical_everywhe
     name = left["command"].split('"')[1]
     assert float(name.split("(")[1].split(" s")[0]) == pytest.approx(PERIOD_S, rel=1e-3)
 
-    assert inflight("reprocess", "--no-prefect", "-w", root).code == 0
-    before = inflight("compare", "--json", "-w", root).json["residual"]["after_nT"]
+    before = residual_of_products(root)
     added = inflight("add", name, "--json", "-w", root).json
     assert added["error"]["held_out_nT"][1] == pytest.approx(NOISE, rel=0.03)
-    assert inflight("reprocess", "--no-prefect", "-w", root).code == 0
-    after = inflight("compare", "--json", "-w", root).json["residual"]["after_nT"]
+    after = residual_of_products(root)
     assert after == pytest.approx(NOISE, rel=0.03)
     assert after < 0.5 * before
 
@@ -72,3 +75,63 @@ def test_an_episode_that_reaches_the_end_of_the_record_is_added_as_a_step(inflig
     whole = inflight("add", f"offset_episode@2024-02-03/{end}", "-w", root)
     assert whole.code == 1
     assert "nothing changes in it" in whole.err
+
+
+#: What the scale factor of z changes by in a day (rms).
+RATE = 5e-6
+
+
+def wandering(seed):
+    """Return a scale factor of z that walks at random, as a reading has it."""
+    steps = np.random.default_rng([3, seed]).normal(0, RATE / np.sqrt(1440), 1440 * len(HEATED_DAYS))
+    walk = np.cumsum(steps).reshape(len(HEATED_DAYS), 1440, 1)
+    return lambda day, reading: reading * walk[HEATED_DAYS.index(day)] * np.array([0.0, 0.0, 1.0])
+
+
+def test_a_parameter_that_wanders_is_added_by_one_command_and_the_residual_comes_near_the_noise(
+    inflight, tmp_path
+):
+    root = make_heated_workspace(tmp_path / "made", wandering(1)).root
+    said = inflight("diagnose", "--no-prefect", "-w", root).out
+    assert "in time: scale_factor[z]: irregular, windows of " in said
+    told = inflight("diagnose", "--no-prefect", "--json", "-w", root).json
+    entry = told["entries"][0]
+    assert (told["verdict"], entry["status"]) == ("UNKNOWN_EFFECT", "unknown")
+    assert entry["command"].startswith('inflight add "wander(scale_factor[z], ')
+    one = next(one for one in told["in_time"] if one["form"] != "constant")
+    assert abs(one["size"] - RATE) < 3 * one["sigma"] < RATE
+
+    added = inflight("add", entry["command"].split('"')[1], "--json", "-w", root).json
+    assert added["error"]["held_out_nT"][0] > 1.3 * NOISE
+    assert added["error"]["held_out_nT"][1] < 1.05 * NOISE
+    assert residual_of_products(root) < 1.03 * NOISE
+
+    shown = inflight("model", "show", "--json", "-w", root).json["model"]["effects"]
+    # It changes the reading before the nine parameters.
+    assert [effect["effect"] for effect in shown] == ["wander", "vector_sensor"]
+    assert shown[0]["of"] == "scale_factor[z]"
+    assert shown[0]["empirical"] is True
+    # What is added later starts from the same values.
+    later = inflight("add", "boom_temperature", "--json", "-w", root).json
+    assert later["error"]["held_out_nT"][0] == pytest.approx(added["error"]["held_out_nT"][1], rel=1e-6)
+    inflight("undo", "-w", root)
+    again = inflight("diagnose", "--no-prefect", "--json", "-w", root).json
+    assert not again["effects"]
+    assert "In the model without a known cause: wander_scale_factor_z." in again["sentence"]
+
+
+def test_a_bias_that_wanders_is_a_bias_with_values_in_time(inflight, tmp_path):
+    root = make_heated_workspace(tmp_path / "made").root
+    assert inflight("add", "wander(bias, 6 h)", "-w", root).code == 0
+    (entry,) = (
+        one
+        for one in inflight("model", "show", "--json", "-w", root).json["model"]["effects"]
+        if one["effect"] == "scalar_bias"
+    )
+    assert entry["empirical"] is True
+    assert (entry["bias"]["time"], len(entry["bias"]["value"])) == ("spline", 16)
+    assert inflight("add", "boom_temperature", "-w", root).code == 0
+    wrong = inflight("add", "wander(scale, 6 h)", "-w", root)
+    assert wrong.code == 1
+    assert "no 'scale' that could wander" in wrong.err
+    assert "it has offset[x], " in wrong.err
