@@ -329,6 +329,9 @@ def print_revision(console: Console, fields: Fields) -> None:
             rows.append((each["name"], value, f"± {sigma}", each["unit"]))
         columns = ("parameter", "value", "", "unit")
         console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
+    if fields["empirical"]:
+        names = ", ".join(fields["empirical"])
+        console.print(f"empirical, causes not known: {names}", soft_wrap=True, markup=False)
     changed = fields["moved"]
     if changed:
         rows = []

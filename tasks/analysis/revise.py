@@ -110,6 +110,7 @@ class Revision:
             "error": {"in_sample_nT": list(self.in_sample), "held_out_nT": list(self.held_out)},
             "moved": self.moved,
             "coefficients": self.values,
+            "empirical": self.model.model.empirical,
         }
 
 

@@ -58,7 +58,7 @@ def test_a_line_without_a_channel_is_added_as_told_and_marked_empirical_everywhe
 def test_whatever_is_added_may_be_marked_empirical_and_stays_so(inflight, tmp_path):
     root = make_heated_workspace(tmp_path / "made").root
     added = inflight("add", "channel_field(heater_current)@lag=90s", "--empirical", "--json", "-w", root)
-    assert added.code == 0
+    assert added.json["empirical"] == ["channel_field_heater_current"]
     inflight("add", "boom_temperature", "-w", root)
     effects = inflight("model", "show", "--json", "-w", root).json["model"]["effects"]
     marks = {one.get("name", one["effect"]): one.get("empirical") for one in effects}
