@@ -343,13 +343,14 @@ def _with_form(search: Search, one: InTime, blocks: BlockScores, covariance: Flo
     days = (search.raw.start / 2 + search.raw.end / 2 - float(search.raw.start[0])) / DAY
     edges = _step_edges(matrix, scores)
     after = np.tri(len(days))[:, edges]
-    simple = [("drift", days[:, None], ())]
+    simple: list[tuple[str, Floats, tuple[int, ...]]] = [("drift", days[:, None], ())]
     simple += [("steps", after[:, :count], tuple(edges[:count])) for count in range(1, len(edges) + 1)]
     for form, functions, at in simple:
         if fit_walk(*_beside(matrix, scores, functions), covariance).p >= chance:
             change = Change(form, form, "unknown", _functions(form, one.column, functions))
             told = _held_out(search, one, [(change, 0)])
-            return replace(told, at=tuple(int(search.raw.start[edge]) for edge in sorted(at)))
+            times = tuple(int(search.raw.start[edge]) for edge in sorted(at))
+            return replace(told, at=times) if told.form == form else told
     windows = [(windows_of(search, one, width), width) for width in WANDER_SETTINGS.windows]
     return _held_out(search, one, [tried for tried in windows if len(tried[0].functions) > 1])
 
