@@ -217,8 +217,9 @@ def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
             times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
             windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
             gain, runs = _percent(each["gain"]), _percent(each["contiguous_gain"])
+            taken = f": takes {gain} off of blocks held out one by one ({runs} of runs of them)"
             what = f"in time: {each['parameter']}: {each['form']}{times}{windows}"
-            yield f"{what}: takes {gain} off of blocks held out one by one ({runs} of runs of them)"
+            yield what + (taken if each["gain"] else ", as found above")
 
 
 def _entries_table(entries: Sequence[Fields]) -> Table:

@@ -32,6 +32,7 @@ from inflight.diagnosis.stepwise import RivalCheck
 from inflight.diagnosis.time_changes import Change, block_length, lines_between_windows, time_text
 from inflight.effects import Affine
 from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse, hac_t
+from inflight.residual import format_period
 from inflight.time import DAY, SECOND, Int64
 
 
@@ -123,10 +124,9 @@ class InTime:
         """Return what it does, for a physicist."""
         per = "" if unit in ("", "1") else f" {unit}"
         days = self.window_s / 86_400
-        return (
-            f"{self.parameter} wanders by {self.size:.2g} +- {self.sigma:.1g}{per} in 1 d: windows of "
-            f"{days:.3g} {'day' if days == 1 else 'days'} are best"
-        )
+        length = f"{days:.3g} {'day' if days == 1 else 'days'}" if days >= 1 else format_period(self.window_s)
+        size = f"{self.size:.2g} +- {self.sigma:.1g}{per}"
+        return f"the parameter {self.parameter} wanders by {size} in 1 d: windows of {length} are best"
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name; times in UTC."""
@@ -443,7 +443,8 @@ def with_wander(
         state = state.add(_option(state, wandering))
         _, wandering = parameters_in_time(state)
     if not told or not _leaves_less(state, start):
-        return search, list(checks), every
+        changes = [one.change for one in start.accepted if one.change is not None]
+        return search, list(checks), _beside_changes(start, changes) if changes else every
     search = search.with_accepted(lasting).with_safe_intervals()
     kept = [one for one in checks if one.option.change is None]
     for one in told:
@@ -456,6 +457,18 @@ def with_wander(
         )
     names = {one.parameter: one for one in told}
     return search, kept, [names.get(one.parameter, one) for one in every]
+
+
+def _beside_changes(search: Search, changes: Sequence[Change]) -> list[InTime]:
+    """Return how parameters depend on time: by the drifts, steps and episodes that were taken, and beside."""
+    forms = {}
+    for change in changes:
+        columns = getattr(search.time_variable, change.mechanism.rsplit("_", 1)[0], ())
+        forms |= dict.fromkeys(columns, ("steps" if change.at else "drift", change.at))
+    return [
+        replace(one, form=forms[one.column][0], at=forms[one.column][1]) if one.column in forms else one
+        for one in parameters_in_time(search)[0]
+    ]
 
 
 def _option(search: Search, one: InTime) -> Option:

@@ -91,7 +91,7 @@ def test_a_parameter_that_wanders_is_named_with_size_and_windows(residual, param
     assert abs(one.size - rate) < 3 * one.sigma < rate
     assert one.gain > one.contiguous_gain
     assert one.window_s >= 2 * BLOCK_DAYS * 86_400
-    assert one.words("nT").startswith(f"{parameter} wanders by {one.size:.2g} +- {one.sigma:.1g} nT in 1 d")
+    assert f"{parameter} wanders by {one.size:.2g} +- {one.sigma:.1g} nT in 1 d: windows" in one.words("nT")
     assert {other.form for other in found.values()} == {"constant"}
 
 
@@ -123,3 +123,14 @@ def test_a_record_of_constant_parameters_names_nothing():
     told = changed().diagnose(NULL, draws=500)
     assert (told.verdict, told.entries) == ("NOTHING_LEFT", ())
     assert {one["form"] for one in told.as_json()["in_time"]} == {"constant"}
+
+
+@pytest.mark.parametrize(("residual", "form"), [(STEPPED, "steps"), (DRIFTING, "drift")])
+def test_a_change_that_was_taken_is_how_its_parameters_depend_on_time(residual, form):
+    told = changed().diagnose(residual, draws=500)
+    assert told.verdict == "FOUND", told.sentence
+    (effect,) = told.effects
+    assert effect.name.startswith("scale_step@" if form == "steps" else "scale_drift")
+    found = {one["parameter"]: one["form"] for one in told.in_time}
+    assert {found.pop(f"scale_factor[{axis}]") for axis in "xyz"} == {form}
+    assert set(found.values()) == {"constant"}
