@@ -461,7 +461,7 @@ def with_wander(
 
 def _beside_changes(search: Search, changes: Sequence[Change]) -> list[InTime]:
     """Return how parameters depend on time: by the drifts, steps and episodes that were taken, and beside."""
-    forms = {}
+    forms: dict[str, tuple[str, tuple[int, ...]]] = {}
     for change in changes:
         columns = getattr(search.time_variable, change.mechanism.rsplit("_", 1)[0], ())
         forms |= dict.fromkeys(columns, ("steps" if change.at else "drift", change.at))
