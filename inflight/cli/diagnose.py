@@ -47,6 +47,9 @@ CadenceOption = Annotated[
 RoundsOption = Annotated[
     int | None, typer.Option(min=0, help="Additions at most; 0 only ranks (default: 8)", show_default=False)
 ]
+EmpiricalOption = Annotated[
+    bool, typer.Option("--empirical", help="It is added for what it looks like: its cause is not known.")
+]
 EffectArgument = Annotated[
     str,
     typer.Argument(
@@ -115,6 +118,7 @@ def add(
     command: Command,
     effect: EffectArgument,
     *,
+    empirical: EmpiricalOption = False,
     comparison: ComparisonOption = None,
     workers: WorkersOption = None,
 ) -> None:
@@ -126,7 +130,7 @@ def add(
         except (OSError, UnicodeDecodeError) as error:
             remedy = "name a file with one entry of a model, or write the entry itself"
             raise SettingsError(f"{effect}: {error}", remedy=remedy) from None
-    _revise(command, comparison, workers, lambda bench: bench.add(entry))
+    _revise(command, comparison, workers, lambda bench: bench.add(entry, empirical=empirical))
 
 
 def drop(
@@ -184,7 +188,8 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
     if fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT":
         line("what is left: only noise")
     console.print(_candidates_table(fields["candidates"]))
-    for text in (*_undecided(fields), *(unit["sentence"] for unit in fields.get("units", ()))):
+    units = (unit["sentence"] for unit in fields.get("units", ()))
+    for text in (*_in_time(fields.get("in_time", ())), *_undecided(fields), *units):
         line(text)
     for step in fields.get("versions", ()):
         _print_step(console, step)
@@ -203,6 +208,18 @@ def _sizes_text(residual: Fields) -> str:
         f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
     )
+
+
+def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
+    """Yield a line on each parameter of the calibration that is not constant."""
+    for each in parameters:
+        if each["form"] != "constant":
+            times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
+            windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
+            gain, runs = _percent(each["gain"]), _percent(each["contiguous_gain"])
+            taken = f": takes {gain} off of blocks held out one by one ({runs} of runs of them)"
+            what = f"in time: {each['parameter']}: {each['form']}{times}{windows}"
+            yield what + (taken if each["gain"] else ", as found above")
 
 
 def _entries_table(entries: Sequence[Fields]) -> Table:
@@ -289,6 +306,9 @@ def _next_step(fields: Fields) -> str:
         return undo if fields.get("versions") else ""
     if fields["effects"]:
         return f'next: inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+    left = next((each for each in fields.get("entries", ()) if each["status"] == "unknown"), None)
+    if left is not None and left["command"] != "inflight compare":
+        return f"next: {left['command']}    (its cause stays to be found)"
     if fields["verdict"] == "UNKNOWN_EFFECT":
         return "next: write the effect as a class of your own, and inflight add it"
     return "next: nothing to add; inflight reprocess uses the model as it is"
@@ -310,6 +330,9 @@ def print_revision(console: Console, fields: Fields) -> None:
             rows.append((each["name"], value, f"± {sigma}", each["unit"]))
         columns = ("parameter", "value", "", "unit")
         console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
+    if fields["empirical"]:
+        names = ", ".join(fields["empirical"])
+        console.print(f"empirical, causes not known: {names}", soft_wrap=True, markup=False)
     changed = fields["moved"]
     if changed:
         rows = []

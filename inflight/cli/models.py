@@ -37,7 +37,7 @@ def show_model(
     from inflight.model import parse_tree
 
     found = _versions(command, comparison).find(named)
-    tree = parse_tree(found.text)
+    tree = _marked(parse_tree(found.text))
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
@@ -49,6 +49,9 @@ def show_model(
         for entry in tree["effects"]:
             if "source" in entry:
                 console.print(f"{entry['effect']} is the mission's own effect, source {entry['source']}")
+        if names := [entry.get("name", entry["effect"]) for entry in tree["effects"] if "empirical" in entry]:
+            text = f"empirical, there for what they look like, cause not known: {', '.join(names)}"
+            console.print(text, soft_wrap=True, markup=False)
 
     fields = found.fields | {"message": message}
     command.emit({"command": "model show", **fields, "model": tree}, show)
@@ -105,6 +108,18 @@ def _versions(command: Command, comparison: str | None) -> ModelHistory:
 
     mission = command.open_workspace().mission()
     return ModelHistory(command.open_catalog(), mission, comparison_of(mission, comparison))
+
+
+def _marked(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a model's tree with ``empirical: true`` in every effect that names no cause."""
+    from inflight.effects import known_effects
+
+    shapes = {name for name, kind in known_effects().items() if kind.empirical}
+    effects = [
+        {**entry, "empirical": True} if entry.get("empirical") or entry["effect"] in shapes else entry
+        for entry in tree["effects"]
+    ]
+    return {**tree, "effects": effects}
 
 
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -684,6 +684,19 @@ class Bins:
     def _starts(self) -> npt.NDArray[np.int64]:
         return np.searchsorted(self.stamps, self.edges)
 
+    def times(self, good: npt.NDArray[np.bool_]) -> Int64:
+        """Return when the bins' means are: their middles, less what good samples usually come before them.
+
+        Samples at the beginnings of their spacing come half of it before; a line's phase would be as far off.
+        """
+        width = int(self.edges[1] - self.edges[0])
+        middle = self.edges[:-1] + width // 2
+        inside = (self.stamps >= self.edges[0]) & (self.stamps < self.edges[-1])
+        mean, count = self.means((self.stamps - self.edges[0]).astype(np.float64), good & inside)
+        full = (count > 0) & (count == count.max(initial=0.0))
+        off = np.median(mean[full] - (middle - self.edges[0])[full]) if full.any() else 0.0
+        return np.asarray(middle + round(float(off)))
+
     def means(self, values: Floats, good: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
         """Return means (bin, ...) and counts (bin,) of the good samples of each bin; NaN for none."""
         if self._place is not None:
@@ -876,9 +889,8 @@ def _binned(
     good: npt.NDArray[np.bool_],
 ) -> xr.Dataset:
     """Return readings and field on the bins, with the channels that are there already."""
-    edges = bins.edges
     data: dict[str, xr.Variable] = dict(channels)
-    data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
+    data["tt2000"] = xr.Variable("time", bins.times(good))
     for role in FIELD_ROLES:
         if role in samples:
             means, _ = bins.means(samples[role].values, good)

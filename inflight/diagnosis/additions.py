@@ -24,12 +24,12 @@ from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, prior_precision
 from inflight.diagnosis.stepwise import joint_fit
-from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
-from inflight.effects import ANGLES
+from inflight.diagnosis.time_changes import TimeVariableColumns, lines_between_windows, time_text
+from inflight.effects import ANGLES, did_you_mean
 from inflight.errors import ModelError
 from inflight.lsq import GramBlocks, solve_scaled
 from inflight.mission import Mission, sensors_of
-from inflight.model import Model, ModelEffect, make_effect
+from inflight.model import Model, ModelEffect, TimeDependence, make_effect
 from inflight.samples import parse_channel
 from inflight.time import DAY, to_utc
 
@@ -285,6 +285,10 @@ class Addition:
     gains: Mapping[str, tuple[tuple[str, float], ...]] | None = None
     unit: str = ""
 
+    def as_empirical(self) -> Addition:
+        """Return the addition of effects that are marked as there for what they look like."""
+        return replace(self, entries=tuple(entry.as_empirical() for entry in self.entries))
+
     def put_into(self, model: Model, value: Mapping[str, float], sigma: Mapping[str, float]) -> Model:
         """Return the model with the effect at fitted values, which later fits may move.
 
@@ -470,6 +474,9 @@ _DRIFT_FORMS: dict[str, tuple[str, str, list[float], str]] = {
 def addition_of(maker: AdditionMaker, option: Option) -> Addition:
     """Return the addition of what a search took."""
     if option.change is not None:
+        if option.change.windows:
+            times = lines_between_windows(maker.raw, option.change.windows)
+            return wander_of(maker, option.mechanism.partition("(")[2].removesuffix(")"), times)
         if not option.change.at:
             return drift_of(maker, option.name)
         return step_of(maker, option.name.split("_")[0], option.change.at)
@@ -582,6 +589,58 @@ def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") 
     made = tuple(Column(one, ((column, 1.0),)) for one, column in parts)
     term = dated_term(source, found, dated, tuple(at))
     return Addition(name=dated, columns=made, entries=entries, needs=(term,), interleaved=True, gains=gains)
+
+
+def wander_of(maker: AdditionMaker, of: str, times: TimeDependence, name: str = "") -> Addition:
+    """Return the addition of a parameter that has a value at each of some times, with lines between.
+
+    Of a vector sensor it is the effect `wander`; of a scalar sensor's bias or clock, that effect with the
+    same time dependence. Columns are the parameter's own times a function of the block.
+
+    Parameters
+    ----------
+    of : str
+        Such as ``scale_factor[z]``, ``bias`` or ``seconds``.
+    times : TimeDependence
+        A spline of lines.
+
+    Raises
+    ------
+    ModelError
+        When the comparison has no such parameter, or there are fewer than two times.
+    """
+    kinds = {kind: columns for kind, (_, columns) in maker.time_variable.kinds.items()}
+    known = {one.rsplit(".", 1)[-1]: (kind, one) for kind, some in kinds.items() for one in some}
+    if of not in known or maker.term_of(known[of][1]).entry.effect.label() == "affine":
+        raise ModelError(
+            f"this comparison has no {of!r} that could wander{did_you_mean(of, known)}",
+            remedy=f"it has {', '.join(known) or 'none'}",
+        )
+    if times.count < 2:
+        raise ModelError(f"the record has no two windows in which '{of}' could differ", remedy="shorten them")
+    kind, column = known[of]
+    term = maker.term_of(column)
+    place = getattr(maker.time_variable, kind).index(column)
+    given: dict[str, Any] = {"effect": term.entry.effect.label(), "empirical": True}
+    part, size = of, 1.0
+    if kind not in ("bias", "clock"):
+        given, part = {"effect": "wander", "of": of}, "change"
+        if kind != "offset":
+            # The sensor's equation takes the offset off before it scales and turns.
+            offset = term.entry.parameters["offset"].value[:, 0].tolist()
+            given["about"] = {"value": offset, "free": False}
+            size = float(_before_sensor_matrix(maker, kind, term)[place, place])
+    title = name or maker.free_name(
+        f"wander_{''.join(one if one.isalnum() else '_' for one in of).strip('_')}"
+    )
+    given |= {"name": title, "sensor": term.entry.sensor.name, part: times.as_yaml() | {"free": False}}
+    entry = make_effect(given, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
+    basis = times.basis(maker.raw.start // 2 + maker.raw.end // 2).T
+    names = entry.parameters[part].columns
+    columns = [Column(one, ((column, 1.0 / size),), factor) for one, factor in zip(names, basis, strict=True)]
+    days = np.median(np.diff(times.at)) / DAY
+    label = f"wander({of}, {days:.6g} d)"
+    return Addition(name=label, columns=tuple(columns), entries=(entry,), needs=(term,), interleaved=True)
 
 
 def _step_entries(

@@ -56,18 +56,6 @@ SLOW = frozenset({"channel_field", "day_night"})
 #: Effects that are tried with every lag of a channel that the model uses inside a sensor's equation.
 OF_RESPONSE = frozenset({"channel_scale", "channel_angle"})
 
-#: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
-AGNOSTIC = frozenset(
-    {
-        "orbit_periodic",
-        "sun_periodic",
-        "local_time_periodic",
-        "function_of_two",
-        "day_night_series",
-        "function_of_channel",
-    }
-)
-
 #: Effects that the pass does not try by themselves: they need a time, which the search over blocks finds.
 TIMED = frozenset(
     {"bias_step"}
@@ -198,7 +186,8 @@ def _add_forms(
         "mechanism": mechanism,
         "family": family,
         "channels": base,
-        "agnostic": label in AGNOSTIC,
+        # A period that the mission states has its cause.
+        "agnostic": entry.effect.empirical and "period" not in options,
     }
     lone = options.get("channel", "")
     if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:

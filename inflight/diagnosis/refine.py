@@ -589,7 +589,8 @@ class FormTrials:
 def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """Return the state with a step or an episode at the time that leaves least, and that option.
 
-    Its `change.sharpness` is the time's standard deviation, the larger one of an episode's two. All that may
+    Its `change.sharpness` is the time's standard deviation, the larger one of an episode's two; an episode
+    that turns out to reach an end of the record comes back as the step it is. All that may
     change at that time joins the options: one at its time must not be held against others at edges. The
     option itself comes back when it is a drift, or at that time already.
     """
@@ -598,7 +599,10 @@ def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> R
         return search, option
     at, sigma = _change_times(search, data, option, columns)
     moved = max(abs(new - old) for new, old in zip(at, change.at, strict=True))
-    if option.terms and moved <= max(CHANGE_TIME_SETTINGS.near * sigma, data.series.step_s * SECOND):
+    at = _within_record(data.series, at, sigma)
+    still = len(at) == len(change.at)
+    near = max(CHANGE_TIME_SETTINGS.near * sigma, data.series.step_s * SECOND)
+    if still and option.terms and moved <= near:
         return search, option
     made = _every_kind(search, at, round(sigma))
     terms = []
@@ -610,7 +614,18 @@ def refine_change_time(search: Search, data: DiagnosisData, option: Option) -> R
     if terms:
         search = join_terms(search, data, terms)
     search = search.with_options([one for one in made if one.name not in known])
-    return search, next(one for one in made if one.mechanism == option.mechanism)
+    kind = option.mechanism.rsplit("_", 1)[0]
+    return search, next(one for one in made if one.mechanism.rsplit("_", 1)[0] == kind)
+
+
+def _within_record(series: Series, at: tuple[int, ...], sigma: float) -> tuple[int, ...]:
+    """Return when a change begins, and ends if it does; one that reaches an end of the record is a step.
+
+    It reaches it when its time is no further from that end than its standard deviation `sigma`, ns.
+    """
+    used = series.tt2000[series["weight"] > 0]
+    inner = tuple(when for when in at if used[0] + sigma < when < used[-1] - sigma)
+    return inner if len(at) == 2 and len(inner) == 1 else at
 
 
 def _every_kind(search: Search, at: tuple[int, ...], sigma: int) -> list[Option]:

@@ -19,10 +19,18 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from inflight.design import Candidate, term_of
-from inflight.diagnosis.additions import Addition, AdditionMaker, Column, FitSetup, drift_of, step_of
+from inflight.diagnosis.additions import (
+    Addition,
+    AdditionMaker,
+    Column,
+    FitSetup,
+    drift_of,
+    step_of,
+    wander_of,
+)
 from inflight.diagnosis.refine import profile_lag
 from inflight.diagnosis.scoring import fit, make_folds
-from inflight.diagnosis.time_changes import DRIFTS
+from inflight.diagnosis.time_changes import DRIFTS, block_length, lines_between_windows
 from inflight.effects import channels_of, did_you_mean, known_effects
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
@@ -39,6 +47,12 @@ _TIMED = re.compile(
 
 #: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
 _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
+
+#: What is added for what it looks like: a line by its period.
+_TONE = re.compile(r"^tone\((?P<period>[^(),]+)(?:,\s*order=(?P<order>\d+))?\)$")
+
+#: A parameter that drifts irregularly, by the length of the windows that follow it.
+_WANDER = re.compile(r"^wander\((?P<of>[^(),]+),\s*(?P<window>[^(),]+)\)$")
 
 #: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
@@ -85,15 +99,8 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
     given = _parse_entry(effect)
     if not isinstance(given, str):
         return Request(_addition_of_text(maker, given), {}, maker)
-    if given in DRIFTS:
-        return Request(drift_of(maker, given), {}, maker)
-    if timed := _TIMED.match(given):
-        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
-        # A time within a second of an edge of blocks is that edge.
-        edges = np.append(maker.raw.start, maker.raw.end[-1])
-        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
-        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
-        return Request(step_of(maker, timed["kind"], at.tolist()), {}, maker)
+    if (known := _shape_in_time(maker, given)) is not None:
+        return Request(known, {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
         # An effect as a search names it; its channel carries the lag.
@@ -110,6 +117,39 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
         return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
     return Request(maker.of_candidate(candidate), bank, maker, candidate)
+
+
+def _shape_in_time(maker: AdditionMaker, given: str) -> Addition | None:
+    """Return the addition of a drift, of a step or episode with its time, or of a line; else None."""
+    if given in DRIFTS:
+        return drift_of(maker, given)
+    if timed := _TIMED.match(given):
+        at = np.array([_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]])
+        # A time within a second of an edge of blocks is that edge.
+        edges = np.append(maker.raw.start, maker.raw.end[-1])
+        nearest = edges[np.argmin(np.abs(edges - at[:, None]), axis=1)]
+        at = np.where(np.abs(nearest - at) < SECOND, nearest, at)
+        return step_of(maker, timed["kind"], _lasting(maker, given, at.tolist()))
+    if tone := _TONE.match(given):
+        order = {"order": int(tone["order"])} if tone["order"] else {}
+        return _addition_of_text(maker, {"effect": "tone", "period": tone["period"].strip()} | order)
+    if wander := _WANDER.match(given):
+        width = _parsed(given, wander["window"].strip(), parse_duration, "wander(scale_factor[z], 2 d)")
+        blocks = max(round(width / block_length(maker.raw)), 1)
+        return wander_of(maker, wander["of"].strip(), lines_between_windows(maker.raw, blocks))
+    return None
+
+
+def _lasting(maker: AdditionMaker, name: str, at: list[int]) -> list[int]:
+    """Return when a change begins, and ends if it does: what reaches an end of the record is a step."""
+    if len(at) < 2:
+        return at
+    inner = [when for when in at if maker.raw.start[0] < when < maker.raw.end[-1]]
+    if not inner:
+        raise ModelError(
+            f"{name!r} lasts as long as the record: nothing changes in it", remedy="state times within it"
+        )
+    return inner
 
 
 def _parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
@@ -180,6 +220,11 @@ def _parse_time(name: str, text: str) -> int:
 
 def _addition_of_text(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
     """Return the addition of an entry: a candidate's when it is one, else one that needs a pass."""
+    found = _unmarked_addition(maker, given)
+    return found.as_empirical() if given.get("empirical") else found
+
+
+def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
     sensors = sensors_of(maker.mission, maker.model.comparison)
     entry = make_effect(given, sensors, maker.model.own, maker.mission)
     known = {*channels_of(maker.mission), *GEOMETRY}
@@ -259,22 +304,14 @@ def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
 
 def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     """Return the addition that an effect of a later version of the model is."""
+    found = _plain_addition_of_entry(maker, entry)
+    return found.as_empirical() if entry.effect.empirical else found
+
+
+def _plain_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
+    if (changing := _changing_addition_of_entry(maker, entry)) is not None:
+        return changing
     label = entry.effect.label()
-    if label == "affine":
-        for key in ("matrix", "shift"):
-            if entry.parameters[key].time == "linear":
-                kind = "offset_drift"
-                if key == "matrix":
-                    growth = np.reshape(entry.parameters[key].value[:, 1], (3, 3))
-                    kind = "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
-                return drift_of(maker, kind, entry.name)
-    for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
-        if (
-            key in entry.parameters
-            and entry.parameters[key].time == "linear"
-            and not entry.parameters[key].free
-        ):
-            return drift_of(maker, kind, entry.name)
     kind, _, form = label.partition("_")
     if kind in _KINDS and form in ("step", "episode"):
         at = [
@@ -288,6 +325,22 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
     return _outside_library(maker, entry)
+
+
+def _changing_addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition | None:
+    """Return the addition that an effect is that drifts or wanders; None of another one."""
+    for key, timed in entry.parameters.items():
+        if timed.time == "spline" and key in ("change", "seconds", "bias"):
+            return wander_of(maker, str(entry.effect.given.get("of", key)), timed.dependence, entry.name)
+        if timed.time != "linear" or timed.free:
+            continue
+        kind = {"shift": "offset", "matrix": "scale", "seconds": "clock", "bias": "bias"}.get(key)
+        if key == "matrix":
+            growth = np.reshape(timed.value[:, 1], (3, 3))
+            kind = "angle" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale"
+        if kind is not None:
+            return drift_of(maker, f"{kind}_drift", entry.name)
+    return None
 
 
 # Lags.

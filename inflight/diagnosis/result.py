@@ -41,7 +41,8 @@ class FoundEffect:
     `status` is that of its `Entry`, `first_in_nT` what it explains without the others (rms). `cadence_s` is
     that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
-    `model_effects` are the effects of the model that use its channel already, or are of its kind.
+    `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
+    what it does in words, where family and channels do not say it.
     """
 
     name: str
@@ -67,6 +68,7 @@ class FoundEffect:
     status: Status = "sure"
     first_in_nT: float | None = None  # noqa: N815 (a unit)
     model_effects: tuple[str, ...] = ()
+    said: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -161,6 +163,8 @@ class Signature:
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
     bound it. Of a unit without housekeeping `switchings` counts how often two sensors saw it switch.
+    `added_by` is what ``inflight add`` takes to put it into the model as an empirical effect; empty of what
+    no term describes.
     """
 
     period_s: float | None = None
@@ -177,6 +181,7 @@ class Signature:
     faster_than_s: float | None = None
     periods_s: tuple[float, float] | None = None
     switchings: int | None = None
+    added_by: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name."""
@@ -217,6 +222,9 @@ class Diagnosis:
         The ranked table, best first.
     refined : tuple of dict
         Parameters of the model that the data moved within what was known of them.
+    in_time : tuple of dict
+        How each parameter of the calibration depends on time: ``form`` constant, drift, steps or irregular,
+        and what it takes off of blocks held out, every k-th of them and in runs.
     blocks : dict
         Number and length of the blocks, how many of them are independent, and the few that hold nearly all
         of the residual's square.
@@ -244,6 +252,7 @@ class Diagnosis:
     context: str = ""
     run: str = ""
     outliers: dict[str, Any] = field(default_factory=dict)
+    in_time: tuple[dict[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""
@@ -334,18 +343,29 @@ def sentence(facts: Mapping[str, Any]) -> str:
             text = f"{text[0].upper()}{text[1:]} ({sizes})."
             text += f" Something is left, {rest.takes_off_nT:.3g} nT rms: {rest.words}." if rest else ""
         text += _substitute_text(facts) if rest else ""
-        return text + _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ())) + bursts
+        text += _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ()))
+        return text + bursts + _empirical_text(facts)
     # Whole mechanisms that these data cannot show, whether they are there or not.
     names = [str(one["name"]) for one in facts.get("unscorable", ())]
     hidden = ", ".join(name.replace("_", " ") for name in names if name in MECHANISMS)
     not_shown = f" These data could not have shown: {hidden}." if hidden else ""
-    return {
-        "NOTHING_LEFT": lambda: f"{_noise_text(residual)} ({sizes}).{not_shown}",
-        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
-        "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
-        ),
-    }[facts["remaining"]]() + bursts
+    return (
+        {
+            "NOTHING_LEFT": lambda: f"{_noise_text(residual)} ({sizes}).{not_shown}",
+            "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
+            "UNKNOWN_EFFECT": lambda: (
+                f"No effect of the library explains it: {_signature_text(facts['signature'])} ({sizes})."
+            ),
+        }[facts["remaining"]]()
+        + bursts
+        + _empirical_text(facts)
+    )
+
+
+def _empirical_text(facts: Mapping[str, Any]) -> str:
+    """Return which effects the model holds for what they look like: their causes are still to be found."""
+    names = facts.get("empirical", ())
+    return f" In the model without a known cause: {', '.join(names)}." if names else ""
 
 
 def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
@@ -374,10 +394,17 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         words=_signature_text(facts["signature"]) if sure else why_not_identifiable(facts),
         status="unknown" if sure else "weak",
         takes_off_nT=_size_left(facts["residual"], facts["signature"]),
-        command="inflight compare",
+        command=_command_left(facts["signature"]) if sure else "inflight compare",
     )
     place = sum(one.takes_off_nT >= left.takes_off_nT for one in found) if sure else len(found)
     return (*found[:place], left, *found[place:])
+
+
+def _command_left(signature: Signature | None) -> str:
+    """Return the command that puts what is left into the model for what it looks like, or looks at it."""
+    if signature is None or not signature.added_by:
+        return "inflight compare"
+    return f"inflight add {signature.added_by}"
 
 
 def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
@@ -531,6 +558,8 @@ def _percent(share: float) -> str:
 
 
 def _effect_text(effect: FoundEffect) -> str:
+    if effect.said:
+        return f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
     family = effect.family.replace("_", " ")
     what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""

@@ -512,14 +512,14 @@ class Search:
         """Return the columns of the model without those of the calibration, with their priors."""
         return self.present_in(self.forms[form], without)
 
-    def _model_columns(self, without: Option | None = None) -> list[str]:
-        """Names of the model's columns without the calibration's: refined ones, then those taken."""
+    def model_columns(self, without: Option | None = None) -> list[str]:
+        """Return the model's columns without those of the calibration: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
     def present_in(self, grams: BlockProducts, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in Gram blocks that have them, with their priors."""
-        names = self._model_columns(without)
+        names = self.model_columns(without)
         sigma = self.sigma_of_model(len(names))
         return ModelColumns(grams.index(names), self.precision(grams, names, sigma))
 
@@ -589,7 +589,7 @@ class Search:
         Where their intervals are not those in use, the blocks come again with the requested ones.
         """
         base, _ = self.base()
-        own = self._model_columns(without)
+        own = self.model_columns(without)
         found = self._possible_changes()
         excluded = self._excluded(found, without)
         # Those whose time was refined have columns of their own.
@@ -707,7 +707,7 @@ class Search:
 
     def grams_with(self, option: Option) -> list[GramBlocks]:
         """Return each form's Gram blocks of the model and an option alone: what its worth is told from."""
-        names = [*self._model_columns(option), *option.columns]
+        names = [*self.model_columns(option), *option.columns]
         return [
             grams.select(names)
             for form, grams in self.forms.items()
@@ -742,7 +742,7 @@ class Search:
         form, present = self.forms["raw"], self.present("raw", option)
         (gamma,), _ = fit(form, present, [form.index(option.columns)], self.y())
         base, _ = self.base()
-        grams = self._marginalised(self.raw.select([*base, *self._model_columns()]), requested)
+        grams = self._marginalised(self.raw.select([*base, *self.model_columns()]), requested)
         y, columns = grams.residuals[self.residual], grams.index(option.columns)
         ((inner, right),) = remaining_of(grams, self.present_in(grams, option), [columns], y)
         return not is_visible_change(inner, right, gamma, self.variance)
@@ -876,15 +876,15 @@ class Search:
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
         return replace(self, library=library)
 
-    def of_model(self) -> Search:
-        """Return the state with the columns of its model alone: what joins it does not join this one."""
+    def of_model(self, more: Sequence[str] = ()) -> Search:
+        """Return the state with its model's columns and some more; what joins it does not join this one."""
         sources = {
             source
             for one in self.accepted
             if one.change is not None
             for source, _ in one.change.functions.values()
         }
-        names = {*self.base()[0], *self._model_columns(), *sources}
+        names = {*self.base()[0], *self.model_columns(), *sources, *more}
         terms = {key: term for key, term in self.library.terms.items() if names & set(term.columns)}
         names |= {name for term in terms.values() for name in term.columns}
         shared = replace(
@@ -903,7 +903,7 @@ class Search:
         if self.intervals == self.requested_intervals:
             return other
         base, _ = self.base()
-        small = self.raw.select([*base, *other._model_columns()])
+        small = self.raw.select([*base, *other.model_columns()])
         raw = self._marginalised(small, self.requested_intervals)
         shared = replace(self.shared, intervals=self.requested_intervals, forms={"raw": raw})
         return replace(other, intervals=self.requested_intervals, shared=shared)

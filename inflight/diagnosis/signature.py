@@ -60,6 +60,8 @@ class SignatureSettings:
         floor. Assumed.
     around : float
         A known period explains a band when it is within it, or beyond its ends by this factor. Assumed.
+    harmonics : int
+        Of the tone that describes a line whose shape is no sine, at most. Assumed.
     """
 
     least_samples: int = 128
@@ -74,6 +76,7 @@ class SignatureSettings:
     more: float = 2.0
     part: float = 0.5
     around: float = 1.1
+    harmonics: int = 5
 
 
 SIGNATURE_SETTINGS = SignatureSettings()
@@ -156,11 +159,21 @@ def line_signature(data: DiagnosisData, residual: Floats) -> Signature | None:
     good = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
     seconds = (series.tt2000[good] - series.tt2000[good][0]) / SECOND
     found = waveform_of(seconds, y[good], u[good], 1.0 / line.period_s, power.step)
-    return signature_of(found) if found.part >= SIGNATURE_SETTINGS.least_part else None
+    return signature_of(found, series.step_s) if found.part >= SIGNATURE_SETTINGS.least_part else None
 
 
-def signature_of(found: Waveform) -> Signature:
-    """Return a waveform in the words of a verdict."""
+def signature_of(found: Waveform, step_s: float = 0.0) -> Signature:
+    """Return a waveform in the words of a verdict.
+
+    Parameters
+    ----------
+    step_s : float
+        Spacing of the samples, s: harmonics of the tone that describes it are slower than two of them.
+    """
+    order = 1 if found.shape == "sine" else SIGNATURE_SETTINGS.harmonics
+    if step_s:
+        order = max(1, min(order, int(found.period_s / (2.0 * step_s))))
+    form = f", order={order}" if order > 1 else ""
     named = [dict(zip(AXES, one.tolist(), strict=False)) for one in (found.amplitudes, found.steps)]
     amplitudes, steps = ({name: tuple(pair) for name, pair in one.items()} for one in named)
     return Signature(
@@ -172,6 +185,7 @@ def signature_of(found: Waveform) -> Signature:
         duty=found.duty,
         amplitudes=amplitudes,
         steps=steps,
+        added_by=f'"tone({found.period_s:.8g} s{form})"',
     )
 
 

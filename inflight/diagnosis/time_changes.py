@@ -22,6 +22,7 @@ from inflight.arrays import Floats
 from inflight.design import Library
 from inflight.effects import Affine, ScalarBias, TimeShift, VectorSensor
 from inflight.lsq import GramBlocks
+from inflight.model import TimeDependence
 from inflight.time import DAY, Int64, to_utc
 
 #: Kinds of drifts.
@@ -73,6 +74,8 @@ class Change:
     sharpness : int
         How far off the times of `at` may be, ns: blocks are no finer. Of a time that was refined among the
         rows, its standard deviation.
+    windows : int
+        Blocks of a window, of a parameter that has a value in the middle of each; else 0.
     """
 
     name: str
@@ -82,11 +85,12 @@ class Change:
     at: tuple[int, ...] = ()
     unit: str = ""
     sharpness: int = 0
+    windows: int = 0
 
     @property
     def interleaved(self) -> bool:
-        """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
-        return len(self.at) == 2
+        """True when blocks around those held out must be among the fitted: a value holds in few blocks."""
+        return len(self.at) == 2 or self.windows > 0
 
     def is_like(self, other: Change) -> bool:
         """Return True for the same change at times that blocks cannot separate."""
@@ -132,6 +136,23 @@ class TimeVariableColumns:
         """Return those of clock and bias that no calibration marginalises: their episodes can be seen."""
         clock = tuple(name for name in self.clock if name not in base)
         return TimeVariableColumns(clock=clock, bias=tuple(name for name in self.bias if name not in base))
+
+
+def block_length(grams: GramBlocks) -> int:
+    """Return the usual length of a block, ns."""
+    return int(np.median(grams.end - grams.start))
+
+
+def lines_between_windows(grams: GramBlocks, blocks: int) -> TimeDependence:
+    """Return lines between values at the middles of windows of so many blocks, of those that have rows."""
+    block = block_length(grams)
+    place = (grams.start - grams.start[0] + block // 2) // (blocks * block)
+    middles = [
+        int(grams.start[inside[0]] // 2 + grams.end[inside[-1]] // 2)
+        for one in np.unique(place[grams.count > 0])
+        if (inside := np.flatnonzero((place == one) & (grams.count > 0))).size
+    ]
+    return TimeDependence("spline", at=tuple(middles), interpolation="linear")
 
 
 def time_text(when: int) -> str:

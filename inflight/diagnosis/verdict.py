@@ -58,6 +58,7 @@ from inflight.diagnosis.stepwise import (
     refine_all,
     select_effects,
 )
+from inflight.diagnosis.wander import InTime, with_wander
 from inflight.effects import coefficient_unit
 from inflight.mission import Mission
 from inflight.model import Model
@@ -133,6 +134,9 @@ def run_search(
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
+    other, checks, in_time = with_wander(search, checks)
+    if other is not search:
+        search, last = other, other.table()
     if native:
         # The processes that make it need the memory of what is only kept to be quick.
         search.shared.forget_products()
@@ -144,6 +148,7 @@ def run_search(
         for one in checks
     )
     fast_numbers = at_native if is_fast else None
+    effects = tuple(_in_words(one, in_time) for one in effects)
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     lost = {str(day): reason for day, reason in sorted(data.lost.items())}
@@ -163,6 +168,7 @@ def run_search(
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
         "refined": refined_at_both(search, fast_numbers),
+        "empirical": tuple(data.model.empirical),
     }
     entries = ranked_entries(facts)
     verdict = entries[0].verdict if entries else after
@@ -192,10 +198,15 @@ def run_search(
         rounds=tuple(one.as_json() for one in search.rounds),
         candidates=candidate_rows(search, first, last),
         refined=facts["refined"],
+        in_time=tuple(one.as_json() for one in in_time),
         blocks=blocks,
         stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
         comparison=data.model.comparison,
-        model={"name": data.model.name, "version": data.model.version},
+        model={
+            "name": data.model.name,
+            "version": data.model.version,
+            "empirical": list(facts["empirical"]),
+        },
         context=data.context_id,
         run=data.run,
         outliers=facts["outliers"],
@@ -207,6 +218,14 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
     """Return True when more than noise is left, and it is faster than the samples of the search."""
     more = native_rms(data, search) ** 2 - data.floor.high_nT**2
     return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
+
+
+def _in_words(effect: FoundEffect, in_time: Sequence[InTime]) -> FoundEffect:
+    """Return an effect with the words for a parameter that wanders, if it is one."""
+    for one in in_time:
+        if one.window_blocks and one.name == effect.name:
+            return replace(effect, said=one.words(effect.coefficients[0].unit))
+    return effect
 
 
 def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable, ScoreTable]:
@@ -265,7 +284,7 @@ def describe_effect(
     told = native.covering(found) if native else found
     coefficients = _coefficients(search, data, option, terms, told)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
-    if found.retained < SELECTION_SETTINGS.weak:
+    if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
     lag_sigma = option.lag_sigma_s
     if lag_sigma is None and option.lag_s:
@@ -663,6 +682,9 @@ def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> S
         shape=shape,
         amplitude_nT=structure.rms_nT,
         gain=gain,
+        # It is named for what it looks like, not as the cause: shapes in time say so of themselves.
+        added_by=f'"{option.name}"'
+        + ("" if option.agnostic or (option.change and option.change.at) else " --empirical"),
     )
 
 

@@ -240,6 +240,9 @@ class Effect:
     source_first: ClassVar[bool] = False
     #: Each axis of the corrected reading depends on the reading and the parameters of that axis alone.
     axis_by_axis: ClassVar[bool] = False
+    #: It describes a shape in time, or in a coordinate, and names no cause. Any effect that was put into a
+    #: model for what it looks like may state so: option ``empirical: true``.
+    empirical: bool = False
     #: The user's file the class comes from; None for the library and for packages.
     source: ClassVar[EffectOrigin | None] = None
     #: Parameters of the class, by name; of an effect, those its options make of them.
@@ -251,6 +254,7 @@ class Effect:
         #: Stated units of parameters that are per unit of a channel.
         self.units: dict[str, str] = {}
         known = self.option_names()
+        self.empirical = bool(options.pop("empirical", type(self).empirical))
         for key in options:
             if key not in known:
                 raise ModelError(

@@ -131,6 +131,7 @@ class Periodic(Effect):
     define the angle. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
     """
 
+    empirical = True
     options: ClassVar[tuple[str, ...]] = ("order",)
     source_first = True
     #: Without sines the series is even: the same before and after the angle's zero.

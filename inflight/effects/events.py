@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 class _Dated(Effect):
     """An effect that holds within a span of time."""
 
+    empirical = True
+
     def prepare(self) -> None:
         """Read the options: a step has ``at``, an episode ``from`` and ``to``."""
         if "at" in self.options:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import entry_points
 
-from inflight.effects import channels, environment, events, sensors, spacecraft
+from inflight.effects import channels, environment, events, sensors, spacecraft, wander
 from inflight.effects.base import Effect, did_you_mean
 from inflight.effects.sensors import (
     Affine,
@@ -72,6 +72,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     events.BiasStep,
     events.ClockStep,
     events.ClockEpisode,
+    wander.Wander,
 )
 
 _registered: dict[str, type[Effect]] = {}

@@ -8,6 +8,7 @@ which is farther from the spacecraft, gives `field`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -51,6 +52,12 @@ class ModelEffect:
         """Return every parameter's value at a time, or at times."""
         return {name: timed.at(tt2000) for name, timed in self.parameters.items()}
 
+    def as_empirical(self) -> ModelEffect:
+        """Return a copy that says of itself that its cause is not known."""
+        effect = copy(self.effect)
+        effect.empirical = True
+        return replace(self, effect=effect)
+
     def with_parameters(self, parameters: Mapping[str, TimedValue]) -> ModelEffect:
         """Return a copy with other values."""
         return replace(self, parameters=dict(parameters))
@@ -74,6 +81,7 @@ class ModelEffect:
         return (
             entry
             | self.effect.given
+            | ({"empirical": True} if self.effect.empirical and not type(self.effect).empirical else {})
             | {"sensor": self.sensor.name}
             | {name: timed.as_yaml() for name, timed in self.parameters.items()}
         )

@@ -236,6 +236,11 @@ class Model:
             remedy=f"it has {', '.join(entry.name for entry in self.effects)}",
         )
 
+    @property
+    def empirical(self) -> list[str]:
+        """Names of the effects that are there for what they look like, and whose cause is not known."""
+        return [entry.name for entry in self.effects if entry.effect.empirical]
+
     def add(self, effect: ModelEffect, before: str | None = None) -> Model:
         """Return a model with one more effect, before a named one or in its usual place.
 

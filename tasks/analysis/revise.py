@@ -110,6 +110,7 @@ class Revision:
             "error": {"in_sample_nT": list(self.in_sample), "held_out_nT": list(self.held_out)},
             "moved": self.moved,
             "coefficients": self.values,
+            "empirical": self.model.model.empirical,
         }
 
 
@@ -273,7 +274,7 @@ class Workbench:
 
     # Changes of the model.
 
-    def add(self, effect: str | Mapping[str, Any]) -> Revision:
+    def add(self, effect: str | Mapping[str, Any], *, empirical: bool = False) -> Revision:
         """Put an effect into the model and fit everything anew.
 
         Parameters
@@ -281,6 +282,8 @@ class Workbench:
         effect : str or mapping
             A candidate's name, mechanism, effect or channel; ``offset_step@2024-03-01``; or an entry of
             the model YAML, as text or mapping. An effect of the bank gets the lag that fits best.
+        empirical : bool
+            Mark it as there for what it looks like: its cause is not known.
 
         Raises
         ------
@@ -293,6 +296,7 @@ class Workbench:
             setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
             lag = best_lag(setup, fixed, [c for one in self.additions for c in one.columns], request.bank)
             addition = request.at_lag(lag)
+        addition = addition.as_empirical() if empirical else addition
         more = [*self.additions, addition]
         return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
 

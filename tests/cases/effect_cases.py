@@ -71,6 +71,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "angle_episode": ("fgm", {"from": "2004-05-01T00:01:00Z", "to": "2004-05-01T00:05:00Z"}),
     "bias_step": ("ovm", {"at": "2004-05-01T00:03:20Z"}),
     "clock_step": ("ovm", {"at": "2004-05-01T00:03:20Z"}),
+    "wander": ("fgm", {"of": "misalignment[yz]"}),
     "clock_episode": ("ovm", {"from": "2004-05-01T00:01:00Z", "to": "2004-05-01T00:05:00Z"}),
 }
 #: Sizes a parameter may honestly have, where neither its sigma nor its step says so.

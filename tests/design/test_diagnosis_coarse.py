@@ -221,6 +221,14 @@ def test_bins_weigh_what_they_hold_and_empty_ones_nothing():
     assert sums["count"] == good.sum()
 
 
+@pytest.mark.parametrize(("step", "after"), [(1, 0.0), (10, 4.5)])
+def test_bins_are_when_their_samples_are_and_evenly_spaced(step, after):
+    rows, _ = coarse(quiet(6), np.arange(3000) % 70 != 3, step)
+    stamps = rows.samples["tt2000"].values
+    assert stamps[0] == stamps_of(1)[0] + after * SECOND
+    assert np.all(np.diff(stamps) == step * SECOND)
+
+
 def test_spikes_are_counted_and_left_out():
     residual = quiet(7)
     residual[[55, 1000]] += 300.0

@@ -8,7 +8,8 @@ from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, fligh
 
 from inflight.diagnosis import TimeVariableColumns, batch_changes, drifts, episodes, steps
 from inflight.diagnosis.refine import refine_change_time
-from inflight.diagnosis.time_changes import ChangeSettings
+from inflight.diagnosis.search import Option
+from inflight.diagnosis.time_changes import Change, ChangeSettings, time_text
 from inflight.residual import format_period
 from inflight.time import parse_utc, to_tt2000
 
@@ -206,3 +207,28 @@ def test_a_change_that_comes_back_knows_the_columns_that_joined_meanwhile():
     one, other = search.raw.index([*at_edge.columns, *exact.columns])
     total = search.raw.total
     assert total[one, other] ** 2 > 0.9 * total[one, one] * total[other, other]
+
+
+def test_an_episode_that_turns_out_to_reach_the_end_of_the_record_comes_back_as_a_step():
+    case = stepped()
+    search, material = case.search(2), case.material(2)
+    block, end = int(BLOCK_DAYS * DAY), int(search.raw.end[-1])
+    begin = int(search.raw.start[np.searchsorted(search.raw.end, material.series.tt2000[0] + AT_DAYS * DAY)])
+    inside = ((search.raw.start >= begin) & (search.raw.start < end - block)) * 1.0
+    name = "clock_episode@tried"
+    change = Change(
+        name,
+        "clock_episode",
+        "clock",
+        {f"{name}.seconds": (search.time_variable.clock[0], inside)},
+        (begin, end - block),
+        sharpness=block,
+    )
+    option = Option(
+        name=name, mechanism=change.mechanism, family="clock", columns=tuple(change.functions), change=change
+    )
+    told = refine_change_time(search.add(option), material, option)[1]
+    assert told.mechanism == "clock_step"
+    (when,) = told.change.at
+    assert abs(when - material.series.tt2000[0] - AT_DAYS * DAY) < 3 * told.change.sharpness
+    assert told.name == f"clock_step@{time_text(when)}"

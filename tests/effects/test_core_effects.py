@@ -1,5 +1,7 @@
 """Every effect and every model is undone exactly, and says what it means in the published equations."""
 
+import pickle
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -327,3 +329,15 @@ def test_a_slow_scalar_sensor_reads_the_mean_over_its_response():
     inner = slice(40, -40)
     assert np.abs(seen - strength).max() > 5e-3
     np.testing.assert_allclose(raw[inner], seen[inner], rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "shape"), [("channel_field", False), ("tone", True), ("wander", True)])
+def test_what_is_there_for_its_shape_says_so_in_the_model_and_in_a_worker(name, shape):
+    entry = entry_of(name, np.random.default_rng(1), "constant")
+    plain, marked = model_of(entry), model_of(entry | {"empirical": True})
+    assert plain.empirical == ([plain.effects[-1].name] if shape else [])
+    assert marked.empirical == [marked.effects[-1].name]
+    assert ("empirical: true" in marked.text) is not shape, "of a shape the class says it"
+    again = Model.parse(marked.text, MISSION)
+    assert again.text == marked.text
+    assert pickle.loads(pickle.dumps(marked.effects[-1])).effect.empirical

@@ -79,4 +79,6 @@ def level2_day(
         "acknowledgement": mission.acknowledgement,
         "day": str(day),
     }
+    if fitted.empirical:
+        product.attrs["empirical_effects"] = ", ".join(fitted.empirical)
     return product, report

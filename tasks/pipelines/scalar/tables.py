@@ -149,7 +149,9 @@ def span_solution(equations: NormalEquations, model: Model) -> Solution:
 
 
 def _attributes(model: Model, kind: str) -> dict[str, str]:
-    return {"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name}
+    made_with = {"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name}
+    empirical = ", ".join(model.empirical)
+    return made_with | ({"empirical_effects": empirical} if empirical else {})
 
 
 def relinearise_at(
