@@ -1,0 +1,207 @@
+"""Clocks: by how many seconds or hours the stamps of one record are off from those of another.
+
+`clock_findings` takes pairs of records that tell of one field, shifts one against the other, and asks the other
+pairs which of both is at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.mission import Mission
+from inflight.plumbing.fields import finding_of
+from inflight.plumbing.findings import Finding, Remedy, clock_lines
+from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, chance_of, choose, typical_squares
+from inflight.time import SECOND, Int64, to_utc
+
+_J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two records of one field.
+
+    Attributes
+    ----------
+    first, second : Record
+    stamps : ndarray of int64, shape (row,)
+        TT2000, where they are held together.
+    residual : callable
+        What is left between the first and the second, shifted by nanoseconds: the second is read at
+        ``stamps + lag``; (row,) or (row, axis), nT.
+    """
+
+    first: Record
+    second: Record
+    stamps: Int64
+    residual: Callable[[int], Floats]
+
+    def squares(self, lag_ns: int) -> Floats | None:
+        """Return the typical squares of blocks at a lag."""
+        return typical_squares(self.residual(lag_ns))
+
+    def lag_of(self, instrument: str, late_s: float) -> int:
+        """Return the lag that this pair shows when an instrument's stamps are late by so much, ns."""
+        return round((late_s if self.second.instrument == instrument else -late_s) * SECOND)
+
+
+def linear_pair(first: Record, second: Record, columns: Callable[[Floats], Floats] | None = None) -> Pair:
+    """Return a pair in which the first is any linear combination of what `columns` makes of the second.
+
+    The faster of both is shifted; a scalar is told by the squares and products of a vector's components.
+    """
+    slow_second = second.cadence_ns > first.cadence_ns
+    stamps = (second if slow_second else first).thinned(PLUMBING_SETTINGS.rows)
+    fixed = (second if slow_second else first).at(stamps)
+    make = columns or with_constant
+
+    def residual(lag_ns: int) -> Floats:
+        moved = first.at(stamps - lag_ns) if slow_second else second.at(stamps + lag_ns)
+        target, source = (moved, fixed) if slow_second else (fixed, moved)
+        return left_by(make(source), target)
+
+    return Pair(first, second, stamps, residual)
+
+
+def with_constant(values: Floats) -> Floats:
+    """Return a record's columns and a constant."""
+    wide = values.reshape(len(values), -1)
+    return np.column_stack([wide, np.ones(len(wide))])
+
+
+def scalar_pair(scalar: Record, vector: Record) -> Pair:
+    """Return a scalar instrument and a vector one of any nine parameters.
+
+    ``F^2 = |K (E - E0)|^2`` is linear in the products of the components of E, and in E.
+    """
+    size = float(np.nanmedian(np.linalg.norm(vector.values, axis=1))) or 1.0
+    strength = float(np.nanmedian(np.abs(scalar.values))) or 1.0
+    squared = replace(scalar, values=scalar.values**2 / (2.0 * strength))
+
+    def columns(values: Floats) -> Floats:
+        x, y, z = (values / size).T
+        return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, np.ones(len(x))])
+
+    return linear_pair(squared, vector, columns)
+
+
+def left_by(columns: Floats, target: Floats) -> Floats:
+    """Return what columns (row, column) leave of a target (row,) or (row, axis), without a say of outliers."""
+    wide = target.reshape(len(target), -1)
+    good = np.isfinite(columns).all(axis=1) & np.isfinite(wide).all(axis=1)
+    residual = np.full(wide.shape, np.nan)
+    use = good
+    for _ in range(2):
+        if np.count_nonzero(use) < 2 * columns.shape[1]:
+            return residual.reshape(target.shape)
+        scale = np.sqrt(np.mean(columns[use] ** 2, axis=0)) + 1e-300
+        scaled = columns[use] / scale
+        value = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True) @ (scaled.T @ wide[use])
+        residual[good] = wide[good] - (columns[good] / scale) @ value
+        size = np.linalg.norm(residual, axis=1)
+        # Five sigma of a normal deviate.
+        use = good & (size <= 5.0 / 0.6745 * np.nanmedian(size))
+    return residual.reshape(target.shape)
+
+
+def clock_findings(mission: Mission, pairs: Sequence[Pair]) -> list[Finding]:
+    """Return the clocks that are off, by pairs of records that tell of one field."""
+    found: list[Finding] = []
+    for pair in pairs:
+        shift = find_lag(pair)
+        if shift is None:
+            continue
+        lag_s, choice = shift
+        # The second is read so much later: its stamps are late, or those of the first are early.
+        suspects = {pair.second.instrument: lag_s, pair.first.instrument: -lag_s}
+        kept = {one: late for one, late in suspects.items() if not _is_cleared(one, late, pair, pairs)}
+        guilty = kept or suspects
+        name = next(iter(guilty))
+        if any(one.instrument == name and one.fault == "clock" for one in found):
+            continue
+        found.append(_clock_finding(mission, pair, guilty, lag_s, choice))
+    return found
+
+
+def find_lag(pair: Pair) -> tuple[float, Choice[int]] | None:
+    """Return by how many seconds the second record of a pair is late, and how sure that is."""
+    stated = pair.squares(0)
+    if stated is None:
+        return None
+    near = [sign * one * SECOND for one in range(1, PLUMBING_SETTINGS.seconds + 1) for sign in (1, -1)]
+    far = [sign * one * 1800 * SECOND for one in range(1, PLUMBING_SETTINGS.half_hours + 1) for sign in (1, -1)]
+    trials = {lag: pair.squares(lag) for lag in (*near, *far)}
+    known = {lag: float(np.mean(np.log(one))) for lag, one in trials.items() if one is not None}
+    if not known:
+        return None
+    best = min(known, key=lambda lag: known[lag])
+    if abs(best) >= 1800 * SECOND:
+        trials |= {best + step: pair.squares(best + step) for step in near}
+    found = choose(stated, trials)
+    if found is None or any(abs(lag - found.name) > 3 * SECOND for lag in found.rivals):
+        return None
+    lag_s, sigma = _between(pair, found.name)
+    whole = round(lag_s)
+    tolerance = max(PLUMBING_SETTINGS.whole, 3.0 * sigma)
+    if abs(lag_s - whole) <= tolerance and whole:
+        lag_s = float(whole)
+    return (round(lag_s, 2), found) if abs(lag_s) >= 0.5 else None
+
+
+def _between(pair: Pair, lag_ns: int) -> tuple[float, float]:
+    """Return where between whole seconds the squares are least, by a parabola in each block; s and its sigma."""
+    around = [pair.squares(lag_ns + step * SECOND) for step in (-1, 0, 1)]
+    if any(one is None for one in around):
+        return lag_ns / SECOND, 0.0
+    before, here, after = np.stack([one for one in around if one is not None])
+    bend = before - 2.0 * here + after
+    total = float(np.sum(bend))
+    if total <= 0:
+        return lag_ns / SECOND, 0.5
+    place = 0.5 * (before - after) / bend
+    mean = float(np.sum(bend * place)) / total
+    weight = bend / total
+    sigma = float(np.sqrt(np.sum(weight**2 * (place - mean) ** 2)))
+    return lag_ns / SECOND + float(np.clip(mean, -1.0, 1.0)), sigma
+
+
+def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair]) -> bool:
+    """Return True when another pair agrees better as stated than with the stamps of an instrument moved."""
+    for other in pairs:
+        if other is pair or instrument not in (other.first.instrument, other.second.instrument):
+            continue
+        if {other.first.instrument, other.second.instrument} == {pair.first.instrument, pair.second.instrument}:
+            continue
+        stated, moved = other.squares(0), other.squares(other.lag_of(instrument, late_s))
+        if stated is not None and moved is not None and chance_of(moved, stated) < PLUMBING_SETTINGS.chance:
+            return True
+    return False
+
+
+def _clock_finding(
+    mission: Mission, pair: Pair, guilty: Mapping[str, float], lag_s: float, choice: Choice[int]
+) -> Finding:
+    remedies = [
+        Remedy(f"the clock of '{name}' is off", clock_lines(mission, name, -late)) for name, late in guilty.items()
+    ]
+    name, late = next(iter(guilty.items()))
+    record = pair.second if pair.second.instrument == name else pair.first
+    size = f"{abs(late) / 3600:g} h" if abs(late) % 1800 == 0 else f"{abs(late):g} s"
+    words = f"The stamps of '{name}' are {size} {'late' if late > 0 else 'early'}"
+    if len(guilty) > 1:
+        others = ", ".join(f"'{one}'" for one in guilty if one != name)
+        words += f" against those of {others}"
+    named = _named_offset(abs(lag_s), int(pair.stamps[0]))
+    return finding_of("clock", words + named, record, pair.stamps, choice, remedies)
+
+
+def _named_offset(seconds: float, tt2000: int) -> str:
+    """Return what an offset is known as, in brackets; empty for others."""
+    tt = (tt2000 - (to_utc(tt2000) - _J2000).astype(np.int64)) / SECOND
+    known = {1.0: "a leap second", tt - 32.184: "TAI less UTC", tt - 51.184: "GPS time less UTC", tt: "TT less UTC"}
+    name = next((name for size, name in known.items() if abs(size - seconds) < 0.05), "")
+    return f" ({name})" if name else ""

@@ -1,0 +1,117 @@
+"""Channels that the model uses, judged by its coefficients: a unit of a channel, its axes, another one in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.model import Model, rows_of
+from inflight.plumbing.clocks import left_by, with_constant
+from inflight.plumbing.fields import AXES, TURNS, Turn, finding_of, unit_remedies
+from inflight.plumbing.findings import Finding, Remedy, channel_path
+from inflight.plumbing.records import Choice, Record, Survey, choose, typical_squares
+
+#: Powers of ten between units of currents and voltages.
+_POWERS = (-6, -3, 3, 6)
+
+#: A channel in another unit (power of ten), with other names of its axes, or another channel in its place.
+Instead = int | Turn | str
+
+
+def coefficient_findings(survey: Survey, model: Model, samples: xr.Dataset) -> list[Finding]:
+    """Return the channels of the model that agree far better in another unit, or exchanged.
+
+    The model's coefficients are taken as right; what a calibration fits anew is taken out of each residual.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Aligned samples of the comparison with the channels of its model, thinned.
+    """
+    if survey.kind not in ("scalar", "dual"):
+        return []
+    used = {channel for entry in model.effects for channel in entry.effect.channels}
+    out = []
+    stated = left_by_model(model, samples, survey.kind) if used & set(survey.channels) else None
+    for name in sorted(used & set(survey.channels)):
+        record = survey.channels[name]
+        if stated is None or record.kind in ("attitude", "position") or name not in samples:
+            continue
+        trials = {
+            how: left_by_model(model, changed, survey.kind)
+            for how, changed in _changed_samples(survey, record, samples).items()
+        }
+        found = choose(stated, trials)
+        if found is not None:
+            out.append(_coefficient_finding(survey, record, samples, found))
+    return out
+
+
+def _changed_samples(survey: Survey, record: Record, samples: xr.Dataset) -> Mapping[Instead, xr.Dataset]:
+    """Return the samples with a channel in other units, of other axes, and others in its place."""
+    held = samples[record.name]
+    values = np.asarray(held.values, dtype=np.float64)
+    changed: dict[Instead, Floats] = {power: values * 10.0**power for power in _POWERS}
+    if record.entry.unit in ("degC", "K"):
+        changed = {}
+    if record.entry.axis_names == AXES:
+        changed |= {turn: turn.of(values) for turn in TURNS}
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    for name, other in survey.channels.items():
+        same = other.values.ndim == record.values.ndim and other.entry.unit == record.entry.unit
+        if name != record.name and same and other.instrument == record.instrument:
+            changed[name] = other.at(stamps - record.entry.lag)
+    return {how: samples.assign({record.name: held.copy(data=one)}) for how, one in changed.items()}
+
+
+def left_by_model(model: Model, samples: xr.Dataset, kind: str) -> Floats | None:
+    """Return the typical squares of what model and calibration leave; (block,) nT^2."""
+    rows = rows_of(model, samples)
+    residual = np.where(rows.good[:, None], rows.residual, np.nan)
+    if kind == "dual":
+        return typical_squares(left_by(with_constant(np.asarray(samples["outboard"].values)), residual))
+    reading = np.asarray(samples["vector"].values, dtype=np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x, y, z = reading.T
+        columns = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
+        columns /= np.linalg.norm(reading, axis=1, keepdims=True)
+    return typical_squares(left_by(columns, residual[:, 0]))
+
+
+def _coefficient_finding(survey: Survey, record: Record, samples: xr.Dataset, found: Choice[Instead]) -> Finding:
+    remedies: list[Remedy] = []
+    for how in (found.name, *found.rivals):
+        if isinstance(how, Turn):
+            columns = [how.names[AXES.index(label.removeprefix("-"))] for label in record.entry.axes or AXES]
+            line = (channel_path(record.instrument, record.channel, "axes"), f"[{', '.join(columns)}]")
+            remedies.append(Remedy(f"its {how.words}", (line,)))
+        elif isinstance(how, int):
+            remedies += unit_remedies(record, 10.0**how)
+        else:
+            remedies.append(exchanged(record, survey.channels[how]))
+    best, label = found.name, f"'{record.channel}' of '{record.instrument}'"
+    if isinstance(best, Turn):
+        fault, words = "axes", f"Of {label} {best.words}"
+    elif isinstance(best, int):
+        fault, words = "unit", f"{label} is to be multiplied by {10.0**best:g}: its unit is wrong"
+    else:
+        fault, words = "exchanged", f"{label} and '{survey.channels[best].channel}' are exchanged"
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    words += ", by the model's coefficients"
+    axes = best.axes if isinstance(best, Turn) else ()
+    return finding_of(fault, words, record, stamps, found, remedies, axes)
+
+
+def exchanged(one: Record, other: Record) -> Remedy:
+    """Return the lines that exchange where two channels of an instrument stand in its files."""
+    lines = []
+    for record, source in ((one, other), (other, one)):
+        for key in ("variable", "variables", "column"):
+            value = getattr(source.entry, key)
+            if value != getattr(record.entry, key):
+                text = f"[{', '.join(value)}]" if isinstance(value, list) else "null" if value is None else str(value)
+                lines.append((channel_path(record.instrument, record.channel, key), text))
+    return Remedy(f"'{one.channel}' and '{other.channel}' are exchanged", tuple(lines))

@@ -1,0 +1,269 @@
+"""What the tests of plumbing read: channels of some days at their own stamps, and how residuals are held together.
+
+A `Record` is one channel, a `Survey` all of a comparison's. `typical_squares` makes of a residual one number
+a block, `choose` asks which of several explanations agrees best with the data, and whether by more than the
+scatter between blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import scipy
+
+from inflight.arrays import Floats
+from inflight.instruments import Channel
+from inflight.mission import Mission
+from inflight.time import GAP, Int64
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlumbingSettings:
+    """When a fault of plumbing is told, and what is tried.
+
+    Attributes
+    ----------
+    chance : float
+        Records without a fault in which one is told, by all explanations of one question together; stated.
+    part_left : float
+        A fault is told when mending it leaves at most this part of the typical residual: what takes off less
+        is left to the search, and averaging two readings cannot take off so much; assumed.
+    days : int
+        Days that are read, evenly spread over the record; a bound on time.
+    rows : int
+        Rows of a question about fields at most; a bound on time.
+    blocks, least_rows : int
+        Blocks a record is divided into, and rows of each at least; assumed.
+    unit_tolerance : float
+        Part by which gains and offsets may keep a ratio of two fields from a power of ten; assumed.
+    seconds : int
+        Whole seconds of a clock that are tried: TT is ahead of UTC by less than so many.
+    half_hours : int
+        Half hours that are tried: time zones reach 14 hours.
+    whole : float
+        A clock is told to be off by whole seconds when it is within so many seconds of these; assumed.
+    main_field_radii : float
+        The main field alone describes what is measured up to so many Earth radii; assumed.
+    coefficient : float
+        Part by which a stated coefficient may be wrong beside a wrong unit of its channel; assumed.
+    earth_temperatures : tuple of float
+        Temperatures of units aboard, degC; assumed.
+    longer : float
+        A run of one number is stale when it is so many times as long as the channel's others; assumed.
+    stale_runs : int
+        The longest of the others, but for so many of them, is the usual length; assumed.
+    least_runs : int
+        A channel of fewer runs than so many has no usual length; assumed.
+    """
+
+    chance: float = 1e-4
+    part_left: float = 0.5
+    days: int = 4
+    rows: int = 6000
+    blocks: int = 16
+    least_rows: int = 12
+    unit_tolerance: float = 0.1
+    seconds: int = 70
+    half_hours: int = 28
+    whole: float = 0.1
+    main_field_radii: float = 1.5
+    coefficient: float = 0.3
+    earth_temperatures: tuple[float, float] = (-150.0, 150.0)
+    longer: float = 20.0
+    stale_runs: int = 8
+    least_runs: int = 100
+
+
+PLUMBING_SETTINGS = PlumbingSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """One channel of an instrument on some days.
+
+    Attributes
+    ----------
+    name : str
+        In samples: a role for a field, else the channel's name.
+    instrument, channel : str
+        In the mission YAML.
+    entry : Channel
+        Its entry there.
+    cadence_ns : int
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    values : ndarray, shape (time,) or (time, axis)
+        As archived, in the channel's unit; NaN where missing.
+    """
+
+    name: str
+    instrument: str
+    channel: str
+    entry: Channel
+    cadence_ns: int
+    stamps: Int64
+    values: Floats
+
+    def at(self, stamps: Int64) -> Floats:
+        """Return the values at other stamps, linear between readings at most a cadence and a half apart."""
+        after = np.clip(np.searchsorted(self.stamps, stamps), 1, self.stamps.size - 1)
+        low, high = self.stamps[after - 1], self.stamps[after]
+        share = np.where(high > low, (stamps - low) / np.maximum(high - low, 1), 0.0)
+        inside = (stamps >= low) & (stamps <= high)
+        known = inside & ((high - low <= GAP * self.cadence_ns) | (share == 0.0) | (share == 1.0))
+        share = share.reshape(-1, *[1] * (self.values.ndim - 1))
+        before, behind = self.values[after - 1], self.values[after]
+        # Where a stamp is met, the reading beside it has no say.
+        found = np.where(share == 0.0, before, np.where(share == 1.0, behind, before + share * (behind - before)))
+        found[~known] = np.nan
+        return np.asarray(found)
+
+    def thinned(self, rows: int) -> Int64:
+        """Return at most so many of the stamps with a reading, evenly spread."""
+        flat = self.values.reshape(len(self.values), -1)
+        known = self.stamps[np.isfinite(flat).all(axis=1)]
+        return known[:: max(1, -(-known.size // rows))]
+
+    @property
+    def kind(self) -> str:
+        """Kind in the mission YAML."""
+        return self.entry.kind
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What a comparison is made from, on some days.
+
+    Attributes
+    ----------
+    mission : Mission
+    comparison : str
+    fields : mapping of str to Record
+        By role: vector and scalar, or inboard and outboard.
+    channels : mapping of str to Record
+        All other channels, by name in samples.
+    """
+
+    mission: Mission
+    comparison: str
+    fields: Mapping[str, Record]
+    channels: Mapping[str, Record] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """Kind of the comparison."""
+        return self.mission.comparisons[self.comparison].kind
+
+    @property
+    def records(self) -> list[Record]:
+        """Fields and channels."""
+        return [*self.fields.values(), *self.channels.values()]
+
+    def of_kind(self, kind: str, frames: tuple[str, ...]) -> Record | None:
+        """Return the first channel of a kind in one of some frames."""
+        found = (one for one in self.channels.values() if one.kind == kind and one.entry.frame in frames)
+        return next(found, None)
+
+
+def typical_squares(residual: Floats, blocks: int = PLUMBING_SETTINGS.blocks) -> Floats | None:
+    """Return the typical square of a residual in consecutive blocks; None with too few rows for them.
+
+    By the median of the squares, whatever a few outliers read; (block,).
+
+    Parameters
+    ----------
+    residual : ndarray, shape (row,) or (row, axis)
+        In order of time; NaN where missing.
+    """
+    size = np.abs(residual) if residual.ndim == 1 else np.linalg.norm(residual, axis=1)
+    if np.count_nonzero(np.isfinite(size)) < blocks * PLUMBING_SETTINGS.least_rows:
+        return None
+    parts = [part[np.isfinite(part)] for part in np.array_split(size, blocks)]
+    if min(part.size for part in parts) < PLUMBING_SETTINGS.least_rows:
+        # Uneven gaps: blocks of equally many readings.
+        parts = np.array_split(size[np.isfinite(size)], blocks)
+    # A normal deviate's square has the median 0.455.
+    return np.array([np.median(part) ** 2 for part in parts]) / 0.455 + np.finfo(float).tiny
+
+
+def chance_of(worse: Floats, better: Floats) -> float:
+    """Return how likely blocks agree so much better by chance: Student's t of the logarithms, one-sided."""
+    gain = np.log(worse) - np.log(better)
+    error = float(np.std(gain, ddof=1)) / np.sqrt(gain.size)
+    mean = float(np.mean(gain))
+    if error <= 1e-9 * abs(mean):
+        return 0.0 if mean > 0 else 1.0
+    return float(scipy.special.stdtr(gain.size - 1, -mean / error))
+
+
+Name = TypeVar("Name", bound=Hashable)
+
+
+@dataclass(frozen=True)
+class Choice(Generic[Name]):
+    """An explanation that agrees with the data far better than what the mission states.
+
+    Attributes
+    ----------
+    name : hashable
+        Of the best one.
+    rivals : tuple
+        Names of those that explain as well.
+    before, after : float
+        Typical residual as stated and under it.
+    p : float
+        Chance of agreeing so much better, for as many explanations as were tried.
+    """
+
+    name: Name
+    rivals: tuple[Name, ...]
+    before: float
+    after: float
+    p: float
+    blocks: int
+
+    @property
+    def how_sure(self) -> str:
+        """The statement in words."""
+        chance = f"{self.p:.0e}" if self.p > 1e-12 else "below 1e-12"
+        rivals = f", and {len(self.rivals)} other explanation" + ("s" if len(self.rivals) > 1 else "")
+        return (
+            f"the typical residual falls from {self.before:.3g} to {self.after:.3g} nT in {self.blocks} blocks of "
+            f"the record (chance {chance}{rivals + ' as good' if self.rivals else ''})"
+        )
+
+
+def choose(
+    stated: Floats | None, trials: Mapping[Name, Floats | None], settings: PlumbingSettings = PLUMBING_SETTINGS
+) -> Choice[Name] | None:
+    """Return the explanation that agrees best, when that is beyond chance and not a small matter.
+
+    Parameters
+    ----------
+    stated : ndarray, shape (block,), optional
+        Typical squares as the mission states it.
+    trials : mapping
+        Those under each explanation.
+    """
+    known = {name: squares for name, squares in trials.items() if squares is not None}
+    if stated is None or not known:
+        return None
+    size = {name: float(np.mean(np.log(squares))) for name, squares in known.items()}
+    best = min(size, key=lambda name: size[name])
+    before, after = (float(np.exp(0.5 * np.mean(np.log(squares)))) for squares in (stated, known[best]))
+    p = min(1.0, chance_of(stated, known[best]) * len(known))
+    if p > settings.chance or after > settings.part_left * before:
+        return None
+    level = settings.chance / len(known)
+    rivals = [
+        name for name in known if name != best and chance_of(known[name], known[best]) > level
+    ]
+    return Choice(best, tuple(sorted(rivals, key=lambda name: size[name])), before, after, p, stated.size)
+
+
+def plain(value: Any) -> str:
+    """Return a number as a YAML has it."""
+    return f"{value:.10g}"
