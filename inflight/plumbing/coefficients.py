@@ -10,7 +10,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.model import Model, rows_of
 from inflight.plumbing.clocks import left_by, with_constant
-from inflight.plumbing.fields import AXES, TURNS, Turn, finding_of, unit_remedies
+from inflight.plumbing.fields import AXES, TURNS, Turn, axes_line, finding_of, unit_remedies
 from inflight.plumbing.findings import Finding, Remedy, channel_path
 from inflight.plumbing.records import Choice, Record, Survey, choose, typical_squares
 
@@ -85,8 +85,7 @@ def _coefficient_finding(survey: Survey, record: Record, samples: xr.Dataset, fo
     remedies: list[Remedy] = []
     for how in (found.name, *found.rivals):
         if isinstance(how, Turn):
-            columns = [how.names[AXES.index(label.removeprefix("-"))] for label in record.entry.axes or AXES]
-            line = (channel_path(record.instrument, record.channel, "axes"), f"[{', '.join(columns)}]")
+            line = axes_line(record.instrument, record.channel, record.entry, AXES, how.names)
             remedies.append(Remedy(f"its {how.words}", (line,)))
         elif isinstance(how, int):
             remedies += unit_remedies(record, 10.0**how)

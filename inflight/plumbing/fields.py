@@ -80,18 +80,8 @@ TURNS = tuple(
 
 def axes_remedies(name: str, instrument: Instrument, turn: Turn) -> list[Remedy]:
     """Return the lines that name a field's columns rightly, or turn its sensor where a rotation does it."""
-    entry = instrument.channels["field"]
-    columns = []
-    for label in entry.axes or AXES:
-        really = turn.names[AXES.index(label.removeprefix("-"))] if label.removeprefix("-") in AXES else label
-        negative = label.startswith("-") != really.startswith("-")
-        columns.append(("-" if negative else "") + really.removeprefix("-"))
-    found = [
-        Remedy(
-            f"the columns of '{name}' have wrong names or signs",
-            ((channel_path(name, "field", "axes"), f"[{', '.join(columns)}]"),),
-        )
-    ]
+    line = axes_line(name, "field", instrument.channels["field"], AXES, turn.names)
+    found = [Remedy(f"the columns of '{name}' have wrong names or signs", (line,))]
     if np.linalg.det(turn.matrix) > 0:
         old = scipy.spatial.transform.Rotation.from_quat(instrument.orientation)
         new = old * scipy.spatial.transform.Rotation.from_matrix(turn.matrix)
@@ -101,6 +91,19 @@ def axes_remedies(name: str, instrument: Instrument, turn: Turn) -> list[Remedy]
             Remedy(f"'{name}' is mounted so turned", ((("instruments", name, "orientation"), value),))
         )
     return found
+
+
+def axes_line(
+    instrument: str, channel: str, entry: Channel, archived: Sequence[str], really: Sequence[str]
+) -> tuple[tuple[str, ...], str]:
+    """Return the line that names a file's columns by what its archived axes really are."""
+    known = dict(zip(archived, really, strict=True))
+    labels = []
+    for label in entry.axes or archived:
+        name = known[label.removeprefix("-")]
+        negative = label.startswith("-") != name.startswith("-")
+        labels.append(("-" if negative else "") + name.removeprefix("-"))
+    return channel_path(instrument, channel, "axes"), f"[{', '.join(labels)}]"
 
 
 def unit_remedies(record: Record, factor: float) -> list[Remedy]:
@@ -181,52 +184,50 @@ def _same_variation(survey: Survey, one: Floats, other: Floats) -> tuple[Floats,
     return first[:, axis], predicted[:, axis] / (gain or 1.0)
 
 
-def axes_findings(
-    survey: Survey, reference: Floats | None = None, rival: Mapping[str, tuple[Floats, Remedy]] | None = None
-) -> list[Finding]:
-    """Return whether the columns of a vector have wrong names or signs.
+def axes_findings(survey: Survey) -> list[Finding]:
+    """Return whether the columns of one of two vectors have wrong names or signs."""
+    first, second = survey.fields.values()
+    stamps, *values = paired(first, second)
+    mounted = {
+        record.name: Mounted(record, one, survey.mission.instruments[record.instrument])
+        for record, one in zip((first, second), values, strict=True)
+    }
+    against = {first.name: mounted[second.name].stated, second.name: mounted[first.name].stated}
+    return axes_against(stamps, mounted, against)
 
-    Of two vectors each may be the wrong one. Against the main field only the vector is, or the attitude.
+
+def axes_against(
+    stamps: Int64,
+    mounted: Mapping[str, Mounted],
+    against: Mapping[str, Floats],
+    rival: Mapping[str, tuple[Floats, Remedy]] | None = None,
+) -> list[Finding]:
+    """Return whether the columns of vectors have wrong names or signs, against a field in the spacecraft's axes.
 
     Parameters
     ----------
-    reference : ndarray, shape (row, 3), optional
-        Main field in the spacecraft's axes at the thinned stamps of the vector.
+    stamps : ndarray of int64, shape (row,)
+    mounted : mapping of str to Mounted
+        The vectors that may be wrong.
+    against : mapping of str to ndarray, shape (row, 3)
+        What each of them is held against.
     rival : mapping, optional
-        The main field under other conventions of the attitude, and the lines that state them.
+        What they are held against under other conventions of the attitude, and the lines that state these.
     """
-    instruments = survey.mission.instruments
-    if reference is None:
-        first, second = survey.fields.values()
-        stamps, one, other = paired(first, second)
-        readings = {first: one, second: other}
-    else:
-        first = next(one for one in survey.fields.values() if one.values.ndim == 2)
-        stamps = first.thinned(len(reference))
-        readings = {first: first.at(stamps)}
-    turned = {
-        record.name: _Mounted(record, values, instruments[record.instrument]) for record, values in readings.items()
-    }
-    against = {
-        name: reference if reference is not None else next(one for key, one in turned.items() if key != name).stated
-        for name in turned
-    }
-    start = next(iter(turned))
-    stated = typical_squares(difference(against[start], turned[start].stated))
+    rival = rival or {}
+    start = next(iter(mounted))
     trials: dict[tuple[str, Turn | str], Floats | None] = {
-        (name, turn): typical_squares(difference(against[name], mounted.under(turn)))
-        for name, mounted in turned.items()
+        (name, turn): typical_squares(difference(against[name], one.under(turn)))
+        for name, one in mounted.items()
         for turn in TURNS
     }
-    for name, (field, _) in (rival or {}).items():
-        trials["attitude", name] = typical_squares(difference(field, turned[start].stated))
-    found = choose(stated, trials)
-    if found is None:
-        return []
-    return [_axes_finding(survey, found, turned, stamps, rival or {})]
+    for name, (field, _) in rival.items():
+        trials["attitude", name] = typical_squares(difference(field, mounted[start].stated))
+    found = choose(typical_squares(difference(against[start], mounted[start].stated)), trials)
+    return [] if found is None else [_axes_finding(found, mounted, stamps, rival)]
 
 
-class _Mounted(NamedTuple):
+class Mounted(NamedTuple):
     """A vector reading (row, axis), turned into the spacecraft's axes as stated or with other names."""
 
     record: Record
@@ -258,21 +259,20 @@ def difference(one: Floats, other: Floats) -> Floats:
 
 
 def _axes_finding(
-    survey: Survey,
     found: Choice[tuple[str, Turn | str]],
-    turned: Mapping[str, _Mounted],
+    mounted: Mapping[str, Mounted],
     stamps: Int64,
     rival: Mapping[str, tuple[Floats, Remedy]],
 ) -> Finding:
     remedies: list[Remedy] = []
     for name, how in (found.name, *found.rivals):
         if isinstance(how, Turn):
-            record = turned[name].record
-            remedies += axes_remedies(record.instrument, survey.mission.instruments[record.instrument], how)
+            record = mounted[name].record
+            remedies += axes_remedies(record.instrument, mounted[name].instrument, how)
         else:
             remedies.append(rival[how][1])
     name, how = found.name
-    record = turned[name].record if name in turned else next(iter(turned.values())).record
+    record = mounted[name if name in mounted else next(iter(mounted))].record
     if isinstance(how, Turn):
         words, axes = f"Axes of '{record.instrument}': {how.words}", how.axes
     else:

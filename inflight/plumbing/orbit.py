@@ -23,8 +23,8 @@ from inflight.frames import (
     to_date,
 )
 from inflight.plumbing.clocks import Pair, left_by, linear_pair, with_constant
-from inflight.plumbing.fields import POWERS, axes_findings, finding_of, unit_remedies
-from inflight.plumbing.findings import Finding, Remedy, channel_path
+from inflight.plumbing.fields import POWERS, Mounted, axes_against, axes_line, finding_of, unit_remedies
+from inflight.plumbing.findings import Finding, Remedy
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
 from inflight.time import SECOND, Int64, to_utc
 from inflight.units import factor_and_offset
@@ -168,25 +168,18 @@ def orbit_axes(survey: Survey, orbit: Orbit) -> list[Finding]:
         if vector.values.ndim == 1:
             continue
         stamps = vector.thinned(PLUMBING_SETTINGS.rows)
-        alone = replace(survey, fields={role: vector})
+        mounted = Mounted(vector, vector.at(stamps), survey.mission.instruments[vector.instrument])
         rival = {
             name: (orbit.in_spacecraft(stamps, convention=name), _convention_remedy(orbit.attitude, name))
             for name in _CONVENTIONS
         }
-        out += axes_findings(alone, orbit.in_spacecraft(stamps), rival)
+        out += axes_against(stamps, {role: mounted}, {role: orbit.in_spacecraft(stamps)}, rival)
     return out
 
 
 def _convention_remedy(attitude: Record, convention: str) -> Remedy:
     words, really = _CONVENTIONS[convention]
-    archived = dict(zip("xyzw", really, strict=True))
-    labels = []
-    for label in attitude.entry.axes or "xyzw":
-        name = archived[label.removeprefix("-")]
-        negative = label.startswith("-") != name.startswith("-")
-        labels.append(("-" if negative else "") + name.removeprefix("-"))
-    path = channel_path(attitude.instrument, attitude.channel, "axes")
-    return Remedy(words, ((path, f"[{', '.join(labels)}]"),))
+    return Remedy(words, (axes_line(attitude.instrument, attitude.channel, attitude.entry, "xyzw", really),))
 
 
 def field_ratios(survey: Survey, orbit: Orbit) -> dict[str, Floats]:

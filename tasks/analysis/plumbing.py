@@ -47,6 +47,15 @@ def check_plumbing(
         When the archive has no day of the span.
     """
     model = model or current_model(cat, mission, comparison).model
+    survey, samples = read_survey(cat, mission, start, end, model)
+    return find_faults(survey, model, samples)
+
+
+def read_survey(
+    cat: Catalog, mission: Mission, start: DayLike | None, end: DayLike | None, model: Model
+) -> tuple[Survey, xr.Dataset | None]:
+    """Read some days of a span: channels at their own stamps, and samples where the model uses any of these."""
+    comparison = model.comparison
     needs, channels = needs_of(mission, model), channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
     days = require_days(index, needs, start, end)
@@ -68,8 +77,7 @@ def check_plumbing(
         },
     )
     used = {channel for entry in model.effects for channel in entry.effect.channels} & set(survey.channels)
-    samples = _thinned_samples(cat, mission, model, needs, index, some) if used else None
-    return find_faults(survey, model, samples)
+    return survey, _thinned_samples(cat, mission, model, needs, index, some) if used else None
 
 
 def read_record(
