@@ -9,7 +9,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.plumbing.findings import Finding, Remedy, channel_path
-from inflight.plumbing.records import PLUMBING_SETTINGS, Record
+from inflight.plumbing.records import PLUMBING_SETTINGS, Record, chance_text
 from inflight.time import GAP, SECOND, Int64
 from inflight.units import factor_and_offset
 
@@ -50,9 +50,10 @@ def stale_findings(record: Record) -> list[Finding]:
     usual = max(run.usual for run, _ in found)
     sure = (
         f"the same number {longest.count} times in a row, where it else stays for {longest.usual} readings at most"
-        f" (chance {longest.p:.0e})"
+        f" (chance {chance_text(longest.p)})"
     )
-    limit = min(2 * usual, min(run.count for run, _ in found) - 1)
+    # Between both: other months may hold somewhat longer runs.
+    limit = int(np.sqrt(usual * min(run.count for run, _ in found)))
     line = (channel_path(record.instrument, record.channel, "most_repeats"), str(limit))
     return [
         Finding(
@@ -149,7 +150,11 @@ def angle_findings(record: Record) -> list[Finding]:
             words = f"'{record.channel}' of '{record.instrument}' is in {unit}, not as stated"
             sure = f"it falls by {jump:.5g} {record.entry.unit} at its ends, where a turn has {turn:.5g}"
             line = (channel_path(record.instrument, record.channel, "file_unit"), unit)
-            return [_of_record(record, words, sure, span, span * size, record.entry.unit, [Remedy(words, (line,))])]
+            return [
+                _of_record(
+                    record, words, sure, span, span * size, record.entry.unit, [Remedy(words, (line,))]
+                )
+            ]
     return []
 
 

@@ -30,6 +30,8 @@ class Pair:
     first, second : Record
     stamps : ndarray of int64, shape (row,)
         TT2000, where they are held together.
+    step_s : int
+        Seconds between the lags that are tried: what is smooth needs few of them.
     residual : callable
         What is left between the first and the second, shifted by nanoseconds: the second is read at
         ``stamps + lag``; (row,) or (row, axis), nT.
@@ -39,6 +41,7 @@ class Pair:
     second: Record
     stamps: Int64
     residual: Callable[[int], Floats]
+    step_s: int = 1
 
     def squares(self, lag_ns: int) -> Floats | None:
         """Return the typical squares of blocks at a lag."""
@@ -49,7 +52,9 @@ class Pair:
         return round((late_s if self.second.instrument == instrument else -late_s) * SECOND)
 
 
-def linear_pair(first: Record, second: Record, columns: Callable[[Floats], Floats] | None = None) -> Pair:
+def linear_pair(
+    first: Record, second: Record, columns: Callable[[Floats], Floats] | None = None, step_s: int = 1
+) -> Pair:
     """Return a pair in which the first is any linear combination of what `columns` makes of the second.
 
     The faster of both is shifted; a scalar is told by the squares and products of a vector's components.
@@ -64,7 +69,7 @@ def linear_pair(first: Record, second: Record, columns: Callable[[Floats], Float
         target, source = (moved, fixed) if slow_second else (fixed, moved)
         return left_by(make(source), target)
 
-    return Pair(first, second, stamps, residual)
+    return Pair(first, second, stamps, residual, step_s)
 
 
 def with_constant(values: Floats) -> Floats:
@@ -73,7 +78,7 @@ def with_constant(values: Floats) -> Floats:
     return np.column_stack([wide, np.ones(len(wide))])
 
 
-def scalar_pair(scalar: Record, vector: Record) -> Pair:
+def scalar_pair(scalar: Record, vector: Record, step_s: int = 1) -> Pair:
     """Return a scalar instrument and a vector one of any nine parameters.
 
     ``F^2 = |K (E - E0)|^2`` is linear in the products of the components of E, and in E.
@@ -86,7 +91,7 @@ def scalar_pair(scalar: Record, vector: Record) -> Pair:
         x, y, z = (values / size).T
         return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, np.ones(len(x))])
 
-    return linear_pair(squared, vector, columns)
+    return linear_pair(squared, vector, columns, step_s)
 
 
 def left_by(columns: Floats, target: Floats) -> Floats:
@@ -110,21 +115,23 @@ def left_by(columns: Floats, target: Floats) -> Floats:
 
 def clock_findings(mission: Mission, pairs: Sequence[Pair]) -> list[Finding]:
     """Return the clocks that are off, by pairs of records that tell of one field."""
-    found: list[Finding] = []
-    for pair in pairs:
-        shift = find_lag(pair)
-        if shift is None:
-            continue
-        lag_s, choice = shift
+    told: list[tuple[Mapping[str, float], Finding]] = []
+    shifts = [(pair, *shift) for pair in pairs if (shift := find_lag(pair)) is not None]
+    for pair, lag_s, choice in shifts:
         # The second is read so much later: its stamps are late, or those of the first are early.
         suspects = {pair.second.instrument: lag_s, pair.first.instrument: -lag_s}
         kept = {one: late for one, late in suspects.items() if not _is_cleared(one, late, pair, pairs)}
         guilty = kept or suspects
-        name = next(iter(guilty))
-        if any(one.instrument == name and one.fault == "clock" for one in found):
+        told.append((guilty, _clock_finding(mission, pair, guilty, choice)))
+    out: list[Finding] = []
+    known: dict[str, float] = {}
+    for guilty, finding in sorted(told, key=lambda one: len(one[0])):
+        # Another pair shows the same clock once more.
+        if any(abs(known.get(name, np.inf) - late) < 2.0 for name, late in guilty.items()):
             continue
-        found.append(_clock_finding(mission, pair, guilty, lag_s, choice))
-    return found
+        known |= guilty
+        out.append(finding)
+    return out
 
 
 def find_lag(pair: Pair) -> tuple[float, Choice[int]] | None:
@@ -132,15 +139,20 @@ def find_lag(pair: Pair) -> tuple[float, Choice[int]] | None:
     stated = pair.squares(0)
     if stated is None:
         return None
-    near = [sign * one * SECOND for one in range(1, PLUMBING_SETTINGS.seconds + 1) for sign in (1, -1)]
-    far = [sign * one * 1800 * SECOND for one in range(1, PLUMBING_SETTINGS.half_hours + 1) for sign in (1, -1)]
+    step = pair.step_s
+    near = [
+        sign * one * SECOND for one in range(step, PLUMBING_SETTINGS.seconds + 1, step) for sign in (1, -1)
+    ]
+    far = [
+        sign * one * 1800 * SECOND for one in range(1, PLUMBING_SETTINGS.half_hours + 1) for sign in (1, -1)
+    ]
     trials = {lag: pair.squares(lag) for lag in (*near, *far)}
-    known = {lag: float(np.mean(np.log(one))) for lag, one in trials.items() if one is not None}
-    if not known:
-        return None
-    best = min(known, key=lambda lag: known[lag])
+    best = min(trials, key=lambda lag: _size(trials[lag]))
     if abs(best) >= 1800 * SECOND:
-        trials |= {best + step: pair.squares(best + step) for step in near}
+        trials |= {best + by: pair.squares(best + by) for by in near}
+        best = min(trials, key=lambda lag: _size(trials[lag]))
+    trials |= {best + by * SECOND: pair.squares(best + by * SECOND) for by in range(1 - step, step)}
+    trials.pop(0, None)
     found = choose(stated, trials)
     if found is None or any(abs(lag - found.name) > 3 * SECOND for lag in found.rivals):
         return None
@@ -150,6 +162,11 @@ def find_lag(pair: Pair) -> tuple[float, Choice[int]] | None:
     if abs(lag_s - whole) <= tolerance and whole:
         lag_s = float(whole)
     return (round(lag_s, 2), found) if abs(lag_s) >= 0.5 else None
+
+
+def _size(squares: Floats | None) -> float:
+    """Return the mean logarithm of typical squares."""
+    return np.inf if squares is None else float(np.mean(np.log(squares)))
 
 
 def _between(pair: Pair, lag_ns: int) -> tuple[float, float]:
@@ -174,7 +191,10 @@ def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair
     for other in pairs:
         if other is pair or instrument not in (other.first.instrument, other.second.instrument):
             continue
-        if {other.first.instrument, other.second.instrument} == {pair.first.instrument, pair.second.instrument}:
+        if {other.first.instrument, other.second.instrument} == {
+            pair.first.instrument,
+            pair.second.instrument,
+        }:
             continue
         stated, moved = other.squares(0), other.squares(other.lag_of(instrument, late_s))
         if stated is not None and moved is not None and chance_of(moved, stated) < PLUMBING_SETTINGS.chance:
@@ -182,11 +202,10 @@ def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair
     return False
 
 
-def _clock_finding(
-    mission: Mission, pair: Pair, guilty: Mapping[str, float], lag_s: float, choice: Choice[int]
-) -> Finding:
+def _clock_finding(mission: Mission, pair: Pair, guilty: Mapping[str, float], choice: Choice[int]) -> Finding:
     remedies = [
-        Remedy(f"the clock of '{name}' is off", clock_lines(mission, name, -late)) for name, late in guilty.items()
+        Remedy(f"the clock of '{name}' is off", clock_lines(mission, name, -late))
+        for name, late in guilty.items()
     ]
     name, late = next(iter(guilty.items()))
     record = pair.second if pair.second.instrument == name else pair.first
@@ -195,13 +214,18 @@ def _clock_finding(
     if len(guilty) > 1:
         others = ", ".join(f"'{one}'" for one in guilty if one != name)
         words += f" against those of {others}"
-    named = _named_offset(abs(lag_s), int(pair.stamps[0]))
-    return finding_of("clock", words + named, record, pair.stamps, choice, remedies)
+    named = _named_offset(abs(late), int(pair.stamps[0]))
+    return finding_of("clock", words + named, record, pair.stamps, replace(choice, rivals=()), remedies)
 
 
 def _named_offset(seconds: float, tt2000: int) -> str:
     """Return what an offset is known as, in brackets; empty for others."""
     tt = (tt2000 - (to_utc(tt2000) - _J2000).astype(np.int64)) / SECOND
-    known = {1.0: "a leap second", tt - 32.184: "TAI less UTC", tt - 51.184: "GPS time less UTC", tt: "TT less UTC"}
+    known = {
+        1.0: "a leap second",
+        tt - 32.184: "TAI less UTC",
+        tt - 51.184: "GPS time less UTC",
+        tt: "TT less UTC",
+    }
     name = next((name for size, name in known.items() if abs(size - seconds) < 0.05), "")
     return f" ({name})" if name else ""

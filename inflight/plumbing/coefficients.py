@@ -17,6 +17,9 @@ from inflight.plumbing.records import Choice, Record, Survey, choose, typical_sq
 #: Powers of ten between units of currents and voltages.
 _POWERS = (-6, -3, 3, 6)
 
+#: Units of currents and voltages, but for their prefix.
+_SCALED = ("A", "V", "W")
+
 #: A channel in another unit (power of ten), with other names of its axes, or another channel in its place.
 Instead = int | Turn | str
 
@@ -33,30 +36,26 @@ def coefficient_findings(survey: Survey, model: Model, samples: xr.Dataset) -> l
     """
     if survey.kind not in ("scalar", "dual"):
         return []
-    used = {channel for entry in model.effects for channel in entry.effect.channels}
-    out = []
-    stated = left_by_model(model, samples, survey.kind) if used & set(survey.channels) else None
-    for name in sorted(used & set(survey.channels)):
-        record = survey.channels[name]
-        if stated is None or record.kind in ("attitude", "position") or name not in samples:
-            continue
-        trials = {
-            how: left_by_model(model, changed, survey.kind)
-            for how, changed in _changed_samples(survey, record, samples).items()
-        }
-        found = choose(stated, trials)
-        if found is not None:
-            out.append(_coefficient_finding(survey, record, samples, found))
-    return out
+    used = {channel for entry in model.effects for channel in entry.effect.channels} & set(survey.channels)
+    records = [survey.channels[name] for name in sorted(used & set(map(str, samples)))]
+    records = [one for one in records if one.kind not in ("attitude", "position")]
+    trials = {
+        (record.name, how): left_by_model(model, changed, survey.kind)
+        for record in records
+        for how, changed in _changed_samples(survey, record, samples).items()
+    }
+    # All in one ranking: where something is wrong, many changes take off a part of it.
+    found = choose(left_by_model(model, samples, survey.kind), trials) if trials else None
+    return [] if found is None else [_coefficient_finding(survey, samples, found)]
 
 
 def _changed_samples(survey: Survey, record: Record, samples: xr.Dataset) -> Mapping[Instead, xr.Dataset]:
     """Return the samples with a channel in other units, of other axes, and others in its place."""
     held = samples[record.name]
     values = np.asarray(held.values, dtype=np.float64)
-    changed: dict[Instead, Floats] = {power: values * 10.0**power for power in _POWERS}
-    if record.entry.unit in ("degC", "K"):
-        changed = {}
+    changed: dict[Instead, Floats] = {}
+    if record.entry.unit[-1] in _SCALED:
+        changed |= {power: values * 10.0**power for power in _POWERS}
     if record.entry.axis_names == AXES:
         changed |= {turn: turn.of(values) for turn in TURNS}
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
@@ -81,17 +80,20 @@ def left_by_model(model: Model, samples: xr.Dataset, kind: str) -> Floats | None
     return typical_squares(left_by(columns, residual[:, 0]))
 
 
-def _coefficient_finding(survey: Survey, record: Record, samples: xr.Dataset, found: Choice[Instead]) -> Finding:
+def _coefficient_finding(survey: Survey, samples: xr.Dataset, found: Choice[tuple[str, Instead]]) -> Finding:
     remedies: list[Remedy] = []
-    for how in (found.name, *found.rivals):
+    for name, how in (found.name, *found.rivals):
+        one = survey.channels[name]
         if isinstance(how, Turn):
-            line = axes_line(record.instrument, record.channel, record.entry, AXES, how.names)
-            remedies.append(Remedy(f"its {how.words}", (line,)))
+            line = axes_line(one.instrument, one.channel, one.entry, AXES, how.names)
+            remedies.append(Remedy(f"of '{name}' {how.words}", (line,)))
         elif isinstance(how, int):
-            remedies += unit_remedies(record, 10.0**how)
+            remedies += unit_remedies(one, 10.0**how)
         else:
-            remedies.append(exchanged(record, survey.channels[how]))
-    best, label = found.name, f"'{record.channel}' of '{record.instrument}'"
+            remedies.append(exchanged(one, survey.channels[how]))
+    name, best = found.name
+    record = survey.channels[name]
+    label = f"'{record.channel}' of '{record.instrument}'"
     if isinstance(best, Turn):
         fault, words = "axes", f"Of {label} {best.words}"
     elif isinstance(best, int):
@@ -111,6 +113,12 @@ def exchanged(one: Record, other: Record) -> Remedy:
         for key in ("variable", "variables", "column"):
             value = getattr(source.entry, key)
             if value != getattr(record.entry, key):
-                text = f"[{', '.join(value)}]" if isinstance(value, list) else "null" if value is None else str(value)
+                text = (
+                    f"[{', '.join(value)}]"
+                    if isinstance(value, list)
+                    else "null"
+                    if value is None
+                    else str(value)
+                )
                 lines.append((channel_path(record.instrument, record.channel, key), text))
     return Remedy(f"'{one.channel}' and '{other.channel}' are exchanged", tuple(lines))

@@ -17,7 +17,15 @@ from inflight.arrays import Floats
 from inflight.instruments import Channel
 from inflight.mission import Instrument
 from inflight.plumbing.findings import Finding, Remedy, channel_path
-from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, Survey, choose, plain, typical_squares
+from inflight.plumbing.records import (
+    PLUMBING_SETTINGS,
+    Choice,
+    Record,
+    Survey,
+    choose,
+    plain,
+    typical_squares,
+)
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
@@ -25,7 +33,25 @@ from inflight.units import factor_and_offset
 POWERS = (-9, -6, -5, -3, -2, -1, 1, 2, 3, 5, 6, 9)
 
 #: Units that files give fields, currents, voltages, lengths and angles in.
-_FILE_UNITS = ("T", "mT", "uT", "nT", "pT", "A", "mA", "uA", "V", "mV", "uV", "km", "m", "deg", "rad", "K", "degC")
+_FILE_UNITS = (
+    "T",
+    "mT",
+    "uT",
+    "nT",
+    "pT",
+    "A",
+    "mA",
+    "uA",
+    "V",
+    "mV",
+    "uV",
+    "km",
+    "m",
+    "deg",
+    "rad",
+    "K",
+    "degC",
+)
 
 AXES = ("x", "y", "z")
 
@@ -145,7 +171,9 @@ def unit_findings(survey: Survey, main_field: Mapping[str, Floats] | None = None
     stamps, one, other = paired(first, second)
     if one.ndim == other.ndim == 2:
         one, other = _same_variation(survey, one, other)
-    size_one, size_other = (values if values.ndim == 1 else np.linalg.norm(values, axis=1) for values in (one, other))
+    size_one, size_other = (
+        values if values.ndim == 1 else np.linalg.norm(values, axis=1) for values in (one, other)
+    )
     trials = {power: typical_squares(size_one - 10.0**power * size_other) for power in POWERS}
     found = choose(typical_squares(size_one - size_other), trials)
     if found is None or found.rivals:
@@ -156,10 +184,14 @@ def unit_findings(survey: Survey, main_field: Mapping[str, Floats] | None = None
     faults = {second.name: factor, first.name: 1.0 / factor}
     ratio = {name: float(np.nanmedian(values)) for name, values in (main_field or {}).items()}
     told = {
-        name: one for name, one in faults.items() if name not in ratio or abs(np.log10(ratio[name] * one)) < 0.3
+        name: one
+        for name, one in faults.items()
+        if name not in ratio or abs(np.log10(ratio[name] * one)) < 0.3
     }
     records = {one.name: one for one in (first, second)}
-    remedies = [remedy for name, one in (told or faults).items() for remedy in unit_remedies(records[name], one)]
+    remedies = [
+        remedy for name, one in (told or faults).items() for remedy in unit_remedies(records[name], one)
+    ]
     guilty = records[next(iter(told or faults))]
     words = (
         f"The field of '{first.instrument}' is {factor:g} times that of '{second.instrument}': "
@@ -304,6 +336,3 @@ def finding_of(
         axes=axes,
         remedies=tuple(remedies),
     )
-
-
-

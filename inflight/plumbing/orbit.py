@@ -22,7 +22,7 @@ from inflight.frames import (
     rotate_with_earth,
     to_date,
 )
-from inflight.plumbing.clocks import Pair, left_by, linear_pair, with_constant
+from inflight.plumbing.clocks import Pair, left_by, linear_pair, scalar_pair, with_constant
 from inflight.plumbing.fields import POWERS, Mounted, axes_against, axes_line, finding_of, unit_remedies
 from inflight.plumbing.findings import Finding, Remedy
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
@@ -41,6 +41,9 @@ _CONVENTIONS = {
 
 #: Spacing of the positions at which the main field is computed: between them it is linear within some nT.
 _STEP_NS = 20 * SECOND
+
+#: Seconds between the lags at which it is tried.
+_STEP_S = 5
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,9 @@ class Orbit:
         places = replace(position, stamps=stamps, values=fixed, cadence_ns=step)
         field = replace(places, values=main_field(fixed, stamps), name="main field")
         attitude = survey.of_kind("attitude", ("itrf", "nec", "gcrf"))
-        return cls(position, field, places, attitude and replace(attitude, values=_continuous(attitude.values)))
+        return cls(
+            position, field, places, attitude and replace(attitude, values=_continuous(attitude.values))
+        )
 
     @property
     def strength(self) -> Record:
@@ -142,10 +147,13 @@ def _continuous(quaternion: Floats) -> Floats:
 
 def orbit_pairs(survey: Survey, orbit: Orbit) -> list[Pair]:
     """Return pairs of each field with the position, and of each vector with the attitude."""
-    pairs, vectors = [], [one for one in survey.fields.values() if one.values.ndim == 2]
-    for record in survey.fields.values():
-        size = record.values if record.values.ndim == 1 else np.linalg.norm(record.values, axis=1)
-        pairs.append(linear_pair(replace(record, values=size), orbit.strength))
+    vectors = [one for one in survey.fields.values() if one.values.ndim == 2]
+    pairs = [
+        scalar_pair(orbit.strength, one, _STEP_S)
+        if one.values.ndim == 2
+        else linear_pair(one, orbit.strength, step_s=_STEP_S)
+        for one in survey.fields.values()
+    ]
     if orbit.attitude is None:
         return pairs
     for vector in vectors:
@@ -155,7 +163,7 @@ def orbit_pairs(survey: Survey, orbit: Orbit) -> list[Pair]:
         def residual(lag_ns: int, stamps: Int64 = stamps, reading: Floats = reading) -> Floats:
             return left_by(with_constant(orbit.in_spacecraft(stamps, lag_ns)), reading)
 
-        pairs.append(Pair(vector, orbit.attitude, stamps, residual))
+        pairs.append(Pair(vector, orbit.attitude, stamps, residual, _STEP_S))
     return pairs
 
 

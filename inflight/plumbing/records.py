@@ -62,7 +62,7 @@ class PlumbingSettings:
     chance: float = 1e-4
     part_left: float = 0.5
     days: int = 4
-    rows: int = 6000
+    rows: int = 4000
     blocks: int = 16
     least_rows: int = 12
     unit_tolerance: float = 0.1
@@ -117,7 +117,9 @@ class Record:
         share = share.reshape(-1, *[1] * (self.values.ndim - 1))
         before, behind = self.values[after - 1], self.values[after]
         # Where a stamp is met, the reading beside it has no say.
-        found = np.where(share == 0.0, before, np.where(share == 1.0, behind, before + share * (behind - before)))
+        found = np.where(
+            share == 0.0, before, np.where(share == 1.0, behind, before + share * (behind - before))
+        )
         found[~known] = np.nan
         return np.asarray(found)
 
@@ -228,16 +230,17 @@ class Choice(Generic[Name]):
     @property
     def how_sure(self) -> str:
         """The statement in words."""
-        chance = f"{self.p:.0e}" if self.p > 1e-12 else "below 1e-12"
         rivals = f", and {len(self.rivals)} other explanation" + ("s" if len(self.rivals) > 1 else "")
         return (
             f"the typical residual falls from {self.before:.3g} to {self.after:.3g} nT in {self.blocks} blocks of "
-            f"the record (chance {chance}{rivals + ' as good' if self.rivals else ''})"
+            f"the record (chance {chance_text(self.p)}{rivals + ' as good' if self.rivals else ''})"
         )
 
 
 def choose(
-    stated: Floats | None, trials: Mapping[Name, Floats | None], settings: PlumbingSettings = PLUMBING_SETTINGS
+    stated: Floats | None,
+    trials: Mapping[Name, Floats | None],
+    settings: PlumbingSettings = PLUMBING_SETTINGS,
 ) -> Choice[Name] | None:
     """Return the explanation that agrees best, when that is beyond chance and not a small matter.
 
@@ -258,10 +261,13 @@ def choose(
     if p > settings.chance or after > settings.part_left * before:
         return None
     level = settings.chance / len(known)
-    rivals = [
-        name for name in known if name != best and chance_of(known[name], known[best]) > level
-    ]
+    rivals = [name for name in known if name != best and chance_of(known[name], known[best]) > level]
     return Choice(best, tuple(sorted(rivals, key=lambda name: size[name])), before, after, p, stated.size)
+
+
+def chance_text(p: float) -> str:
+    """Return a chance in words."""
+    return f"{p:.0e}" if p > 1e-12 else "below 1e-12"
 
 
 def plain(value: Any) -> str:
