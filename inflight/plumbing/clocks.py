@@ -32,6 +32,8 @@ class Pair:
         TT2000, where they are held together.
     step_s : int
         Seconds between the lags that are tried: what is smooth needs few of them.
+    clears : bool
+        Whether a shift of either record is a shift of one against the other: then the pair clears a clock.
     residual : callable
         What is left between the first and the second, shifted by nanoseconds: the second is read at
         ``stamps + lag``; (row,) or (row, axis), nT.
@@ -42,6 +44,7 @@ class Pair:
     stamps: Int64
     residual: Callable[[int], Floats]
     step_s: int = 1
+    clears: bool = True
 
     def squares(self, lag_ns: int) -> Floats | None:
         """Return the typical squares of blocks at a lag."""
@@ -83,15 +86,27 @@ def scalar_pair(scalar: Record, vector: Record, step_s: int = 1) -> Pair:
 
     ``F^2 = |K (E - E0)|^2`` is linear in the products of the components of E, and in E.
     """
-    size = float(np.nanmedian(np.linalg.norm(vector.values, axis=1))) or 1.0
     strength = float(np.nanmedian(np.abs(scalar.values))) or 1.0
     squared = replace(scalar, values=scalar.values**2 / (2.0 * strength))
+    columns = quadratic_columns(vector.values)
+    return linear_pair(squared, vector, columns, step_s)
 
-    def columns(values: Floats) -> Floats:
-        x, y, z = (values / size).T
+
+def quadratic_columns(values: Floats) -> Callable[[Floats], Floats]:
+    """Return what makes of vectors (row, axis) their components, products of these and a constant: (row, 10).
+
+    Counted from the typical vector in units of their spread, so that a field that hardly turns makes columns
+    that differ.
+    """
+    middle = np.nanmedian(values, axis=0)
+    spread = np.nanstd(values, axis=0)
+    spread = np.where(spread > 0, spread, 1.0)
+
+    def columns(vectors: Floats) -> Floats:
+        x, y, z = ((vectors - middle) / spread).T
         return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, np.ones(len(x))])
 
-    return linear_pair(squared, vector, columns, step_s)
+    return columns
 
 
 def left_by(columns: Floats, target: Floats) -> Floats:
@@ -189,7 +204,7 @@ def _between(pair: Pair, lag_ns: int) -> tuple[float, float]:
 def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair]) -> bool:
     """Return True when another pair agrees better as stated than with the stamps of an instrument moved."""
     for other in pairs:
-        if other is pair or instrument not in (other.first.instrument, other.second.instrument):
+        if other is pair or not other.clears or instrument not in (other.first.instrument, other.second.instrument):
             continue
         if {other.first.instrument, other.second.instrument} == {
             pair.first.instrument,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.model import Model, rows_of
-from inflight.plumbing.clocks import left_by, with_constant
+from inflight.plumbing.clocks import left_by, quadratic_columns, with_constant
 from inflight.plumbing.fields import AXES, TURNS, Turn, axes_line, finding_of, unit_remedies
 from inflight.plumbing.findings import Finding, Remedy, channel_path
 from inflight.plumbing.records import Choice, Record, Survey, choose, typical_squares
@@ -74,9 +74,7 @@ def left_by_model(model: Model, samples: xr.Dataset, kind: str) -> Floats | None
         return typical_squares(left_by(with_constant(np.asarray(samples["outboard"].values)), residual))
     reading = np.asarray(samples["vector"].values, dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        x, y, z = reading.T
-        columns = np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
-        columns /= np.linalg.norm(reading, axis=1, keepdims=True)
+        columns = quadratic_columns(reading)(reading) / np.linalg.norm(reading, axis=1, keepdims=True)
     return typical_squares(left_by(columns, residual[:, 0]))
 
 

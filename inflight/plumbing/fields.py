@@ -224,38 +224,42 @@ def axes_findings(survey: Survey) -> list[Finding]:
         record.name: Mounted(record, one, survey.mission.instruments[record.instrument])
         for record, one in zip((first, second), values, strict=True)
     }
-    against = {first.name: mounted[second.name].stated, second.name: mounted[first.name].stated}
-    return axes_against(stamps, mounted, against)
+    return axes_against(stamps, mounted.pop(first.name), mounted)
 
 
 def axes_against(
     stamps: Int64,
+    field: Floats | Mounted,
     mounted: Mapping[str, Mounted],
-    against: Mapping[str, Floats],
     rival: Mapping[str, tuple[Floats, Remedy]] | None = None,
 ) -> list[Finding]:
-    """Return whether the columns of vectors have wrong names or signs, against a field in the spacecraft's axes.
+    """Return whether columns of vectors have wrong names or signs.
 
     Parameters
     ----------
     stamps : ndarray of int64, shape (row,)
+    field : ndarray, shape (row, 3), or Mounted
+        What is right, in the spacecraft's axes, or the other vector, which may be wrong, too.
     mounted : mapping of str to Mounted
-        The vectors that may be wrong.
-    against : mapping of str to ndarray, shape (row, 3)
-        What each of them is held against.
+        The vector that may be wrong, by its record's name.
     rival : mapping, optional
-        What they are held against under other conventions of the attitude, and the lines that state these.
+        The field under other conventions of the attitude, and the lines that state these.
     """
     rival = rival or {}
-    start = next(iter(mounted))
+    ((name, vector),) = mounted.items()
+    right = field.stated if isinstance(field, Mounted) else field
     trials: dict[tuple[str, Turn | str], Floats | None] = {
-        (name, turn): typical_squares(difference(against[name], one.under(turn)))
-        for name, one in mounted.items()
-        for turn in TURNS
+        (name, turn): typical_squares(difference(right, vector.under(turn))) for turn in TURNS
     }
-    for name, (field, _) in rival.items():
-        trials["attitude", name] = typical_squares(difference(field, mounted[start].stated))
-    found = choose(typical_squares(difference(against[start], mounted[start].stated)), trials)
+    if isinstance(field, Mounted):
+        mounted = {**mounted, field.record.name: field}
+        trials |= {
+            (field.record.name, turn): typical_squares(difference(field.under(turn), vector.stated))
+            for turn in TURNS
+        }
+    for convention, (other, _) in rival.items():
+        trials["attitude", convention] = typical_squares(difference(other, vector.stated))
+    found = choose(typical_squares(difference(right, vector.stated)), trials)
     return [] if found is None else [_axes_finding(found, mounted, stamps, rival)]
 
 

@@ -163,7 +163,8 @@ def orbit_pairs(survey: Survey, orbit: Orbit) -> list[Pair]:
         def residual(lag_ns: int, stamps: Int64 = stamps, reading: Floats = reading) -> Floats:
             return left_by(with_constant(orbit.in_spacecraft(stamps, lag_ns)), reading)
 
-        pairs.append(Pair(vector, orbit.attitude, stamps, residual, _STEP_S))
+        # A vector that is late is late for the position, too.
+        pairs.append(Pair(vector, orbit.attitude, stamps, residual, _STEP_S, clears=False))
     return pairs
 
 
@@ -181,7 +182,7 @@ def orbit_axes(survey: Survey, orbit: Orbit) -> list[Finding]:
             name: (orbit.in_spacecraft(stamps, convention=name), _convention_remedy(orbit.attitude, name))
             for name in _CONVENTIONS
         }
-        out += axes_against(stamps, {role: mounted}, {role: orbit.in_spacecraft(stamps)}, rival)
+        out += axes_against(stamps, orbit.in_spacecraft(stamps), {role: mounted}, rival)
     return out
 
 
