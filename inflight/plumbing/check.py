@@ -41,7 +41,9 @@ def find_faults(
     # A channel of another unit, or of fields with another clock or unit, is told once.
     if model is not None and samples is not None and not any(one.fault in ("unit", "clock") for one in found):
         found += coefficient_findings(survey, model, samples)
-    return tuple(sorted(found, key=lambda one: (not one.sure, one.p)))
+    found.sort(key=lambda one: (not one.sure, one.p))
+    # What mends it is the same: one fault, which two fields show.
+    return tuple({tuple(remedy.text for remedy in one.remedies): one for one in reversed(found)}.values())[::-1]
 
 
 def field_faults(survey: Survey) -> list[Finding]:

@@ -6,7 +6,7 @@ pairs which of both is at fault.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from inflight.arrays import Floats
 from inflight.mission import Mission
 from inflight.plumbing.fields import finding_of
 from inflight.plumbing.findings import Finding, Remedy, clock_lines
-from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, chance_of, choose, typical_squares
+from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, chance_of, choose, gains, mean_gain, typical_squares
 from inflight.time import SECOND, Int64, to_utc
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
@@ -46,7 +46,7 @@ class Pair:
     step_s: int = 1
     clears: bool = True
 
-    def squares(self, lag_ns: int) -> Floats | None:
+    def squares(self, lag_ns: int) -> Floats:
         """Return the typical squares of blocks at a lag."""
         return typical_squares(self.residual(lag_ns))
 
@@ -151,54 +151,40 @@ def clock_findings(mission: Mission, pairs: Sequence[Pair]) -> list[Finding]:
 
 def find_lag(pair: Pair) -> tuple[float, Choice[int]] | None:
     """Return by how many seconds the second record of a pair is late, and how sure that is."""
-    stated = pair.squares(0)
-    if stated is None:
+    stated, step = pair.squares(0), pair.step_s
+    if not gains(stated, stated).size:
         return None
-    step = pair.step_s
-    near = [
-        sign * one * SECOND for one in range(step, PLUMBING_SETTINGS.seconds + 1, step) for sign in (1, -1)
-    ]
-    far = [
-        sign * one * 1800 * SECOND for one in range(1, PLUMBING_SETTINGS.half_hours + 1) for sign in (1, -1)
-    ]
-    trials = {lag: pair.squares(lag) for lag in (*near, *far)}
-    best = min(trials, key=lambda lag: _size(trials[lag]))
+
+    def tried(lags: Iterable[int]) -> dict[int, Floats]:
+        return {lag: pair.squares(lag) for lag in lags}
+
+    near = [one * SECOND for one in range(-PLUMBING_SETTINGS.seconds, PLUMBING_SETTINGS.seconds + 1, step)]
+    most = PLUMBING_SETTINGS.half_hours
+    trials = tried({*near, *(one * 1800 * SECOND for one in range(-most, most + 1))})
+    best = max(trials, key=lambda lag: mean_gain(stated, trials[lag]))
     if abs(best) >= 1800 * SECOND:
-        trials |= {best + by: pair.squares(best + by) for by in near}
-        best = min(trials, key=lambda lag: _size(trials[lag]))
-    trials |= {best + by * SECOND: pair.squares(best + by * SECOND) for by in range(1 - step, step)}
+        trials |= tried(best + by for by in near)
+        best = max(trials, key=lambda lag: mean_gain(stated, trials[lag]))
+    trials |= tried(best + by * SECOND for by in range(1 - step, step))
     trials.pop(0, None)
     found = choose(stated, trials)
     if found is None or any(abs(lag - found.name) > 3 * SECOND for lag in found.rivals):
         return None
-    lag_s, sigma = _between(pair, found.name)
-    whole = round(lag_s)
-    tolerance = max(PLUMBING_SETTINGS.whole, 3.0 * sigma)
-    if abs(lag_s - whole) <= tolerance and whole:
-        lag_s = float(whole)
+    lag_s = _between(pair, found.name)
+    for unit in (1800.0, 1.0):
+        if abs(lag_s) >= 0.5 * unit and abs(lag_s - unit * round(lag_s / unit)) <= PLUMBING_SETTINGS.whole:
+            lag_s = unit * round(lag_s / unit)
     return (round(lag_s, 2), found) if abs(lag_s) >= 0.5 else None
 
 
-def _size(squares: Floats | None) -> float:
-    """Return the mean logarithm of typical squares."""
-    return np.inf if squares is None else float(np.mean(np.log(squares)))
-
-
-def _between(pair: Pair, lag_ns: int) -> tuple[float, float]:
-    """Return where between whole seconds the squares are least, by a parabola in each block; s and its sigma."""
-    around = [pair.squares(lag_ns + step * SECOND) for step in (-1, 0, 1)]
-    if any(one is None for one in around):
-        return lag_ns / SECOND, 0.0
-    before, here, after = np.stack([one for one in around if one is not None])
-    bend = before - 2.0 * here + after
-    total = float(np.sum(bend))
-    if total <= 0:
-        return lag_ns / SECOND, 0.5
-    place = 0.5 * (before - after) / bend
-    mean = float(np.sum(bend * place)) / total
-    weight = bend / total
-    sigma = float(np.sqrt(np.sum(weight**2 * (place - mean) ** 2)))
-    return lag_ns / SECOND + float(np.clip(mean, -1.0, 1.0)), sigma
+def _between(pair: Pair, lag_ns: int) -> float:
+    """Return the lag between whole seconds at which the squares of all blocks are least, by a parabola; s."""
+    before, here, after = (pair.squares(lag_ns + by * SECOND) for by in (-1, 0, 1))
+    both = np.isfinite(before) & np.isfinite(here) & np.isfinite(after)
+    bend = float(np.sum((before - 2.0 * here + after)[both]))
+    if bend <= 0:
+        return lag_ns / SECOND
+    return lag_ns / SECOND + float(np.clip(0.5 * np.sum((before - after)[both]) / bend, -1.0, 1.0))
 
 
 def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair]) -> bool:
@@ -211,8 +197,8 @@ def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair
             pair.second.instrument,
         }:
             continue
-        stated, moved = other.squares(0), other.squares(other.lag_of(instrument, late_s))
-        if stated is not None and moved is not None and chance_of(moved, stated) < PLUMBING_SETTINGS.chance:
+        moved = other.squares(other.lag_of(instrument, late_s))
+        if chance_of(moved, other.squares(0)) < PLUMBING_SETTINGS.chance:
             return True
     return False
 

@@ -66,7 +66,7 @@ def _changed_samples(survey: Survey, record: Record, samples: xr.Dataset) -> Map
     return {how: samples.assign({record.name: held.copy(data=one)}) for how, one in changed.items()}
 
 
-def left_by_model(model: Model, samples: xr.Dataset, kind: str) -> Floats | None:
+def left_by_model(model: Model, samples: xr.Dataset, kind: str) -> Floats:
     """Return the typical squares of what model and calibration leave; (block,) nT^2."""
     rows = rows_of(model, samples)
     residual = np.where(rows.good[:, None], rows.residual, np.nan)

@@ -178,7 +178,7 @@ def unit_findings(survey: Survey, main_field: Mapping[str, Floats] | None = None
     found = choose(typical_squares(size_one - size_other), trials)
     if found is None or found.rivals:
         return []
-    if found.after > PLUMBING_SETTINGS.unit_tolerance * float(np.nanmedian(size_one)):
+    if found.after > PLUMBING_SETTINGS.unit_tolerance * float(np.nanmedian(np.abs(size_one))):
         return []
     factor = 10.0**found.name
     faults = {second.name: factor, first.name: 1.0 / factor}
@@ -248,7 +248,7 @@ def axes_against(
     rival = rival or {}
     ((name, vector),) = mounted.items()
     right = field.stated if isinstance(field, Mounted) else field
-    trials: dict[tuple[str, Turn | str], Floats | None] = {
+    trials: dict[tuple[str, Turn | str], Floats] = {
         (name, turn): typical_squares(difference(right, vector.under(turn))) for turn in TURNS
     }
     if isinstance(field, Mounted):

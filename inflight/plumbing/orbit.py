@@ -213,7 +213,7 @@ def position_findings(survey: Survey) -> list[Finding]:
         return []
     values = record.at(stamps)
     size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
-    trials: Mapping[float, Floats | None] = {
+    trials: Mapping[float, Floats] = {
         one: typical_squares(size - np.linalg.norm(main_field(fixed, stamps), axis=1))
         for one in (*(10.0**power for power in POWERS), EARTH_RADIUS)
         if _is_near(fixed := _fixed(position, stamps, factor * one))

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-import scipy
 
 from inflight.arrays import Floats
 from inflight.instruments import Channel
@@ -35,8 +34,9 @@ class PlumbingSettings:
         Days that are read, evenly spread over the record; a bound on time.
     rows : int
         Rows of a question about fields at most; a bound on time.
-    blocks, least_rows : int
-        Blocks a record is divided into, and rows of each at least; assumed.
+    blocks, least_rows, least_blocks : int
+        Blocks a record is divided into, as many as a search has; rows of each, and blocks that two
+        explanations must have in common, at least; assumed.
     unit_tolerance : float
         Part by which gains and offsets may keep a ratio of two fields from a power of ten; assumed.
     seconds : int
@@ -44,7 +44,8 @@ class PlumbingSettings:
     half_hours : int
         Half hours that are tried: time zones reach 14 hours.
     whole : float
-        A clock is told to be off by whole seconds when it is within so many seconds of these; assumed.
+        A clock is told to be off by whole seconds, or half hours, when it is within so many seconds of these:
+        the rest is a small shift, which the effect ``time_shift`` finds; assumed.
     main_field_radii : float
         The main field alone describes what is measured up to so many Earth radii; assumed.
     coefficient : float
@@ -63,12 +64,13 @@ class PlumbingSettings:
     part_left: float = 0.5
     days: int = 4
     rows: int = 4000
-    blocks: int = 16
+    blocks: int = 96
     least_rows: int = 12
+    least_blocks: int = 24
     unit_tolerance: float = 0.1
     seconds: int = 70
     half_hours: int = 28
-    whole: float = 0.1
+    whole: float = 0.25
     main_field_radii: float = 1.5
     coefficient: float = 0.3
     earth_temperatures: tuple[float, float] = (-150.0, 150.0)
@@ -170,35 +172,59 @@ class Survey:
         return next(found, None)
 
 
-def typical_squares(residual: Floats, blocks: int = PLUMBING_SETTINGS.blocks) -> Floats | None:
-    """Return the typical square of a residual in consecutive blocks; None with too few rows for them.
+def typical_squares(residual: Floats) -> Floats:
+    """Return the typical square of a residual in consecutive blocks; NaN for one of too few rows; (block,).
 
-    By the median of the squares, whatever a few outliers read; (block,).
+    By the median of the squares, whatever a few outliers read.
 
     Parameters
     ----------
     residual : ndarray, shape (row,) or (row, axis)
         In order of time; NaN where missing.
     """
+    blocks = PLUMBING_SETTINGS.blocks
     size = np.abs(residual) if residual.ndim == 1 else np.linalg.norm(residual, axis=1)
-    if np.count_nonzero(np.isfinite(size)) < blocks * PLUMBING_SETTINGS.least_rows:
-        return None
-    parts = [part[np.isfinite(part)] for part in np.array_split(size, blocks)]
-    if min(part.size for part in parts) < PLUMBING_SETTINGS.least_rows:
-        # Uneven gaps: blocks of equally many readings.
-        parts = np.array_split(size[np.isfinite(size)], blocks)
+    each = size.size // blocks
+    if each < PLUMBING_SETTINGS.least_rows:
+        return np.full(blocks, np.nan)
+    # Missing rows are sorted to the end of their block.
+    ranked = np.sort(size[: each * blocks].reshape(blocks, each), axis=1)
+    count = np.isfinite(ranked).sum(axis=1)
+    place, row = np.maximum(count - 1, 0), np.arange(blocks)
+    middle = 0.5 * (ranked[row, place // 2] + ranked[row, (place + 1) // 2])
     # A normal deviate's square has the median 0.455.
-    return np.array([np.median(part) ** 2 for part in parts]) / 0.455 + np.finfo(float).tiny
+    squares = middle**2 / 0.455 + np.finfo(float).tiny
+    return np.where(count >= PLUMBING_SETTINGS.least_rows, squares, np.nan)
+
+
+def gains(worse: Floats, better: Floats) -> Floats:
+    """Return the logarithm by which each block agrees better, of the blocks that both have; empty of too few."""
+    found = np.log(worse) - np.log(better)
+    found = found[np.isfinite(found)]
+    return found if found.size >= PLUMBING_SETTINGS.least_blocks else found[:0]
+
+
+def mean_gain(worse: Floats, better: Floats) -> float:
+    """Return the mean of `gains`; that of something infinitely worse when there is none."""
+    found = gains(worse, better)
+    return float(np.mean(found)) if found.size else -np.inf
 
 
 def chance_of(worse: Floats, better: Floats) -> float:
-    """Return how likely blocks agree so much better by chance: Student's t of the logarithms, one-sided."""
-    gain = np.log(worse) - np.log(better)
-    error = float(np.std(gain, ddof=1)) / np.sqrt(gain.size)
-    mean = float(np.mean(gain))
-    if error <= 1e-9 * abs(mean):
-        return 0.0 if mean > 0 else 1.0
-    return float(scipy.special.stdtr(gain.size - 1, -mean / error))
+    """Return how likely blocks agree so much better by chance, one-sided.
+
+    Were both as good, the logarithm of each block's ratio would be as likely negative: Chernoff's bound of the
+    sum with random signs. Blocks without information neither add to it nor take from it.
+    """
+    gain = gains(worse, better)
+    total, size = float(np.sum(gain)), float(np.max(np.abs(gain), initial=0.0))
+    if total <= 0 or size <= 1e-9:
+        return 1.0
+    slopes = np.geomspace(1e-3, 1e3, 60)[:, None] / size
+    # log(cosh) without overflow.
+    steps = np.abs(slopes * gain)
+    bound = np.sum(steps + np.log1p(np.exp(-2.0 * steps)) - np.log(2.0), axis=1) - slopes[:, 0] * total
+    return float(np.exp(min(0.0, float(bound.min()))))
 
 
 Name = TypeVar("Name", bound=Hashable)
@@ -237,32 +263,36 @@ class Choice(Generic[Name]):
         )
 
 
-def choose(
-    stated: Floats | None,
-    trials: Mapping[Name, Floats | None],
-    settings: PlumbingSettings = PLUMBING_SETTINGS,
-) -> Choice[Name] | None:
+def choose(stated: Floats, trials: Mapping[Name, Floats]) -> Choice[Name] | None:
     """Return the explanation that agrees best, when that is beyond chance and not a small matter.
 
     Parameters
     ----------
-    stated : ndarray, shape (block,), optional
+    stated : ndarray, shape (block,)
         Typical squares as the mission states it.
     trials : mapping
         Those under each explanation.
     """
-    known = {name: squares for name, squares in trials.items() if squares is not None}
-    if stated is None or not known:
+    settings = PLUMBING_SETTINGS
+    gain = {name: mean_gain(stated, squares) for name, squares in trials.items()}
+    best = max(gain, key=lambda name: gain[name], default=None)
+    if best is None:
         return None
-    size = {name: float(np.mean(np.log(squares))) for name, squares in known.items()}
-    best = min(size, key=lambda name: size[name])
-    before, after = (float(np.exp(0.5 * np.mean(np.log(squares)))) for squares in (stated, known[best]))
-    p = min(1.0, chance_of(stated, known[best]) * len(known))
-    if p > settings.chance or after > settings.part_left * before:
+    both = np.isfinite(stated) & np.isfinite(trials[best])
+    p = min(1.0, chance_of(stated, trials[best]) * len(trials))
+    if p > settings.chance:
         return None
-    level = settings.chance / len(known)
-    rivals = [name for name in known if name != best and chance_of(known[name], known[best]) > level]
-    return Choice(best, tuple(sorted(rivals, key=lambda name: size[name])), before, after, p, stated.size)
+    before, after = (float(np.sqrt(np.mean(squares[both]))) for squares in (stated, trials[best]))
+    if after > settings.part_left * before:
+        return None
+    level = settings.chance / len(trials)
+    rivals = [
+        name
+        for name, squares in trials.items()
+        if name != best and gain[name] > 0 and chance_of(squares, trials[best]) > level
+    ]
+    rivals.sort(key=lambda name: -gain[name])
+    return Choice(best, tuple(rivals), before, after, p, int(both.sum()))
 
 
 def chance_text(p: float) -> str:
