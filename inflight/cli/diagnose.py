@@ -173,8 +173,10 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         console.print(text, soft_wrap=True, markup=False)
 
     sentence = Text(f"{fields['sentence']}\n", style="default").append(fields.get("meaning", ""), style="dim")
-    colour = _COLOURS[fields["verdict"]]
-    console.print(Panel(sentence, title=fields["verdict"], title_align="left", border_style=colour))
+    title, colour = fields["verdict"], _COLOURS[fields["verdict"]]
+    if fields.get("plumbing"):
+        title, colour = "MEND THE DATA FIRST", "red"
+    console.print(Panel(sentence, title=title, title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
     for table, rows in ((_entries_table, fields.get("entries")), (_effects_table, fields["effects"])):

@@ -12,7 +12,7 @@ from inflight.model import Model, rows_of
 from inflight.plumbing.clocks import left_by, quadratic_columns, with_constant
 from inflight.plumbing.fields import AXES, TURNS, Turn, axes_line, finding_of, unit_remedies
 from inflight.plumbing.findings import Finding, Remedy, channel_path
-from inflight.plumbing.records import Choice, Record, Survey, choose, typical_squares
+from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, Survey, choose, typical_squares
 
 #: Powers of ten between units of currents and voltages.
 _POWERS = (-6, -3, 3, 6)
@@ -45,7 +45,9 @@ def coefficient_findings(survey: Survey, model: Model, samples: xr.Dataset) -> l
         for how, changed in _changed_samples(survey, record, samples).items()
     }
     # All in one ranking: where something is wrong, many changes take off a part of it.
-    found = choose(left_by_model(model, samples, survey.kind), trials) if trials else None
+    # A physical effect that is missing is taken up by many a change of a channel, but not nearly whole.
+    stated, part = left_by_model(model, samples, survey.kind), PLUMBING_SETTINGS.part_left_by_model
+    found = choose(stated, trials, part) if trials else None
     return [] if found is None else [_coefficient_finding(survey, samples, found)]
 
 

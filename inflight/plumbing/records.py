@@ -32,6 +32,8 @@ class PlumbingSettings:
         is left to the search, and averaging two readings cannot take off so much; assumed.
     days : int
         Days that are read, evenly spread over the record; a bound on time.
+    part_left_by_model : float
+        The same of a channel judged by the model's coefficients; assumed.
     rows : int
         Rows of a question about fields at most; a bound on time.
     blocks, least_rows, least_blocks : int
@@ -48,8 +50,6 @@ class PlumbingSettings:
         the rest is a small shift, which the effect ``time_shift`` finds; assumed.
     main_field_radii : float
         The main field alone describes what is measured up to so many Earth radii; assumed.
-    coefficient : float
-        Part by which a stated coefficient may be wrong beside a wrong unit of its channel; assumed.
     earth_temperatures : tuple of float
         Temperatures of units aboard, degC; assumed.
     longer : float
@@ -62,6 +62,7 @@ class PlumbingSettings:
 
     chance: float = 1e-4
     part_left: float = 0.5
+    part_left_by_model: float = 0.3
     days: int = 4
     rows: int = 4000
     blocks: int = 96
@@ -72,7 +73,6 @@ class PlumbingSettings:
     half_hours: int = 28
     whole: float = 0.25
     main_field_radii: float = 1.5
-    coefficient: float = 0.3
     earth_temperatures: tuple[float, float] = (-150.0, 150.0)
     longer: float = 20.0
     stale_runs: int = 8
@@ -263,7 +263,9 @@ class Choice(Generic[Name]):
         )
 
 
-def choose(stated: Floats, trials: Mapping[Name, Floats]) -> Choice[Name] | None:
+def choose(
+    stated: Floats, trials: Mapping[Name, Floats], part_left: float = PLUMBING_SETTINGS.part_left
+) -> Choice[Name] | None:
     """Return the explanation that agrees best, when that is beyond chance and not a small matter.
 
     Parameters
@@ -272,6 +274,8 @@ def choose(stated: Floats, trials: Mapping[Name, Floats]) -> Choice[Name] | None
         Typical squares as the mission states it.
     trials : mapping
         Those under each explanation.
+    part_left : float
+        Part of the typical residual that it may leave.
     """
     settings = PLUMBING_SETTINGS
     gain = {name: mean_gain(stated, squares) for name, squares in trials.items()}
@@ -283,7 +287,7 @@ def choose(stated: Floats, trials: Mapping[Name, Floats]) -> Choice[Name] | None
     if p > settings.chance:
         return None
     before, after = (float(np.sqrt(np.mean(squares[both]))) for squares in (stated, trials[best]))
-    if after > settings.part_left * before:
+    if after > part_left * before:
         return None
     level = settings.chance / len(trials)
     rivals = [
