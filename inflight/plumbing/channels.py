@@ -10,7 +10,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.plumbing.findings import Finding, Remedy, channel_path
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, chance_text
-from inflight.time import GAP, SECOND, Int64
+from inflight.time import SECOND, Int64
 from inflight.units import factor_and_offset
 
 #: Kinds of channels that stand still for good reasons.
@@ -35,8 +35,7 @@ def stale_findings(record: Record) -> list[Finding]:
         return []
     flat = record.values.reshape(len(record.values), -1)
     names = record.entry.axis_names or ("",) * flat.shape[1]
-    breaks = np.diff(record.stamps) > GAP * record.cadence_ns
-    by_axis = {name: stale_runs(column, breaks) for name, column in zip(names, flat.T, strict=True)}
+    by_axis = {name: stale_runs(column) for name, column in zip(names, flat.T, strict=True)}
     found = [(run, name) for name, runs in by_axis.items() for run in runs]
     if not found:
         return []
@@ -74,28 +73,18 @@ def stale_findings(record: Record) -> list[Finding]:
     ]
 
 
-def stale_runs(values: Floats, breaks: np.ndarray | None = None) -> list[Stale]:
-    """Return runs of one number that are far longer than the others of a series (time,).
+def stale_runs(values: Floats) -> list[Stale]:
+    """Return runs of one number that are far longer than the others of a series (time,); gaps end none.
 
     A channel that switches stays at its levels for long, at rest it reads zero or an end of its range: a run
     counts only at a number that lies between others and is no level, which is where the channel stays for
     long once more.
-
-    Parameters
-    ----------
-    breaks : ndarray of bool, shape (time - 1,), optional
-        Gaps in time.
     """
-    if values.size < PLUMBING_SETTINGS.least_runs:
-        return []
-    new = values[1:] != values[:-1]
-    new = new | breaks if breaks is not None else new
-    first = np.flatnonzero(np.concatenate([[True], new]))
-    length = np.diff(np.append(first, values.size))
-    known = np.isfinite(values[first])
-    first, length, number = first[known], length[known], values[first[known]]
+    rows = np.flatnonzero(np.isfinite(values))
+    first = np.flatnonzero(np.diff(values[rows], prepend=np.nan) != 0.0)
     if first.size < PLUMBING_SETTINGS.least_runs:
         return []
+    length, number = np.diff(np.append(first, rows.size)), values[rows][first]
     apart = PLUMBING_SETTINGS.stale_runs
     usual = int(np.sort(length)[-1 - apart])
     low, high = number.min(), number.max()
@@ -107,8 +96,8 @@ def stale_runs(values: Floats, breaks: np.ndarray | None = None) -> list[Stale]:
         # Were lengths exponential, so many runs would hold one as long with this chance.
         p = float(first.size * (apart / first.size) ** (length[place] / usual))
         if low < here < high and here != 0.0 and not is_level and p < PLUMBING_SETTINGS.chance:
-            last = int(first[place] + length[place] - 1)
-            out.append(Stale(int(first[place]), last, int(length[place]), usual, p))
+            last = first[place] + length[place] - 1
+            out.append(Stale(int(rows[first[place]]), int(rows[last]), int(length[place]), usual, p))
     return out
 
 

@@ -63,7 +63,8 @@ def linear_pair(
     The faster of both is shifted; a scalar is told by the squares and products of a vector's components.
     """
     slow_second = second.cadence_ns > first.cadence_ns
-    stamps = (second if slow_second else first).thinned(PLUMBING_SETTINGS.rows)
+    rows = PLUMBING_SETTINGS.rows // (1 if step_s == 1 else 2)
+    stamps = (second if slow_second else first).thinned(rows)
     fixed = (second if slow_second else first).at(stamps)
     make = columns or with_constant
 
@@ -124,7 +125,10 @@ def left_by(columns: Floats, target: Floats) -> Floats:
         residual[good] = wide[good] - (columns[good] / scale) @ value
         size = np.linalg.norm(residual, axis=1)
         # Five sigma of a normal deviate.
-        use = good & (size <= 5.0 / 0.6745 * np.nanmedian(size))
+        kept = good & (size <= 5.0 / 0.6745 * np.median(size[good]))
+        if kept.sum() == use.sum():
+            break
+        use = kept
     return residual.reshape(target.shape)
 
 

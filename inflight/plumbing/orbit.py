@@ -29,13 +29,18 @@ from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose,
 from inflight.time import SECOND, Int64, to_utc
 from inflight.units import factor_and_offset
 
-#: Axes of a quaternion as archived, and what they really are under other conventions.
+#: Other conventions of the attitude, in words, and what the archived x, y, z and w of a quaternion then are.
 _CONVENTIONS = {
     "inverse": ("the quaternion turns the other way", ("-x", "-y", "-z", "w")),
     "scalar first": ("the quaternion's scalar part comes first", ("w", "x", "y", "z")),
-    "inverse, scalar first": (
+    "scalar first, inverse": (
         "the quaternion's scalar part comes first, and it turns the other way",
         ("w", "-x", "-y", "-z"),
+    ),
+    "scalar last": ("the quaternion's scalar part comes last", ("y", "z", "w", "x")),
+    "scalar last, inverse": (
+        "the quaternion's scalar part comes last, and it turns the other way",
+        ("-y", "-z", "w", "-x"),
     ),
 }
 
@@ -157,7 +162,7 @@ def orbit_pairs(survey: Survey, orbit: Orbit) -> list[Pair]:
     if orbit.attitude is None:
         return pairs
     for vector in vectors:
-        stamps = vector.thinned(PLUMBING_SETTINGS.rows)
+        stamps = vector.thinned(PLUMBING_SETTINGS.rows // 2)
         reading = vector.at(stamps)
 
         def residual(lag_ns: int, stamps: Int64 = stamps, reading: Floats = reading) -> Floats:
