@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from surveys import survey_of, wrong
+from plumbing_cases import survey_of, wrong
 
 from inflight.plumbing import find_faults
 from inflight.plumbing.channels import angle_findings, stale_findings, temperature_findings

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inflight.catalog.readers.raw import read_file
+from inflight.catalog.readers import find_files, read_file
 from inflight.mission import Mission
 from inflight.plumbing import Record, Remedy, Survey
 from inflight.tasks.archive import channel_needs
@@ -16,21 +16,23 @@ def survey_of(text: str, folder: Path, comparison: str = "main", without: tuple[
     tables = {}
     for name, instrument in mission.instruments.items():
         files = mission.files(name)
-        start = files.pattern[0].partition("{")[0].partition("*")[0]
-        paths = sorted(path for path in folder.rglob("*") if str(path.relative_to(folder)).startswith(start))
-        if name not in without and paths:
-            tables[name] = [read_file(path, files, instrument) for path in paths]
+        found, _ = find_files(folder, files)
+        if name not in without and found:
+            tables[name] = [read_file(folder / one.name, files, instrument, one.span) for one in found]
 
     def record(name: str, instrument: str, channel: str) -> Record:
         parts = tables[instrument]
+        stamps = np.concatenate([part.times for part in parts])
+        # Deliveries need not be in order, and may repeat a row.
+        stamps, order = np.unique(stamps, return_index=True)
         return Record(
             name=name,
             instrument=instrument,
             channel=channel,
             entry=mission.instruments[instrument].channels[channel],
             cadence_ns=mission.instruments[instrument].cadence,
-            stamps=np.concatenate([part.times for part in parts]),
-            values=np.concatenate([part.channels[channel] for part in parts]).astype(np.float64),
+            stamps=stamps,
+            values=np.concatenate([part.channels[channel] for part in parts]).astype(np.float64)[order],
         )
 
     roles = mission.comparisons[comparison].instruments()
