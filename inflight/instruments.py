@@ -155,7 +155,6 @@ class Channel(Strict):
             return ("x", "y", "z")
         return tuple(self.variables or ())
 
-
     @property
     def columns(self) -> tuple[list[int], list[float]] | None:
         """Column of the file and sign of each archived axis; None where they are as in the file."""

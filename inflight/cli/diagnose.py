@@ -173,9 +173,7 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         console.print(text, soft_wrap=True, markup=False)
 
     sentence = Text(f"{fields['sentence']}\n", style="default").append(fields.get("meaning", ""), style="dim")
-    title, colour = fields["verdict"], _COLOURS[fields["verdict"]]
-    if fields.get("plumbing"):
-        title, colour = "MEND THE DATA FIRST", "red"
+    title, colour = _heading(fields)
     console.print(Panel(sentence, title=title, title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
@@ -194,6 +192,13 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         line(f"why it stopped: {fields['stopped']}")
     if step_text := _next_step(fields):
         line(step_text)
+
+
+def _heading(fields: Fields) -> tuple[str, str]:
+    """Return title and colour of the box: physics waits while the data are wrong."""
+    if fields.get("plumbing"):
+        return "MEND THE DATA FIRST", "red"
+    return fields["verdict"], _COLOURS[fields["verdict"]]
 
 
 def _sizes_text(residual: Fields) -> str:

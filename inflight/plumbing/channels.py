@@ -1,4 +1,4 @@
-"""What a single channel tells of itself: a reading that repeats, a temperature or an angle in another unit."""
+"""What one channel tells of itself: a reading that repeats, a temperature or an angle in another unit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Stale(NamedTuple):
 
     first: int
     last: int
-    count: int
+    repeats: int
     usual: int
     p: float
 
@@ -39,7 +39,7 @@ def stale_findings(record: Record) -> list[Finding]:
     found = [(run, name) for name, runs in by_axis.items() for run in runs]
     if not found:
         return []
-    longest = max(found, key=lambda one: one[0].count)[0]
+    longest = max(found, key=lambda one: one[0].repeats)[0]
     axes = tuple(name for name, runs in by_axis.items() if runs and name)
     cadence = record.cadence_ns / SECOND
     starts = {run.first for run, _ in found}
@@ -48,11 +48,11 @@ def stale_findings(record: Record) -> list[Finding]:
     words += f", {len(starts)} times" if len(starts) > 1 else ""
     usual = max(run.usual for run, _ in found)
     sure = (
-        f"the same number {longest.count} times in a row, where it else stays for {longest.usual} readings at most"
-        f" (chance {chance_text(longest.p)})"
+        f"the same number {longest.repeats} times in a row, where it else stays for {longest.usual} readings "
+        f"at most (chance {chance_text(longest.p)})"
     )
     # Between both: other months may hold somewhat longer runs.
-    limit = int(np.sqrt(usual * min(run.count for run, _ in found)))
+    limit = int(np.sqrt(usual * min(run.repeats for run, _ in found)))
     line = (channel_path(record.instrument, record.channel, "most_repeats"), str(limit))
     return [
         Finding(
@@ -65,7 +65,7 @@ def stale_findings(record: Record) -> list[Finding]:
             end=int(record.stamps[max(run.last for run, _ in found)]),
             how_sure=sure,
             p=longest.p,
-            before=longest.count * cadence,
+            before=longest.repeats * cadence,
             after=longest.usual * cadence,
             unit="s",
             remedies=(Remedy("the readings are stale", (line,)),),
@@ -113,13 +113,16 @@ def temperature_findings(record: Record) -> list[Finding]:
     if low <= typical <= high or unit is None:
         return []
     words = f"'{record.channel}' of '{record.instrument}' is in {unit}, not as stated"
-    sure = f"a typical temperature of {typical:.4g} degC is beyond {low:g} to {high:g} degC, {really[unit]:.4g} is not"
+    sure = (
+        f"a typical temperature of {typical:.4g} degC is beyond {low:g} to {high:g} degC, "
+        f"{really[unit]:.4g} is not"
+    )
     line = (channel_path(record.instrument, record.channel, "file_unit"), unit)
     return [_of_record(record, words, sure, typical, really[unit], "degC", [Remedy(words, (line,))])]
 
 
 def angle_findings(record: Record) -> list[Finding]:
-    """Return whether an angle that goes round is in radians where degrees are stated, or the other way round."""
+    """Return whether an angle that goes round is in radians where degrees are stated, or in degrees."""
     try:
         turn = factor_and_offset("deg", record.entry.unit)[0] * 360.0
     except ValueError:

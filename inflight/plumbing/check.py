@@ -43,7 +43,9 @@ def find_faults(
         found += coefficient_findings(survey, model, samples)
     found.sort(key=lambda one: (not one.sure, one.p))
     # What mends it is the same: one fault, which two fields show.
-    return tuple({tuple(remedy.text for remedy in one.remedies): one for one in reversed(found)}.values())[::-1]
+    return tuple({tuple(remedy.text for remedy in one.remedies): one for one in reversed(found)}.values())[
+        ::-1
+    ]
 
 
 def field_faults(survey: Survey) -> list[Finding]:
@@ -65,7 +67,7 @@ def field_faults(survey: Survey) -> list[Finding]:
 
 
 def pairs_of(survey: Survey, orbit: Orbit | None) -> list[Pair]:
-    """Return the pairs of records that tell of one field: both instruments', and each one's with the orbit."""
+    """Return the pairs of records that tell of one field: both instruments, and each with the orbit."""
     fields = survey.fields
     if survey.kind == "dual":
         pairs = [linear_pair(fields["inboard"], fields["outboard"])]

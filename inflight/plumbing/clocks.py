@@ -1,7 +1,7 @@
 """Clocks: by how many seconds or hours the stamps of one record are off from those of another.
 
-`clock_findings` takes pairs of records that tell of one field, shifts one against the other, and asks the other
-pairs which of both is at fault.
+`clock_findings` takes pairs of records that tell of one field, shifts one against the other, and asks the
+other pairs which of both is at fault.
 """
 
 from __future__ import annotations
@@ -15,7 +15,16 @@ from inflight.arrays import Floats
 from inflight.mission import Mission
 from inflight.plumbing.fields import finding_of
 from inflight.plumbing.findings import Finding, Remedy, clock_lines
-from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, chance_of, choose, gains, mean_gain, typical_squares
+from inflight.plumbing.records import (
+    PLUMBING_SETTINGS,
+    Choice,
+    Record,
+    chance_of,
+    choose,
+    gains,
+    mean_gain,
+    typical_squares,
+)
 from inflight.time import SECOND, Int64, to_utc
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
@@ -45,6 +54,11 @@ class Pair:
     residual: Callable[[int], Floats]
     step_s: int = 1
     clears: bool = True
+
+    @property
+    def instruments(self) -> set[str]:
+        """Both instruments."""
+        return {self.first.instrument, self.second.instrument}
 
     def squares(self, lag_ns: int) -> Floats:
         """Return the typical squares of blocks at a lag."""
@@ -111,7 +125,7 @@ def quadratic_columns(values: Floats) -> Callable[[Floats], Floats]:
 
 
 def left_by(columns: Floats, target: Floats) -> Floats:
-    """Return what columns (row, column) leave of a target (row,) or (row, axis), without a say of outliers."""
+    """Return what columns (row, column) leave of a target (row,) or (row, axis); outliers have no say."""
     wide = target.reshape(len(target), -1)
     good = np.isfinite(columns).all(axis=1) & np.isfinite(wide).all(axis=1)
     residual = np.full(wide.shape, np.nan)
@@ -134,7 +148,7 @@ def left_by(columns: Floats, target: Floats) -> Floats:
 
 def clock_findings(mission: Mission, pairs: Sequence[Pair]) -> list[Finding]:
     """Return the clocks that are off, by pairs of records that tell of one field."""
-    told: list[tuple[Mapping[str, float], Finding]] = []
+    told: list[tuple[dict[str, float], Finding]] = []
     shifts = [(pair, *shift) for pair in pairs if (shift := find_lag(pair)) is not None]
     for pair, lag_s, choice in shifts:
         # The second is read so much later: its stamps are late, or those of the first are early.
@@ -194,12 +208,7 @@ def _between(pair: Pair, lag_ns: int) -> float:
 def _is_cleared(instrument: str, late_s: float, pair: Pair, pairs: Sequence[Pair]) -> bool:
     """Return True when another pair agrees better as stated than with the stamps of an instrument moved."""
     for other in pairs:
-        if other is pair or not other.clears or instrument not in (other.first.instrument, other.second.instrument):
-            continue
-        if {other.first.instrument, other.second.instrument} == {
-            pair.first.instrument,
-            pair.second.instrument,
-        }:
+        if not other.clears or instrument not in other.instruments or other.instruments == pair.instruments:
             continue
         moved = other.squares(other.lag_of(instrument, late_s))
         if chance_of(moved, other.squares(0)) < PLUMBING_SETTINGS.chance:
@@ -225,12 +234,12 @@ def _clock_finding(mission: Mission, pair: Pair, guilty: Mapping[str, float], ch
 
 def _named_offset(seconds: float, tt2000: int) -> str:
     """Return what an offset is known as, in brackets; empty for others."""
-    tt = (tt2000 - (to_utc(tt2000) - _J2000).astype(np.int64)) / SECOND
+    tt = float((tt2000 - (to_utc(tt2000) - _J2000).astype(np.int64)) / SECOND)
     known = {
         1.0: "a leap second",
+        tt: "TT less UTC",
         tt - 32.184: "TAI less UTC",
         tt - 51.184: "GPS time less UTC",
-        tt: "TT less UTC",
     }
-    name = next((name for size, name in known.items() if abs(size - seconds) < 0.05), "")
+    name = next((name for size, name in known.items() if abs(size - seconds) <= PLUMBING_SETTINGS.whole), "")
     return f" ({name})" if name else ""

@@ -1,4 +1,4 @@
-"""Channels that the model uses, judged by its coefficients: a unit of a channel, its axes, another one in its place."""
+"""Channels that the model uses, judged by its coefficients: units, axes, others in their place."""
 
 from __future__ import annotations
 

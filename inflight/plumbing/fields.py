@@ -1,7 +1,7 @@
 """Units and axes of two fields that should be the same one.
 
-`unit_findings` asks whether one of them is a power of ten of the other, `axes_findings` whether the columns of a
-vector have wrong names or signs, against another vector or the main field.
+`unit_findings` asks whether one of them is a power of ten of the other, `axes_findings` whether the columns
+of a vector have wrong names or signs, against another vector or the main field.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from inflight.units import factor_and_offset
 #: Powers of ten by which numbers are wrong: prefixes, and decimal points that moved.
 POWERS = (-9, -6, -5, -3, -2, -1, 1, 2, 3, 5, 6, 9)
 
-#: Units that files give fields, currents, voltages, lengths and angles in.
+#: Units that files give fields, currents, voltages, powers and lengths in.
 _FILE_UNITS = (
     "T",
     "mT",
@@ -150,6 +150,11 @@ def _is_factor(unit: str, entry: Channel, factor: float) -> bool:
         return bool(np.isclose(factor_and_offset(unit, entry.unit)[0], factor * stated, rtol=1e-6))
     except ValueError:
         return False
+
+
+def magnitude(values: Floats) -> Floats:
+    """Return the length of vectors (row, axis), and scalars (row,) as they are."""
+    return values if values.ndim == 1 else np.asarray(np.linalg.norm(values, axis=1))
 
 
 def paired(first: Record, second: Record) -> tuple[Int64, Floats, Floats]:
@@ -272,9 +277,11 @@ class Mounted(NamedTuple):
 
     @property
     def stated(self) -> Floats:
+        """As the mission states it; (row, axis)."""
         return self._turned(self.values)
 
     def under(self, turn: Turn) -> Floats:
+        """With the columns that a turn says; (row, axis)."""
         return self._turned(turn.of(self.values))
 
     def _turned(self, values: Floats) -> Floats:
@@ -285,7 +292,7 @@ class Mounted(NamedTuple):
 
 
 def difference(one: Floats, other: Floats) -> Floats:
-    """Return what one vector leaves of another, both less their means, with a gain of the whole that is positive."""
+    """Return what one vector leaves of another, both less their typical values, with one positive gain."""
     good = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
     if not good.any():
         return np.full_like(one, np.nan)

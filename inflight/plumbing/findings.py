@@ -1,4 +1,7 @@
-"""What a test of plumbing tells: the fault in plain words, how sure it is, and the YAML lines that mend it."""
+"""What a test of plumbing tells: the fault in plain words, how sure it is, the YAML lines that mend it.
+
+A `Finding` holds all of it, a `Remedy` the lines; `Remedy.applied` puts them into a mission's text.
+"""
 
 from __future__ import annotations
 

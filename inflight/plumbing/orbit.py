@@ -1,7 +1,8 @@
-"""The main field where the spacecraft was, in its own axes: what positions and attitudes say the fields should be.
+"""The main field where the spacecraft was, in its own axes: what positions and attitudes say of the fields.
 
-`Orbit` holds the field of the IGRF along the orbit; it gives the clocks further pairs (`orbit_pairs`), tells axes
-of a vector and conventions of the attitude (`orbit_axes`), and the unit of the position (`position_findings`).
+`Orbit` holds the field of the IGRF along the orbit; it gives the clocks further pairs (`orbit_pairs`), tells
+axes of a vector and conventions of the attitude (`orbit_axes`), and the unit of positions
+(`position_findings`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,15 @@ from inflight.frames import (
     to_date,
 )
 from inflight.plumbing.clocks import Pair, left_by, linear_pair, scalar_pair, with_constant
-from inflight.plumbing.fields import POWERS, Mounted, axes_against, axes_line, finding_of, unit_remedies
+from inflight.plumbing.fields import (
+    POWERS,
+    Mounted,
+    axes_against,
+    axes_line,
+    finding_of,
+    magnitude,
+    unit_remedies,
+)
 from inflight.plumbing.findings import Finding, Remedy
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
 from inflight.time import SECOND, Int64, to_utc
@@ -102,7 +111,7 @@ class Orbit:
 
 
 def main_field(position: Floats, stamps: Int64) -> Floats:
-    """Return the IGRF at positions (row, 3), km, itrf; (row, 3) nT, itrf. Its change within a day is neglected."""
+    """Return the IGRF at positions (row, 3), km, itrf; (row, 3) nT, itrf, one model a day."""
     from ppigrf import igrf_gc
 
     out = np.full(position.shape, np.nan)
@@ -201,8 +210,7 @@ def field_ratios(survey: Survey, orbit: Orbit) -> dict[str, Floats]:
     out = {}
     for record in survey.fields.values():
         values = record.at(orbit.field.stamps)
-        size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
-        out[record.name] = size / orbit.strength.values
+        out[record.name] = magnitude(values) / orbit.strength.values
     return out
 
 
@@ -217,7 +225,7 @@ def position_findings(survey: Survey) -> list[Finding]:
     if _is_near(_fixed(position, stamps, factor)):
         return []
     values = record.at(stamps)
-    size = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+    size = magnitude(values)
     trials: Mapping[float, Floats] = {
         one: typical_squares(size - np.linalg.norm(main_field(fixed, stamps), axis=1))
         for one in (*(10.0**power for power in POWERS), EARTH_RADIUS)

@@ -1,4 +1,4 @@
-"""What the tests of plumbing read: channels of some days at their own stamps, and how residuals are held together.
+"""What the tests of plumbing read, channels of some days at their own stamps, and how residuals are compared.
 
 A `Record` is one channel, a `Survey` all of a comparison's. `typical_squares` makes of a residual one number
 a block, `choose` asks which of several explanations agrees best with the data, and whether by more than the
@@ -198,10 +198,10 @@ def typical_squares(residual: Floats) -> Floats:
 
 
 def gains(worse: Floats, better: Floats) -> Floats:
-    """Return the logarithm by which each block agrees better, of the blocks that both have; empty of too few."""
+    """Return the logarithms by which blocks agree better, of those that both have; empty of too few."""
     found = np.log(worse) - np.log(better)
     found = found[np.isfinite(found)]
-    return found if found.size >= PLUMBING_SETTINGS.least_blocks else found[:0]
+    return np.asarray(found if found.size >= PLUMBING_SETTINGS.least_blocks else found[:0])
 
 
 def mean_gain(worse: Floats, better: Floats) -> float:
@@ -213,8 +213,8 @@ def mean_gain(worse: Floats, better: Floats) -> float:
 def chance_of(worse: Floats, better: Floats) -> float:
     """Return how likely blocks agree so much better by chance, one-sided.
 
-    Were both as good, the logarithm of each block's ratio would be as likely negative: Chernoff's bound of the
-    sum with random signs. Blocks without information neither add to it nor take from it.
+    Were both as good, the logarithm of each block's ratio would be as likely negative: Chernoff's bound of
+    the sum with random signs. Blocks without information neither add to it nor take from it.
     """
     gain = gains(worse, better)
     total, size = float(np.sum(gain)), float(np.max(np.abs(gain), initial=0.0))
@@ -258,8 +258,8 @@ class Choice(Generic[Name]):
         """The statement in words."""
         rivals = f", and {len(self.rivals)} other explanation" + ("s" if len(self.rivals) > 1 else "")
         return (
-            f"the typical residual falls from {self.before:.3g} to {self.after:.3g} nT in {self.blocks} blocks of "
-            f"the record (chance {chance_text(self.p)}{rivals + ' as good' if self.rivals else ''})"
+            f"the typical residual falls from {self.before:.3g} to {self.after:.3g} nT in {self.blocks} "
+            f"blocks of the record (chance {chance_text(self.p)}{rivals + ' as good' if self.rivals else ''})"
         )
 
 

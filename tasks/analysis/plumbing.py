@@ -1,4 +1,4 @@
-"""Plumbing of a mission's archive: some days are read, and `inflight.plumbing` asks what is wrong with them."""
+"""Plumbing of an archive: some days are read, and `inflight.plumbing` asks what is wrong with them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def check_plumbing(
 def read_survey(
     cat: Catalog, mission: Mission, start: DayLike | None, end: DayLike | None, model: Model
 ) -> tuple[Survey, xr.Dataset | None]:
-    """Read some days of a span: channels at their own stamps, and samples where the model uses any of these."""
+    """Read some days: channels at their own stamps, and samples where the model uses any of these."""
     comparison = model.comparison
     needs, channels = needs_of(mission, model), channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])

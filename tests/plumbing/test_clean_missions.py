@@ -20,7 +20,10 @@ from inflight.tasks.archive import simulate
 MISSIONS = Path(__file__).parents[2] / "missions"
 #: Mission, settings of a day of it, and what its YAML says otherwise.
 SIMULATED = {
-    "venus-express": (DualSettings(days=1, seed=31, overrides={"cadence": 10.0}), ("cadence: 1 s", "cadence: 10 s")),
+    "venus-express": (
+        DualSettings(days=1, seed=31, overrides={"cadence": 10.0}),
+        ("cadence: 1 s", "cadence: 10 s"),
+    ),
     "champ": (
         SimulationSettings(days=1, seed=5, cadence=10, include=("day_night", "hysteresis", "eddy")),
         ("cadence: 1 s", "cadence: 10 s"),
@@ -55,7 +58,9 @@ def test_in_noise_nothing_is_told(champ):
     generator = np.random.default_rng(7)
     for _ in range(6):
         fields = {
-            role: replace(one, values=20.0 * generator.normal(size=3) + generator.normal(size=one.values.shape))
+            role: replace(
+                one, values=20.0 * generator.normal(size=3) + generator.normal(size=one.values.shape)
+            )
             for role, one in survey.fields.items()
         }
         assert find_faults(replace(survey, fields=fields, channels={})) == ()

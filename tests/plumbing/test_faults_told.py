@@ -34,7 +34,13 @@ def temperatures(survey):
 FGM, OVM = "instruments.fgm", "instruments.ovm"
 #: Line that is wrong, its value, the test, what is told, and the line that mends it.
 FAULTS = {
-    "exchanged axes": (f"{FGM}.channels.field.axes", "[y, x, z]", axes, "axes x and y are exchanged", "[x, y, z]"),
+    "exchanged axes": (
+        f"{FGM}.channels.field.axes",
+        "[y, x, z]",
+        axes,
+        "axes x and y are exchanged",
+        "[x, y, z]",
+    ),
     "reversed axis": (f"{FGM}.channels.field.axes", "[x, y, -z]", axes, "axis z is reversed", "[x, y, z]"),
     "scalar part first": (
         "instruments.attitude.channels.attitude.axes",
@@ -66,8 +72,20 @@ FAULTS = {
         "'coil_temperature' of 'fgm' is in degC",
         "degC",
     ),
-    "a leap second": (f"{OVM}.files.clock_offset", "1 s", clocks, "'ovm' are 1 s late (a leap second)", "0 s"),
-    "GPS time": (f"{FGM}.files.clock_offset", "13 s", clocks, "'fgm' are 13 s late (GPS time less UTC)", "0 s"),
+    "a leap second": (
+        f"{OVM}.files.clock_offset",
+        "1 s",
+        clocks,
+        "'ovm' are 1 s late (a leap second)",
+        "0 s",
+    ),
+    "GPS time": (
+        f"{FGM}.files.clock_offset",
+        "13 s",
+        clocks,
+        "'fgm' are 13 s late (GPS time less UTC)",
+        "0 s",
+    ),
     "a time zone": (f"{FGM}.files.clock_offset", "-3600 s", clocks, "'fgm' are 1 h early", "0 s"),
     "attitude's clock": (
         "instruments.attitude.files.clock_offset",
@@ -76,7 +94,13 @@ FAULTS = {
         "'attitude' are 2 h late",
         "0 s",
     ),
-    "orbit's clock": ("instruments.orbit.files.clock_offset", "-60 s", clocks, "'orbit' are 60 s early", "0 s"),
+    "orbit's clock": (
+        "instruments.orbit.files.clock_offset",
+        "-60 s",
+        clocks,
+        "'orbit' are 60 s early",
+        "0 s",
+    ),
 }
 
 
@@ -116,7 +140,7 @@ def test_a_sensor_that_a_rotation_mends_has_two_lines_and_both_do(champ):
     ],
 )
 def test_of_two_vectors_alone_both_may_be_at_fault(champ, path, value, test):
-    """Without an orbit nothing tells which of two fluxgates is wrong: the lines of both are named, and mend."""
+    """Without an orbit nothing tells which of two fluxgates is wrong: both lines are named, and mend."""
     text, folder = champ
     changed = wrong(text, f"instruments.fgm2.{path}", value)
     alone = partial(survey_of, folder=folder, comparison="between", without=("orbit", "attitude"))

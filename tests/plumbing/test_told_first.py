@@ -74,7 +74,9 @@ def test_a_wrong_unit_of_a_current_heads_the_verdict_until_it_is_mended(made):
 
 
 def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made):
-    changed = wrong(wrong(TEXT, f"{HEATER}.variable", "boom"), HEATER.replace("heater", "pump") + ".variable", "heater")
+    changed = wrong(
+        wrong(TEXT, f"{HEATER}.variable", "boom"), HEATER.replace("heater", "pump") + ".variable", "heater"
+    )
     cat, mission = made(changed)
     (found,) = check_plumbing(cat, mission)
     assert found.fault == "exchanged"
@@ -92,7 +94,9 @@ def test_compare_tells_of_a_stale_reading_and_most_repeats_takes_it_out(made):
     assert reprocess(cat, mission).exit_code == 0
     report = compare(cat, mission)
     line = report.summary()[0].text
-    assert line.startswith("mend the data first: 'field' of 'turning' repeats a stale value (2024-03-02T06:40")
+    assert line.startswith(
+        "mend the data first: 'field' of 'turning' repeats a stale value (2024-03-02T06:40"
+    )
     (fault,) = report.as_json()["plumbing"]
     assert (fault["fault"], fault["before"], fault["unit"]) == ("stale", 300 * 60.0, "s")
     (found,) = report.plumbing

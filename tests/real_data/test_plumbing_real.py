@@ -1,4 +1,4 @@
-"""Real instruments whose missions are described rightly have no fault of plumbing; put in, faults are told."""
+"""Real instruments whose missions are described rightly have no fault of plumbing; what is put in is told."""
 
 import pytest
 from injections import REAL, ROOT

@@ -45,7 +45,6 @@ class Report(Protocol):
     """Report of a comparison or of tables; `path` is its page, when one was written."""
 
     path: Path | None
-    plumbing: Sequence[Finding]
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""

@@ -92,7 +92,6 @@ class TablesReport:
     fields: dict[str, Any]
     lines: list[TextLine]
     path: Path | None = None
-    plumbing: Sequence[Finding] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
