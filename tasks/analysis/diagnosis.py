@@ -28,7 +28,6 @@ from inflight.diagnosis import (
 )
 from inflight.dual import JumpAttribution
 from inflight.effects import channels_of
-from inflight.errors import InflightError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
@@ -48,7 +47,7 @@ from inflight.tasks.analysis.gram_pass import (
     survey,
 )
 from inflight.tasks.analysis.native_estimate import NativeEstimator
-from inflight.tasks.analysis.plumbing import check_plumbing
+from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     ArchiveIndex,
@@ -140,14 +139,9 @@ def examine(
     """Diagnose a span and return with the result what it was made from; arguments are those of `diagnose`."""
     settings = settings or DiagnoseSettings()
     report_progress = progress or (lambda stage, done, total: None)
-    faults = [dict(one.as_json()) for one in check_plumbing(cat, mission, start, end, settings.comparison)]
-    try:
+    faults = faults_of(cat, mission, start, end, settings.comparison)
+    with faults_in_errors(faults):
         made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    except InflightError as error:
-        # Data so wrong may leave nothing to search in.
-        if faults:
-            error.remedy = " ".join(f"{one['sentence']}." for one in faults)
-        raise
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": len(made.failed) or None}

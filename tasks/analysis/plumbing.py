@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -49,6 +51,24 @@ def check_plumbing(
     model = model or current_model(cat, mission, comparison).model
     survey, samples = read_survey(cat, mission, start, end, model)
     return find_faults(survey, model, samples)
+
+
+def faults_of(
+    cat: Catalog, mission: Mission, start: DayLike | None, end: DayLike | None, comparison: str
+) -> list[dict[str, Any]]:
+    """Return the fields of each fault, as the command line prints them: what a diagnosis begins with."""
+    return [dict(one.as_json()) for one in check_plumbing(cat, mission, start, end, comparison)]
+
+
+@contextmanager
+def faults_in_errors(faults: Sequence[Mapping[str, Any]]) -> Iterator[None]:
+    """Make faults the remedy of an error: data so wrong may leave nothing to search in."""
+    try:
+        yield
+    except InflightError as error:
+        if faults:
+            error.remedy = " ".join(f"{one['sentence']}." for one in faults)
+        raise
 
 
 def read_survey(

@@ -8,7 +8,7 @@ from tiny_mission import TINY_YAML
 
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks import check_plumbing
-from inflight.tasks.analysis import DiagnoseSettings, compare, diagnose
+from inflight.tasks.analysis import DiagnoseSettings, compare, diagnose_span
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import reprocess
 
@@ -47,11 +47,12 @@ def made(tmp_path):
         deliver_heated_day(place.data, day, heater_field)
 
     def read(text):
+        """Ingest as a mission's text says; return catalog and mission."""
         place.mission_file.write_text(text, encoding="utf-8")
         assert ingest(Catalog(place.root), place.mission(), place.data).exit_code == 0
         return Catalog(place.root), place.mission()
 
-    read.folder = place.data
+    read.place = place
     return read
 
 
@@ -59,18 +60,18 @@ def test_a_wrong_unit_of_a_current_heads_the_verdict_until_it_is_mended(made):
     changed = wrong(TEXT, f"{HEATER}.file_unit", "A")
     cat, mission = made(changed)
     settings = DiagnoseSettings(draws=200, rounds=0)
-    told = diagnose(cat, mission, settings=settings)
-    (fault,) = told.as_json()["plumbing"]
-    assert told.sentence.startswith("Mend the data first. 'heater_current' of 'power'")
-    assert "what follows is not to be trusted" in told.sentence
+    told = diagnose_span(made.place, settings=settings)
+    (fault,) = told["plumbing"]
+    assert told["sentence"].startswith("Mend the data first. 'heater_current' of 'power'")
+    assert "what follows is not to be trusted" in told["sentence"]
     assert fault["remedies"][0]["yaml"] == f"{HEATER}.file_unit: mA"
     assert fault["sure"]
     (found,) = check_plumbing(cat, mission)
     cat, mission = made(found.remedies[0].applied(changed))
     assert check_plumbing(cat, mission) == ()
-    told = diagnose(cat, mission, settings=settings)
-    assert told.as_json()["plumbing"] == []
-    assert not told.sentence.startswith("Mend")
+    told = diagnose_span(made.place, settings=settings)
+    assert told["plumbing"] == []
+    assert not told["sentence"].startswith("Mend")
 
 
 def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made):
@@ -85,7 +86,7 @@ def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made):
 
 
 def test_compare_tells_of_a_stale_reading_and_most_repeats_takes_it_out(made):
-    path = made.folder / f"turning_{HEATED_DAYS[1].replace('-', '')}.csv"
+    path = made.place.data / f"turning_{HEATED_DAYS[1].replace('-', '')}.csv"
     head, *rows = path.read_text(encoding="utf-8").splitlines()
     held = rows[400].split(",", 1)[1]
     rows[400:700] = [f"{row.split(',', 1)[0]},{held}" for row in rows[400:700]]
