@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import xarray as xr
 
 from inflight.model import Model
@@ -50,7 +51,8 @@ def find_faults(
 
 def field_faults(survey: Survey) -> list[Finding]:
     """Return faults that two fields show against each other, or one against the main field."""
-    if survey.kind not in ("scalar", "dual", "platform"):
+    known = sum(bool(np.isfinite(one.values).any()) for one in survey.fields.values())
+    if survey.kind not in ("scalar", "dual", "platform") or known < 2:
         return []
     orbit = Orbit.of(survey)
     found = position_findings(survey) + unit_findings(survey, field_ratios(survey, orbit) if orbit else None)

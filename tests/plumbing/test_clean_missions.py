@@ -64,3 +64,20 @@ def test_in_noise_nothing_is_told(champ):
             for role, one in survey.fields.items()
         }
         assert find_faults(replace(survey, fields=fields, channels={})) == ()
+
+
+@pytest.mark.parametrize("lost", ["vector", "scalar", "position", "attitude", "all but one"])
+def test_what_was_not_measured_is_no_fault(champ, lost):
+    text, folder = champ
+    survey = survey_of(text, folder)
+    fields = {
+        role: replace(one, values=np.full_like(one.values, np.nan)) if lost == role else one
+        for role, one in survey.fields.items()
+    }
+    channels = {
+        name: replace(one, values=np.full_like(one.values, np.nan)) if lost == name else one
+        for name, one in survey.channels.items()
+    }
+    if lost == "all but one":
+        fields.pop("scalar")
+    assert find_faults(replace(survey, fields=fields, channels=channels)) == ()
