@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -110,6 +111,10 @@ class Channel(Strict):
     unit: Unit
     #: Unit of the numbers in the file, where the file states none or a wrong one.
     file_unit: Unit | None = None
+    #: The file's numbers times this are in its unit: for numbers in counts, or off by a power of ten.
+    factor: Annotated[float, Field(gt=0)] = 1.0
+    #: Names in the file's order; x, y, z (and w) are archived in this order whatever the file's, and a
+    #: minus turns a column round: ``[-y, x, z]``.
     axes: list[str] | None = None
     kind: Kind = "other"
     #: Values that stand for "missing", beside the file's own fill value and NaN.
@@ -122,6 +127,8 @@ class Channel(Strict):
     smooth: Duration = 0
     #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
     range: tuple[float, float] | None = None
+    #: The same reading more often in a row is a stale one: all but its first become missing.
+    most_repeats: Annotated[int, Field(ge=1)] | None = None
     #: Frame of an attitude, a spin axis or a position: itrf, gcrf, gei, nec, gse, gsm.
     frame: str | None = None
     description: str = ""
@@ -141,12 +148,28 @@ class Channel(Strict):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes; empty for a channel of one number a time."""
+        """Names of the axes as archived; empty for a channel of one number a time."""
         if self.axes is not None:
-            return tuple(self.axes)
+            return _archived_axes(self.axes) or tuple(self.axes)
         if self.variables is not None and len(self.variables) == 3:
             return ("x", "y", "z")
         return tuple(self.variables or ())
+
+    @property
+    def columns(self) -> tuple[list[int], list[float]] | None:
+        """Column of the file and sign of each archived axis; None where they are as in the file."""
+        names = _archived_axes(self.axes or ())
+        if self.axes is None or names == tuple(self.axes) or not names:
+            return None
+        plain = [axis.removeprefix("-") for axis in self.axes]
+        order = [plain.index(axis) for axis in names]
+        return order, [-1.0 if self.axes[place].startswith("-") else 1.0 for place in order]
+
+
+def _archived_axes(axes: Sequence[str]) -> tuple[str, ...]:
+    """Return x, y, z (and w) for any order and signs of these; nothing for other names."""
+    plain = sorted(axis.removeprefix("-") for axis in axes)
+    return next((known for known in (("x", "y", "z"), ("x", "y", "z", "w")) if plain == sorted(known)), ())
 
 
 class ClockStep(Strict):

@@ -2,6 +2,7 @@ from .analysis import (
     DiagnoseSettings,
     Revision,
     Workbench,
+    check_plumbing,
     compare,
     diagnose,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "Workbench",
     "as_settings_error",
     "batch_mapper",
+    "check_plumbing",
     "compare",
     "comparison_of",
     "current_model",

@@ -36,7 +36,7 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
     Returns
     -------
     values : ndarray
-        (row,) or (row, axis), in `channel.unit`, NaN where missing or out of range. float32 and small
+        (row,) or (row, axis), in `channel.unit`, NaN where missing, stale or out of range. float32 and small
         integers stay float32 (exact), everything else is float64.
     outside : ndarray of bool
         Rows with a reading out of `channel.range`, of `shape`.
@@ -51,6 +51,9 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
         values = np.stack([_series(request, variable, 0) for variable in channel.variables], axis=-1)
     else:
         values = _series(request, channel.variable or "", len(channel.axis_names))
+    if channel.columns is not None:
+        order, sign = channel.columns
+        values = values[..., order] * np.asarray(sign, dtype=values.dtype)
     outside = np.zeros(values.shape, dtype=bool)
     if channel.range is not None:
         with np.errstate(invalid="ignore"):
@@ -58,7 +61,25 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
         values[outside] = np.nan
     rows = int(np.prod(shape))
     by_row = outside.reshape(rows, -1).any(axis=1).reshape(shape)
-    return values.reshape((rows, *values.shape[len(shape) :])), np.asarray(by_row)
+    values = values.reshape((rows, *values.shape[len(shape) :]))
+    if channel.most_repeats is not None:
+        values[repeats(values) > channel.most_repeats] = np.nan
+    return values, np.asarray(by_row)
+
+
+def repeats(values: Float) -> npt.NDArray[np.int64]:
+    """Return how often each reading's run holds its number, 1 for the first of a run; (row,) or (row, axis).
+
+    A missing reading begins a run of its own.
+    """
+    flat = values.reshape(len(values), -1)
+    out = np.ones(flat.shape, dtype=np.int64)
+    for column, run in zip(flat.T, out.T, strict=True):
+        first = np.flatnonzero(np.concatenate([[True], column[1:] != column[:-1]]))
+        length = np.diff(np.append(first, column.size))
+        run[:] = np.repeat(length, length)
+        run[first] = 1
+    return out.reshape(values.shape)
 
 
 def read_for_expression(source: Source, name: str, shape: tuple[int, ...]) -> Array:
@@ -105,6 +126,8 @@ def _series(request: _Request, variable_name: str, axes: int) -> Float:
             "correct the channel in the mission YAML or repair the file",
         ) from None
     values[missing] = np.nan
+    if request.channel.factor != 1.0:
+        values = np.asarray(values.astype(np.float64) * request.channel.factor)
     unit, goal = request.channel.file_unit or variable.unit, request.channel.unit
     if unit is None:
         return values

@@ -177,8 +177,8 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         console.print(text, soft_wrap=True, markup=False)
 
     sentence = Text(f"{fields['sentence']}\n", style="default").append(fields.get("meaning", ""), style="dim")
-    colour = _COLOURS[fields["verdict"]]
-    console.print(Panel(sentence, title=fields["verdict"], title_align="left", border_style=colour))
+    title, colour = _heading(fields)
+    console.print(Panel(sentence, title=title, title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
     for table, rows in ((_entries_table, fields.get("entries")), (_effects_table, fields["effects"])):
@@ -197,6 +197,13 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
         line(f"why it stopped: {fields['stopped']}")
     if step_text := _next_step(fields):
         line(step_text)
+
+
+def _heading(fields: Fields) -> tuple[str, str]:
+    """Return title and colour of the box: physics waits while the data are wrong."""
+    if fields.get("plumbing"):
+        return "MEND THE DATA FIRST", "red"
+    return fields["verdict"], _COLOURS[fields["verdict"]]
 
 
 def _sizes_text(residual: Fields) -> str:

@@ -7,7 +7,7 @@ Takes numbers and names from `inflight.diagnosis.verdict`; makes records that pr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite, sqrt
 from typing import Any, Literal
 
@@ -230,6 +230,8 @@ class Diagnosis:
         of the residual's square.
     outliers : dict
         Samples that the Gram blocks skip: how many, and when the first bursts of them were.
+    plumbing : tuple of dict
+        Faults of units, clocks, axes and channels (`inflight.plumbing.Finding`), told before all else.
     """
 
     verdict: Verdict
@@ -253,6 +255,15 @@ class Diagnosis:
     run: str = ""
     outliers: dict[str, Any] = field(default_factory=dict)
     in_time: tuple[dict[str, Any], ...] = ()
+    plumbing: tuple[Mapping[str, Any], ...] = ()
+
+    def after_plumbing(self, found: Sequence[Mapping[str, Any]]) -> Diagnosis:
+        """Return the diagnosis with faults of plumbing at its head: physics waits until they are mended."""
+        if not found:
+            return self
+        faults = " ".join(f"{one['sentence']}." for one in found)
+        text = f"Mend the data first. {faults} Until then what follows is not to be trusted. {self.sentence}"
+        return replace(self, plumbing=tuple(found), sentence=text)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""

@@ -3,6 +3,7 @@ from .diagnosis import diagnose, examine
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import block_grams
 from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
+from .plumbing import check_plumbing
 from .revise import Revision, Workbench, diagnose_span, open_workbench
 from .settings import DiagnoseSettings, require_sampled
 
@@ -12,6 +13,7 @@ __all__ = [
     "Revision",
     "Workbench",
     "block_grams",
+    "check_plumbing",
     "compare",
     "diagnose",
     "diagnose_if_unchanged",

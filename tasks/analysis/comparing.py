@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflight.catalog import Catalog
+from inflight.errors import InflightError
 from inflight.mission import Mission
+from inflight.tasks.analysis.plumbing import check_plumbing
 from inflight.tasks.report import Progress, write_page
 from inflight.time import DayLike
 
@@ -50,6 +53,9 @@ def compare(
         When no product of the comparison is published in the span.
     """
     found = measure_comparison(cat, mission, start, end, comparison, progress, client)
+    # A workspace of products alone has no archive to ask.
+    with suppress(InflightError):
+        found.report.plumbing = check_plumbing(cat, mission, start, end, comparison)
     if output is not None:
         from inflight.figures import html_page
 

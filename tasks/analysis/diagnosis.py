@@ -47,6 +47,7 @@ from inflight.tasks.analysis.gram_pass import (
     survey,
 )
 from inflight.tasks.analysis.native_estimate import NativeEstimator
+from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import (
     ArchiveIndex,
@@ -138,7 +139,9 @@ def examine(
     """Diagnose a span and return with the result what it was made from; arguments are those of `diagnose`."""
     settings = settings or DiagnoseSettings()
     report_progress = progress or (lambda stage, done, total: None)
-    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
+    faults = faults_of(cat, mission, start, end, settings.comparison)
+    with faults_in_errors(faults):
+        made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": len(made.failed) or None}
@@ -149,7 +152,7 @@ def examine(
     report_progress("search", 1, 1)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, data, found, settings, facts)
+    return Examined(search, data, found.after_plumbing(faults), settings, facts)
 
 
 def make_pass(

@@ -32,6 +32,7 @@ _SOFTWARE = (
     "inflight.effects",
     "inflight.lsq",
     "inflight.model",
+    "inflight.plumbing",
     "inflight.residual",
     "inflight.samples",
     "inflight.tasks.analysis",

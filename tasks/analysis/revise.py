@@ -53,6 +53,7 @@ from inflight.tasks.analysis.diagnosis import (
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
 from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, save_diagnosis
+from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.models import (
     VersionedModel,
@@ -210,13 +211,20 @@ class Workbench:
             root = None
         #: The mission as it was when the Gram blocks were made; it is part of their key.
         used, self._measured = root or (self.current, self.mission)
-        self.made = self._prepared(used, None)
+        # Who searches asks for faults of plumbing first; who adds an effect has searched.
+        self._faults = self._plumbing() if self.fresh else None
+        with faults_in_errors(self._faults or ()):
+            self.made = self._prepared(used, None)
         if used.text == self.current.text:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], PassResult] | None = None
         #: The fit of the present model is needed again with the next change.
         self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
+
+    def _plumbing(self) -> list[dict[str, Any]]:
+        """Return the faults of plumbing in the span."""
+        return faults_of(self.cat, self.mission, self.start, self.end, self.settings.comparison)
 
     def _prepared(self, used: VersionedModel, needs: Sequence[Term] | None) -> PassResult:
         def narrow(plan: PassPlan) -> PassPlan:
@@ -495,7 +503,10 @@ class Workbench:
         model = replace(context.model, version=self.root.version)
         listener = self.progress or (lambda stage, done, total: None)
         native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
-        return run_search(begin_search(self.made, self.settings), replace(context, model=model), native)
+        begun = begin_search(self.made, self.settings)
+        found, search = run_search(begun, replace(context, model=model), native)
+        faults = self._plumbing() if self._faults is None else self._faults
+        return found.after_plumbing(faults), search
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""

@@ -21,7 +21,7 @@ from .compare_rows import (
     scalar_channels,
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
-from .parts import Part, TablesReport, TextLine, page_sections, with_error
+from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_error
 from .pipeline import Pipeline, Versions
 from .planning import (
     ALL_DAYS_STATISTICS,
@@ -85,6 +85,7 @@ __all__ = [
     "newest_tables",
     "page_sections",
     "plan_days",
+    "plumbing_lines",
     "product_key",
     "product_of",
     "published_products",

@@ -13,8 +13,9 @@ import xarray as xr
 
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, daily_figure, html_table
+from inflight.plumbing import Finding
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics
-from inflight.tasks.pipelines.base.parts import TextLine
+from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
 
 _NO_FLOOR = "unknown: every stretch of the residual has missing samples"
@@ -85,6 +86,8 @@ class CompareReport:
         Of the page, when one was written.
     skipped, outliers : int
         Samples without a usable measurement, and outliers.
+    plumbing : sequence of Finding
+        Faults of units, clocks, axes and channels of the span.
     """
 
     comparison: str
@@ -102,6 +105,7 @@ class CompareReport:
     path: Path | None = None
     skipped: int = 0
     outliers: int = 0
+    plumbing: Sequence[Finding] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
@@ -110,6 +114,7 @@ class CompareReport:
             "run": "",
             "context": self.context,
             "comparison": self.comparison,
+            "plumbing": [dict(one.as_json()) for one in self.plumbing],
             "residual": {
                 "before_nT": self.before.rms,
                 "after_nT": self.after.rms,
@@ -144,7 +149,8 @@ class CompareReport:
 
     def summary(self) -> list[TextLine]:
         """Return what a person reads: residual before and after, what the data determine, where it fails."""
-        out = [
+        out = plumbing_lines(self.plumbing)
+        out += [
             TextLine(f"residual {name:<7} {size.rms:8.3f} nT rms, {size.std:.3f} nT about its mean", "bold")
             for name, size in (("before", self.before), ("after", self.after))
         ]

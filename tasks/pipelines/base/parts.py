@@ -13,6 +13,7 @@ import numpy as np
 
 from inflight.errors import InflightError
 from inflight.figures import Section, paragraph
+from inflight.plumbing import Finding
 
 #: Numbers smaller than this are written with an exponent.
 _PLAIN = 1e-4
@@ -23,6 +24,11 @@ class TextLine(NamedTuple):
 
     text: str
     style: str = ""
+
+
+def plumbing_lines(found: Sequence[Finding]) -> list[TextLine]:
+    """Return a line for each fault of plumbing, which stands before everything else."""
+    return [TextLine(f"mend the data first: {one.sentence}", "bold") for one in found]
 
 
 @dataclass

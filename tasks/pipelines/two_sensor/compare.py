@@ -43,7 +43,8 @@ from inflight.figures import (
     timeline_figure,
 )
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, scalar_channels
+from inflight.plumbing import Finding
+from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, plumbing_lines, scalar_channels
 from inflight.tasks.pipelines.two_sensor.tables import (
     channel_changes,
     concatenate_changes,
@@ -132,6 +133,8 @@ class DualCompareReport:
         Tables of states that hold in the span, each once, oldest first.
     path : Path, optional
         Of the page, when one was written.
+    plumbing : sequence of Finding
+        Faults of units, clocks, axes and channels of the span.
     """
 
     comparison: str
@@ -140,6 +143,7 @@ class DualCompareReport:
     fails_where: list[tuple[ResidualStep, str]]
     tables: list[xr.Dataset]
     path: Path | None = None
+    plumbing: Sequence[Finding] = ()
 
     def concatenated(self, name: str) -> Floats:
         """Return an array of all days, such as (switching, axis)."""
@@ -187,6 +191,7 @@ class DualCompareReport:
             "context": self.context,
             "comparison": self.comparison,
             "kind": "dual",
+            "plumbing": [dict(one.as_json()) for one in self.plumbing],
             "residual": {
                 "what": "step of the outboard field where the spacecraft switches, rms of a component",
                 "before_nT": before,
@@ -225,7 +230,8 @@ class DualCompareReport:
             for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
                 out.append(TextLine(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", "bold"))
         out += [TextLine(f"  {sentence}") for sentence in content["verdict"]["told"]]
-        return out + [TextLine(f"  {failing['sentence']}") for failing in content["fails_where"]]
+        out += [TextLine(f"  {failing['sentence']}") for failing in content["fails_where"]]
+        return plumbing_lines(self.plumbing) + out
 
 
 def compare_dual(
