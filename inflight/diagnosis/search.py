@@ -43,7 +43,7 @@ from inflight.diagnosis.time_changes import (
     episodes,
     steps,
 )
-from inflight.lsq import BlockProducts, CalibratedBlocks, FactoredGrams, GramBlocks, TimedGrams
+from inflight.lsq import BlockProducts, CalibratedBlocks, FactoredGrams, GramBlocks, TimedGrams, hac_t
 
 Groups = Sequence[Sequence[int]]
 
@@ -731,6 +731,16 @@ class Search:
             one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)
             found.append((float(one.gain[0]), float(one.t[0])))
         return max(found, key=self.rules.margin)
+
+    def held_out_t_worse_than(self, other: Search) -> float:
+        """Return by what t this state leaves more of held-out blocks than another one of the same blocks."""
+        losses = []
+        interleaved = any(option.interleaved for option in (*self.accepted, *other.accepted))
+        for one in (self, other):
+            grams, none = one.forms["raw"], list[Index]()
+            folds = make_folds(len(grams), interleaved)
+            losses.append(score(grams, one.present(), none, one.y(), folds).loss0)
+        return float(hac_t((losses[0] - losses[1])[:, None])[0])
 
     def is_hidden(self, option: Option) -> bool:
         """Return True for a change in the model that the requested intervals take up whole."""

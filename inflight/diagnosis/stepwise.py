@@ -13,6 +13,7 @@ correlation time, they are divided, and each part's gain is held against what th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +33,7 @@ from inflight.lsq import (
     regression_coefficients,
     sandwich,
 )
+from inflight.samples import base_channels
 from inflight.time import SECOND
 
 
@@ -56,7 +58,8 @@ class SelectionSettings:
     exchanges : int
         Exchanges of an effect for a better one at most, so that a search ends; assumed.
     most_sigmas : float
-        A number of the model that had to be off by more of its sigmas is no explanation; assumed.
+        A number of the model that had to be off by more of its sigmas is no explanation of what follows a
+        channel that is none of its own; assumed.
     few_columns, part_of_best : int, float
         Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
         reach; assumed.
@@ -393,7 +396,7 @@ def select_effects(
         if number is not None:
             search = search.with_freed(number, found[0]).with_round("free", found[0], name=number)
             continue
-        search = _one_round(search, data, table, *found)
+        search = hold_what_others_explain(_one_round(search, data, table, *found))
     last = search.table().without_fits()
     return replace(search, ran_out=bool(search.rules.rounds)), first or last, last
 
@@ -414,8 +417,33 @@ def number_that_explains(search: Search, option: Option) -> str | None:
         if search.rules.margin(free.held_out_worth(option, of_forms)) < 1.0:
             found.append((_sigmas_moved(free, number), number))
     # Several may do: the one that has to move least of what the model states of it is the likeliest.
-    moved, number = min(found, default=(np.inf, ""))
-    return number if moved < SELECTION_SETTINGS.most_sigmas else None
+    for moved, number in sorted(found):
+        if moved < SELECTION_SETTINGS.most_sigmas or uses_channel_of(search, number, option):
+            return number
+    return None
+
+
+def uses_channel_of(search: Search, number: str, option: Option) -> bool:
+    """Return True when the effect a number of the model belongs to follows a channel of an option."""
+    return any(
+        not channels_under(term.entry.effect.channels).isdisjoint(option.channels)
+        for term in search.library.refined
+        if number in {name.partition("[")[0] for name in term.columns}
+    )
+
+
+def channels_under(names: Sequence[str]) -> set[str]:
+    """Return the channels of the mission that derived ones are made from."""
+    return {one for name in names if name for one in base_channels(name)}
+
+
+def hold_what_others_explain(search: Search) -> Search:
+    """Return the state without the freedom of numbers that what was taken since explains as well."""
+    for number in search.freed:
+        held = replace(search, freed={one: at for one, at in search.freed.items() if one != number})
+        if held.held_out_t_worse_than(search) < search.rules.keep_t:
+            search = held
+    return search
 
 
 def _sigmas_moved(search: Search, number: str) -> float:

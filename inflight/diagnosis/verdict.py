@@ -50,6 +50,7 @@ from inflight.diagnosis.stepwise import (
     Estimate,
     RivalCheck,
     calibration_shifts,
+    channels_under,
     detectable_amplitude,
     estimate,
     exchange_and_check,
@@ -57,13 +58,13 @@ from inflight.diagnosis.stepwise import (
     joint_fit,
     refine_all,
     select_effects,
+    uses_channel_of,
 )
 from inflight.diagnosis.wander import InTime, with_wander
 from inflight.effects import coefficient_unit
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.residual import NoiseFloor
-from inflight.samples import base_channels
 from inflight.time import SECOND, utc_text
 
 
@@ -325,12 +326,8 @@ def _sharing(model: Model, option: Option) -> tuple[str, ...]:
     return tuple(
         entry.name
         for entry in model.effects
-        if (own & _base_channels(entry.effect.channels) if own else entry.effect.label() == label)
+        if (own & channels_under(entry.effect.channels) if own else entry.effect.label() == label)
     )
-
-
-def _base_channels(names: Sequence[str]) -> set[str]:
-    return {one for name in names if name for one in base_channels(name)}
 
 
 def _status(search: Search, check: RivalCheck, rivals: Sequence[str]) -> Status:
@@ -514,7 +511,11 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
         far |= max(off) > scipy.special.chdtri(1, chance / len(out))
         # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
         matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
-        freed = search.freed.get("model:" + group[0]["name"].partition("[")[0])
+        number = "model:" + group[0]["name"].partition("[")[0]
+        freed = search.freed.get(number)
+        if freed and any(uses_channel_of(search, number, one) for one in search.accepted):
+            # The response to its channel is another one: the number is a part of that.
+            far = False
         for one in group:
             one["wrong"] = bool(far and (matters or freed))
             one["instead_of"] = freed
@@ -629,8 +630,11 @@ def describe_remaining(
 
 
 def sizes_left(search: Search, data: DiagnosisData, at_native: Search | None) -> tuple[float, float]:
-    """Return the rms that is left, in sample and held out, nT; with `at_native`, all samples' own."""
-    if at_native is None:
+    """Return the rms that is left, in sample and held out, nT; with `at_native`, all samples' own.
+
+    Where rows lack a channel of what was taken, those of the search are told that have it.
+    """
+    if at_native is None or data.gaps is not None:
         return native_rms(data, search), held_out_rms(search, data)
     whole = replace(data, gaps=None, sums={})
     return native_rms(whole, at_native), held_out_rms(at_native, whole)

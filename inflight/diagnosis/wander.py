@@ -31,7 +31,7 @@ from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.stepwise import RivalCheck
 from inflight.diagnosis.time_changes import Change, block_length, lines_between_windows, time_text
 from inflight.effects import Affine
-from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse, hac_t
+from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse
 from inflight.residual import format_period
 from inflight.time import DAY, SECOND, Int64
 
@@ -486,8 +486,4 @@ def _leaves_less(state: Search, other: Search) -> bool:
     """Return True when a state leaves clearly less of held-out blocks than another one."""
     if not any(one.change is not None for one in other.accepted):
         return True
-    losses = []
-    for one in (state, other):
-        grams, none = one.forms["raw"], list[Any]()
-        losses.append(score(grams, one.present(), none, one.y(), make_folds(len(grams), True)).loss0)
-    return float(hac_t((losses[1] - losses[0])[:, None])[0]) > state.rules.rival_t
+    return other.held_out_t_worse_than(state) > state.rules.rival_t
