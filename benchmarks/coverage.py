@@ -68,6 +68,7 @@ class Coverage:
     family: str
     name: str
     unit: bool
+    columns: int
     values: int
     within: tuple[int, int]
     pull: float
@@ -78,17 +79,26 @@ class Coverage:
 
     def is_right(self, chance: float) -> tuple[bool, bool]:
         """Return whether the counts of all draws, and of those that found it, lie in their intervals."""
-        pairs = ((self.values, self.within), (self.found_values, self.found_within))
-        return tuple(  # type: ignore[return-value]
-            all(low <= k <= high for k, (low, high) in zip(within, intervals(count, chance), strict=True))
-            for count, within in pairs
+        given, found = (
+            all(
+                low <= k / max(count, 1) <= high
+                for k, (low, high) in zip(within, intervals(count // self.columns, chance), strict=True)
+            )
+            for count, within in ((self.values, self.within), (self.found_values, self.found_within))
         )
+        return given, found
 
 
-def intervals(count: int, chance: float) -> list[tuple[float, float]]:
-    """Return the counts between which right ones lie, within one and two sigmas, all but a chance."""
+def intervals(draws: int, chance: float) -> list[tuple[float, float]]:
+    """Return the shares between which right ones lie, within one and two sigmas, all but a chance.
+
+    The values of one draw share its noise: only draws are independent.
+    """
+    if not draws:
+        return [(0.0, 1.0)] * 2
     shares = [scipy.special.erf(k / np.sqrt(2.0)) for k in (1, 2)]
-    return [scipy.stats.binom.interval(1.0 - chance, count, share) for share in shares]
+    low_high = [scipy.stats.binom.interval(1.0 - chance, draws, share) for share in shares]
+    return [(float(low) / draws, float(high) / draws) for low, high in low_high]
 
 
 class Design:
@@ -192,6 +202,7 @@ def _counts(
         family=option.family,
         name=option.name,
         unit=unit,
+        columns=len(option.columns),
         values=every.size,
         within=within(every),
         pull=pull(every),
