@@ -244,6 +244,8 @@ class ModelHistory:
 
 #: Beginning of the message of a version that undoes another.
 UNDO = "undo"
+#: Of one whose own numbers were fitted anew: Gram blocks of the versions before hold them where they were.
+REFIT = "refit"
 
 
 def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: int) -> VersionedModel:
@@ -276,7 +278,8 @@ def version_with_gram_blocks(
     records = _records(cat, current)
     version: int | None = current.version
     while version is not None and version not in versions:
-        version = records[version].parent
+        refitted = records[version].message.startswith(REFIT)
+        version = None if refitted else records[version].parent
     if version is None:
         return None
     used = current if version == current.version else version_of(cat, mission, current, version)

@@ -30,6 +30,7 @@ VERBS = (
     diagnose.auto,
     diagnose.add,
     diagnose.drop,
+    diagnose.refit,
     diagnose.undo,
     results.report,
     results.explore,

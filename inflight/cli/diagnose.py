@@ -144,6 +144,24 @@ def drop(
     _revise(command, comparison, workers, lambda bench: bench.drop(effect))
 
 
+def refit(
+    command: Command,
+    numbers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NUMBER]...",
+            help="Numbers that data may move as far as they like, such as temperature.linear; "
+            "the others move within what the model states of them.",
+        ),
+    ] = None,
+    *,
+    comparison: ComparisonOption = None,
+    workers: WorkersOption = None,
+) -> None:
+    """Fit the model's own numbers anew, and save a new version."""
+    _revise(command, comparison, workers, lambda bench: bench.refit(*(numbers or ())))
+
+
 def undo(command: Command, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
     """Go back to the model before the last change; history keeps both."""
     _revise(command, comparison, workers, lambda bench: bench.undo())
@@ -308,14 +326,23 @@ def _undecided(fields: Fields) -> Iterator[str]:
 
 def _next_step(fields: Fields) -> str:
     """Return what a person may type next."""
-    if fields["command"] == "auto":
+    if fields["command"] == "auto" and not fields.get("plumbing"):
         undo = "next: inflight reprocess    (undo the last addition: inflight undo)"
         return undo if fields.get("versions") else ""
-    if fields["effects"]:
-        return f'next: inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
-    left = next((each for each in fields.get("entries", ()) if each["status"] == "unknown"), None)
-    if left is not None and left["command"] != "inflight compare":
-        return f"next: {left['command']}    (its cause stays to be found)"
+    if fields.get("plumbing"):
+        return "next: mend the mission file as told above, then inflight ingest and inflight diagnose"
+    entries = fields.get("entries", ())
+    first = entries[0]["command"] if entries else ""
+    unknown = [each["command"] for each in entries if each["status"] == "unknown"]
+    what = ""
+    if first.startswith("inflight refit"):
+        what = first
+    elif fields["effects"]:
+        what = f'inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+    elif unknown and unknown[0] != "inflight compare":
+        what = f"{unknown[0]}    (its cause stays to be found)"
+    if what:
+        return f"next: {what}"
     if fields["verdict"] == "UNKNOWN_EFFECT":
         return "next: write the effect as a class of your own, and inflight add it"
     return "next: nothing to add; inflight reprocess uses the model as it is"

@@ -442,7 +442,7 @@ def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
                 status="rivals" if rivals else "sure" if facts["remaining"] == "NOTHING_LEFT" else "weak",
                 rivals=rivals,
                 takes_off_nT=sqrt(sum(float(one["rms_nT"]) ** 2 for one in wrong)),
-                command="inflight model show",
+                command=f"inflight refit {name}",
             )
         )
     return found

@@ -56,6 +56,7 @@ from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, sa
 from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.models import (
+    REFIT,
     VersionedModel,
     current_model,
     version_before_change,
@@ -218,6 +219,7 @@ class Workbench:
         if used.text == self.current.text:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], PassResult] | None = None
+        self._refitted = False
         #: The fit of the present model is needed again with the next change.
         self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
@@ -298,6 +300,7 @@ class Workbench:
         ModelError
             When nothing is called so, or it cannot be fitted.
         """
+        self._rebase_refitted()
         request = find_request(self.maker, effect)
         addition = request.addition
         if request.bank:
@@ -316,6 +319,7 @@ class Workbench:
         ModelError
             When the model has none of that name, or cannot be without it.
         """
+        self._rebase_refitted()
         added = [one for one in self.additions if name in (one.name, *(entry.name for entry in one.entries))]
         if added:
             rest = [one for one in self.additions if one is not added[0]]
@@ -333,6 +337,52 @@ class Workbench:
             )
         return self._revise("drop", f"drop {name}", self.additions, [*self.dropped, name])
 
+    def refit(self, *numbers: str) -> Revision:
+        """Fit the model's own numbers anew: those named as data have them, others within what they state.
+
+        Parameters
+        ----------
+        numbers : str
+            Of the model, such as ``temperature.linear``: all components of the parameter.
+
+        Raises
+        ------
+        ModelError
+            When the model has no such number that may be fitted.
+        """
+        self._rebase_refitted()
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        names = [name for term in setup.refined for name in term.columns]
+        known = sorted({name.partition("[")[0].removeprefix("model:") for name in names})
+        if unknown := next((one for one in numbers if one not in known), None):
+            raise ModelError(
+                f"model '{self.current.model.name}' has no number {unknown!r} that may be fitted"
+                f"{did_you_mean(unknown, known)}",
+                remedy=f"it has {', '.join(known)}" if known else "give its parameters a 'sigma'",
+            )
+        columns = [column for one in self.additions for column in one.columns]
+        apart = any(one.interleaved for one in self.additions)
+        before = setup.fit(columns, dict.fromkeys(names, 0.0) | fixed, interleaved=apart)
+        free = replace(setup, refined=tuple(_without_sigma(term, numbers) for term in setup.refined))
+        after = free.fit(columns, fixed, interleaved=apart)
+        message = f"{REFIT} {', '.join(numbers) or 'all numbers'}"
+        model, parent = self._model(free, self.additions, self.dropped, after), self.current.version
+        self.current = self._saved(model, message, model.text)
+        self._last, self._refitted = None, True
+        return self._revision("refit", message, parent, before, after)
+
+    def _rebase_refitted(self) -> None:
+        """Make the Gram blocks at the present version, where those there are hold its numbers otherwise."""
+        if self._refitted:
+            self._rebase()
+
+    def _rebase(self) -> None:
+        self._measured, self._refitted = self.mission, False
+        self.made = self._prepared(self.current, None)
+        self._narrow = None
+        self.__dict__.pop("_whole", None)
+        self._restore()
+
     def undo(self) -> Revision:
         """Go back to the version before the last change: a new version with its text.
 
@@ -341,6 +391,7 @@ class Workbench:
         ModelError
             When there is nothing to go back to.
         """
+        self._rebase_refitted()
         found = version_before_change(self.cat, self.mission, self.current)
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         before, first = self._fit(setup, fixed, self.additions), self.current
@@ -494,9 +545,7 @@ class Workbench:
 
     def _searched(self) -> tuple[Diagnosis, Search]:
         if self.root.version != self.current.version or self.additions or self.dropped:
-            self._measured = self.mission
-            self.made = self._prepared(self.current, None)
-            self._narrow = None
+            self._rebase()
         self.__dict__.pop("_whole", None)
         self._restore()
         context = diagnosis_data(self.made, self.mission)
@@ -509,8 +558,13 @@ class Workbench:
         return found.after_plumbing(faults), search
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
-        """Search, and save one version for every effect the search took, in order."""
+        """Search, and save one version for every effect the search took, in order.
+
+        None is saved while the data are known to be wrong: what was found would stand for their faults.
+        """
         found, search = self._searched()
+        if any(fault["sure"] for fault in found.plumbing):
+            return found, []
         # Lags, widths and products that the search made have their columns in its Gram blocks.
         loaded = replace(self.made.loaded, raw=search.raw)
         self.made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
@@ -521,6 +575,13 @@ class Workbench:
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
         return found, steps
+
+
+def _without_sigma(term: Term, numbers: Sequence[str]) -> Term:
+    """Return a term without what the model states of some of its numbers."""
+    free = [name.partition("[")[0].removeprefix("model:") in numbers for name in term.columns]
+    sigma = tuple(np.inf if is_free else one for is_free, one in zip(free, term.sigma, strict=True))
+    return replace(term, sigma=sigma)
 
 
 def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:

@@ -4,7 +4,9 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from heated_mission import make_heated_workspace
 from tiny_mission import TINY_YAML
@@ -12,6 +14,7 @@ from tiny_mission import TINY_YAML
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks.analysis import last_diagnosis
 from inflight.tasks.analysis.diagnosis import diagnose
+from inflight.tasks.models import current_model
 
 EFFECT = "channel_field(heater_current)"
 
@@ -86,6 +89,29 @@ def test_an_added_effect_is_told_to_a_person(inflight, root, tmp_path):
     assert "leak.coefficient[x]" in told
     assert "vector_sensor.offset[x]" in told
     assert "inflight reprocess" in told
+
+
+def test_a_wrong_number_is_told_and_fitted_anew(inflight, root):
+    """The number is off by ten of its sigmas: freed, it is right again, and what is left is noise."""
+    inflight("add", EFFECT, "--json", "-w", root)
+    place = Workspace.open(root)
+    cat, mission = Catalog(place.root), place.mission()
+    model = current_model(cat, mission).model
+    entry = model.effect("channel_field_heater_current")
+    timed = entry.parameters["coefficient"]
+    wrong = replace(timed, value=timed.value + 30.0 * timed.sigma)
+    wrong_model = model.replace(entry.with_parameters({"coefficient": wrong}))
+    cat.save_model(wrong_model.name, wrong_model.text, 2, "a typing error", new_version=True)
+    told = inflight("diagnose", "--no-prefect", "--json", "-w", root).json
+    (found,) = (one for one in told["entries"] if one["name"] == "channel_field_heater_current.coefficient")
+    assert found["command"] == "inflight refit channel_field_heater_current.coefficient"
+    refitted = inflight(*found["command"].split()[1:], "--json", "-w", root).json
+    before, after = refitted["error"]["held_out_nT"]
+    assert after < 0.9 * before
+    value = current_model(cat, mission).model.effect(entry.name).parameters["coefficient"].value
+    assert np.all(np.abs(value - timed.value) < 4 * timed.sigma)
+    assert inflight("diagnose", "--no-prefect", "--json", "-w", root).json["verdict"] == "NOTHING_LEFT"
+    assert inflight("refit", "coefficient", "-w", root).code == 1
 
 
 def test_auto_saves_what_it_found_and_the_next_one_finds_nothing(inflight, root):

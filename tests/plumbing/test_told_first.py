@@ -60,6 +60,9 @@ def test_a_wrong_unit_of_a_current_heads_the_verdict_until_it_is_mended(made):
     changed = wrong(TEXT, f"{HEATER}.file_unit", "A")
     cat, mission = made(changed)
     settings = DiagnoseSettings(draws=200, rounds=0)
+    told = diagnose_span(made.place, settings=DiagnoseSettings(draws=200, rounds=2), save=True)
+    assert told["entries"], "something would be added"
+    assert told["versions"] == []
     told = diagnose_span(made.place, settings=settings)
     (fault,) = told["plumbing"]
     assert told["sentence"].startswith("Mend the data first. 'heater_current' of 'power'")
