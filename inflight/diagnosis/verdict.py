@@ -135,13 +135,13 @@ def run_search(
     search, checks, after_checks = exchange_and_check(search, data)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
+    # What follows needs the memory of what is only kept to be quick.
+    search.shared.forget_products()
+    data.columns.clear()
     other, checks, in_time = with_wander(search, checks)
     if other is not search:
         search, last = other, other.table()
-    if native:
-        # The processes that make it need the memory of what is only kept to be quick.
         search.shared.forget_products()
-        data.columns.clear()
     is_fast = is_left_within_bins(search, data)
     at_native, cadence_s = (native(search, is_fast) if native else None) or (None, data.cadence_s)
     effects = tuple(

@@ -60,7 +60,7 @@ from inflight.tasks.archive import (
     require_days,
     resolves_spin,
 )
-from inflight.tasks.batches import end_processes
+from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states, spacecraft_units_of
 from inflight.tasks.report import Progress
@@ -195,7 +195,9 @@ def make_pass(
         )
         # What follows needs the memory; where blocks are made again, other processes start.
         end_processes(client)
-        return run, failed, load_grams(cat, plan, blocks)
+        loaded = load_grams(cat, plan, blocks)
+        give_back_memory()
+        return run, failed, loaded
 
     run, failed, loaded = make()
     if loaded.outliers.share > BURST_SETTINGS.largest_share:
