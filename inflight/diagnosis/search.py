@@ -298,8 +298,8 @@ class SharedGrams:
         self.forms, self._earlier = {}, self._earlier | self.forms
 
     def forget_products(self) -> None:
-        """Let go of the products that the forms keep: hundreds of megabytes of a long record."""
-        for form in (self.forms | self._earlier).values():
+        """Let go of the products that blocks keep to be quick: hundreds of megabytes of a long record."""
+        for form in (self.raw, self.white, *(self.forms | self._earlier).values()):
             if isinstance(form, FactoredGrams):
                 form.forget_products()
 

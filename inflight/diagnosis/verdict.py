@@ -141,8 +141,8 @@ def run_search(
     other, checks, in_time = with_wander(search, checks)
     if other is not search:
         search, last = other, other.table()
-        search.shared.forget_products()
     is_fast = is_left_within_bins(search, data)
+    search.shared.forget_products()
     at_native, cadence_s = (native(search, is_fast) if native else None) or (None, data.cadence_s)
     effects = tuple(
         describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
