@@ -326,11 +326,11 @@ def _undecided(fields: Fields) -> Iterator[str]:
 
 def _next_step(fields: Fields) -> str:
     """Return what a person may type next."""
-    if fields["command"] == "auto" and not fields.get("plumbing"):
-        undo = "next: inflight reprocess    (undo the last addition: inflight undo)"
-        return undo if fields.get("versions") else ""
     if fields.get("plumbing"):
         return "next: mend the mission file as told above, then inflight ingest and inflight diagnose"
+    if fields["command"] == "auto":
+        undo = "next: inflight reprocess    (undo the last addition: inflight undo)"
+        return undo if fields.get("versions") else ""
     entries = fields.get("entries", ())
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]

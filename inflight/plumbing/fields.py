@@ -176,9 +176,7 @@ def unit_findings(survey: Survey, main_field: Mapping[str, Floats] | None = None
     stamps, one, other = paired(first, second)
     if one.ndim == other.ndim == 2:
         one, other = _same_variation(survey, one, other)
-    size_one, size_other = (
-        values if values.ndim == 1 else np.linalg.norm(values, axis=1) for values in (one, other)
-    )
+    size_one, size_other = magnitude(one), magnitude(other)
     trials = {power: typical_squares(size_one - 10.0**power * size_other) for power in POWERS}
     found = choose(typical_squares(size_one - size_other), trials)
     if found is None or found.rivals:

@@ -35,6 +35,7 @@ from inflight.plumbing.fields import (
 )
 from inflight.plumbing.findings import Finding, Remedy
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
+from inflight.samples import continuous_sign
 from inflight.time import SECOND, Int64, to_utc
 from inflight.units import factor_and_offset
 
@@ -84,7 +85,7 @@ class Orbit:
         field = replace(places, values=main_field(fixed, stamps), name="main field")
         attitude = survey.of_kind("attitude", ("itrf", "nec", "gcrf"))
         return cls(
-            position, field, places, attitude and replace(attitude, values=_continuous(attitude.values))
+            position, field, places, attitude and replace(attitude, values=continuous_sign(attitude.values))
         )
 
     @property
@@ -148,15 +149,6 @@ def _is_near(fixed: Floats) -> bool:
     """Return True for positions where the main field is nearly all there is."""
     radius = float(np.nanmedian(np.linalg.norm(fixed, axis=1))) if np.isfinite(fixed).any() else np.nan
     return bool(0.99 * EARTH_RADIUS <= radius <= PLUMBING_SETTINGS.main_field_radii * EARTH_RADIUS)
-
-
-def _continuous(quaternion: Floats) -> Floats:
-    """Return quaternions of which neighbours have not opposite signs, so that they can be interpolated."""
-    known = np.isfinite(quaternion).all(axis=1)
-    out = quaternion.copy()
-    turned = np.einsum("tq,tq->t", out[known][1:], out[known][:-1]) < 0
-    out[known] *= np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)]))[: known.sum(), None]
-    return out
 
 
 def orbit_pairs(survey: Survey, orbit: Orbit) -> list[Pair]:

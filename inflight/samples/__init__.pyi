@@ -1,4 +1,4 @@
-from .alignment import FIELD_ROLES, PlainSamples, Series, align
+from .alignment import FIELD_ROLES, PlainSamples, Series, align, continuous_sign
 from .derived import (
     ChannelFactor,
     DerivedChannel,
@@ -23,6 +23,7 @@ __all__ = [
     "align",
     "base_channels",
     "channel_product",
+    "continuous_sign",
     "derive_channel",
     "fold_series",
     "fold_spins",

@@ -225,13 +225,13 @@ def _resample(name: str, series: Series, places: _Places, lag: int) -> tuple[Flo
     """Return values at the targets, (time,) or (time, axis), and the method used."""
     values = np.asarray(series.values, dtype=np.float64)
     if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
-        plain = Series(_continuous_sign(values), series.stamps, series.attrs)
+        plain = Series(continuous_sign(values), series.stamps, series.attrs)
         found, method = _resample_values(name, plain, places, lag)
         return found / np.linalg.norm(found, axis=1, keepdims=True), method
     return _resample_values(name, replace(series, values=values), places, lag)
 
 
-def _continuous_sign(quaternion: Floats) -> Floats:
+def continuous_sign(quaternion: Floats) -> Floats:
     """Return the same rotations with signs that do not jump: q and -q turn alike but do not average."""
     valid = np.isfinite(quaternion).all(axis=1)
     flips = np.einsum("ij,ij->i", quaternion[valid][1:], quaternion[valid][:-1]) < 0

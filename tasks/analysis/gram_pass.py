@@ -62,6 +62,7 @@ from inflight.tasks.archive import (
     DerivedChannels,
     Need,
     as_variables,
+    evenly_spread,
     load_samples,
     orbit_of,
     replacement_value,
@@ -779,8 +780,7 @@ def survey(
     CalibrationError
         When no day has enough usable samples.
     """
-    places = np.linspace(0, len(days) - 1, min(PASS_SETTINGS.surveyed_days, len(days))).round().astype(int)
-    some = [days[place] for place in np.unique(places)]
+    some = evenly_spread(days, PASS_SETTINGS.surveyed_days)
     known = None if origin is None else np.asarray(origin.value)
     fitted, base, fixed, value = _linearised(cat, mission, model, needs, index, some, known)
     if origin is not None:

@@ -18,6 +18,7 @@ from inflight.tasks.archive import (
     ArchiveIndex,
     Need,
     channel_needs,
+    evenly_spread,
     load_samples,
     needs_of,
     require_days,
@@ -79,8 +80,7 @@ def read_survey(
     needs, channels = needs_of(mission, model), channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
     days = require_days(index, needs, start, end)
-    places = np.linspace(0, len(days) - 1, min(PLUMBING_SETTINGS.days, len(days))).round().astype(int)
-    some = [days[place] for place in np.unique(places)]
+    some = evenly_spread(days, PLUMBING_SETTINGS.days)
     roles = set(mission.comparisons[comparison].instruments())
     survey = Survey(
         mission=mission,

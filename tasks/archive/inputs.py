@@ -145,6 +145,12 @@ def require_days(
     return days
 
 
+def evenly_spread(days: Sequence[np.datetime64], most: int) -> list[np.datetime64]:
+    """Return some days at most, first and last among them: what a survey reads."""
+    places = np.linspace(0, len(days) - 1, min(most, len(days))).round().astype(int)
+    return [days[place] for place in np.unique(places)]
+
+
 def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[Need]:
     """Return what the samples of a model's comparison are made from.
 
