@@ -845,8 +845,8 @@ def coarsen(
     Returns
     -------
     DesignRows, dict
-        The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
-        the scatter within bins, of one row, nT^2, ``spikes``; and of `burst_report`.
+        The rows, and sums over the native samples of bins that have a weight: ``count``, ``square`` of the
+        residual, ``inside``, the scatter within bins, of one row, nT^2; ``spikes``, and of `burst_report`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
@@ -866,12 +866,11 @@ def coarsen(
         name: np.asfortranarray(bins.means(np.asarray(one), good)[0]) for name, one in rows.directions.items()
     }
     residual = np.where(seen[:, None], residual, 0.0)
-    square = float(np.sum(rows.residual[good] ** 2))
-    inside = square - float(
-        np.sum(count[:, None] * np.where(count[:, None] > 0, np.nan_to_num(residual), 0.0) ** 2)
-    )
+    # Of bins with a weight: what lies in one with too few samples is nowhere else.
+    square = float(count[seen] @ bins.means(np.sum(rows.residual**2, axis=1), good)[0][seen])
+    inside = square - float(count[seen] @ np.sum(residual[seen] ** 2, axis=1))
     sums = {
-        "count": float(good.sum()),
+        "count": float(count[seen].sum()),
         "square": square,
         # A row's own, as all other sizes are.
         "inside": max(inside, 0.0) / rows.residual.shape[1],

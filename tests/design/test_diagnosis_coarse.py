@@ -218,7 +218,16 @@ def test_bins_weigh_what_they_hold_and_empty_ones_nothing():
     assert rows.weight[30] == 0.5
     assert rows.weight[40] == 0.0, "two of ten samples are too few"
     assert rows.weight[50] == 1.0
-    assert sums["count"] == good.sum()
+    assert sums["count"] == good.sum() - 2
+
+
+def test_samples_of_a_bin_without_weight_are_not_scatter_within_bins():
+    """The residual of a model before its fit is large, and what has no bin must not count with all of it."""
+    good = np.ones(3000, dtype=bool)
+    good[402:410] = False
+    residual = quiet(6)
+    usual, far = (coarse(residual + away, good)[1]["inside"] for away in (0.0, 70.0))
+    assert far == pytest.approx(usual, rel=1e-6)
 
 
 @pytest.mark.parametrize(("step", "after"), [(1, 0.0), (10, 4.5)])

@@ -26,9 +26,11 @@ def say(tmp_path_factory):
 
 @pytest.mark.parametrize(("mission", "comparison"), [("magnav-tl", "main"), ("usgs-bou", "main")])
 def test_nothing_is_named_that_the_record_cannot_show(say, mission, comparison):
+    """What a parameter does in time is no cause."""
     said = say(mission, comparison)
+    causes = [one for one in said.names if not one.startswith("wander(")]
     assert said.diagnosis.verdict in ("NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "CONFOUNDED")
-    assert said.diagnosis.verdict == "CONFOUNDED" or said.names == []
+    assert said.diagnosis.verdict == "CONFOUNDED" or causes == []
     assert said.ratio <= 1.0
 
 
