@@ -156,6 +156,8 @@ class Option:
         When it is bound to a time.
     lag_sigma_s : float, optional
         Error of a refined lag, s.
+    of_more : float
+        It was the best of so many times as many as those it is scored with: its p-value counts them.
     """
 
     name: str
@@ -169,6 +171,7 @@ class Option:
     placebo: bool = False
     change: Change | None = None
     lag_sigma_s: float | None = None
+    of_more: float = 1.0
 
     @property
     def interleaved(self) -> bool:
@@ -573,7 +576,11 @@ class Search:
         real = np.array([not option.placebo for option in options], dtype=bool)
         largest = [flipped[:, real].max(axis=1, initial=0.0) for _, flipped in ratios.values()]
         most = np.max(largest, axis=0)[:, None]
-        p = {form: family_wise_p(observed, most) for form, (observed, _) in ratios.items()}
+        more = np.array([option.of_more for option in options])
+        p = {
+            form: np.minimum(more * family_wise_p(observed, most), 1.0)
+            for form, (observed, _) in ratios.items()
+        }
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
             form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)

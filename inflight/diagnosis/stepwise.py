@@ -619,7 +619,8 @@ def exchange_and_check(
         tables = {}
         for option in search.accepted:
             tables[option.name] = search.table(without=option)
-            better = _better_option(search, option, tables[option.name])
+            table = tables[option.name]
+            better = _better_option(search, option, table) or _simpler_form(option, table, search.rules)
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)
                 search = search.with_round("exchange", better)
@@ -658,6 +659,24 @@ def _better_option(search: Search, option: Option, table: ScoreTable) -> Option 
         return None
     best = min(others, key=lambda other: float(loss[:, other].sum()))
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
+
+
+def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | None:
+    """Return an option that follows the same channels with fewer coefficients and leaves no more held out."""
+    place = place_in(table, option)
+    if place is None or option.change is not None or not option.channels:
+        return None
+    form = clearest_form(table, place)
+    loss = table.scores[form].loss.sum(axis=0)
+    simpler = [
+        other
+        for other in np.flatnonzero(table.passing(rules)[form])
+        if set(table.options[other].channels) == set(option.channels)
+        and table.options[other].change is None
+        and len(table.options[other].columns) < len(option.columns)
+        and loss[other] <= loss[place]
+    ]
+    return table.options[min(simpler, key=lambda other: float(loss[other]))] if simpler else None
 
 
 def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float) -> bool:

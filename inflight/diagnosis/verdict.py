@@ -18,7 +18,8 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, add_interactions, bank_of, profile_lag
+from inflight.diagnosis.forms import add_forms, add_interactions
+from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
     Structure,
@@ -240,11 +241,13 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
-        options = search.options
-        search = add_interactions(search, data, [first, last], remaining.is_sure)
-        if search.options is not options:
-            search, _, last = select_effects(search, data)
+    for more in (add_forms, add_interactions):
+        # Products come last, when each factor was tried in all its forms.
+        if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
+            options = search.options
+            search = more(search, data, [first, last], remaining.is_sure)
+            if search.options is not options:
+                search, _, last = select_effects(search, data)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]
