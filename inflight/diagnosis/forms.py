@@ -24,7 +24,7 @@ from inflight.design import Term, design_matrix
 from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors
 from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
-from inflight.diagnosis.scoring import Index, ModelColumns, Scores, make_folds, score
+from inflight.diagnosis.scoring import Index, make_folds, score
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
 from inflight.errors import InflightError
@@ -83,7 +83,10 @@ FORM_SETTINGS = FormSettings()
 
 @dataclass(frozen=True)
 class Followed:
-    """One way to follow a channel: ``value``, ``response``, ``play``, ``square``; `name` is the derived channel."""
+    """One way to follow a channel.
+
+    `how` is ``value``, ``response``, ``play`` or ``square``; `name` is the derived channel.
+    """
 
     how: str
     channel: str
@@ -207,10 +210,11 @@ def _entry(data: DiagnosisData, label: str, channel: str) -> ModelEffect | None:
 def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEffect) -> tuple[Term, Option]:
     """Return the term of a cell and the option that takes it."""
     label = entry.effect.label()
-    mechanism = f"{label}({cell.channel})" if cell.how == "response" else f"{label}({cell.name})"
-    key = f"{mechanism}@lag={cell.lag_s:g}s" if cell.how == "response" else mechanism
-    if "@about=" in cell.name and cell.how == "response":
-        mechanism = key = f"{label}({cell.name})"
+    mechanism = key = f"{label}({cell.name})"
+    if cell.how == "response":
+        # The refined lag takes the place of this one.
+        mechanism = f"{label}({cell.name.replace(f'@lag={cell.lag_s:g}s', '')})"
+        key = f"{mechanism}@lag={cell.lag_s:g}s"
     size = sum(kind.size for kind in entry.effect.parameters().values() if np.isfinite(kind.sigma))
     names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
     term = Term(key, entry, names, (np.inf,) * size)
@@ -236,29 +240,25 @@ def _shortlisted(
     rules, folds = search.rules, make_folds(len(products))
     every = [products.places(number) for number in range(len(entries))]
     gains = np.zeros(len(entries))
-    for option in (None, *search.accepted):
-        if option is not None and (option.change is not None or not option.channels):
-            continue
-        present = products.present(search, option)
+    taken = [[one] for one in search.accepted if one.change is None and one.channels]
+    # Beside the model, in the place of each effect of it, and in the place of all of them.
+    for without in ([], *taken, *([list(search.accepted)] if len(search.accepted) > 1 else [])):
+        kept = search.with_accepted([one for one in search.accepted if one not in without])
+        present = kept.present_in(products)
         found = score(products, present, every, products.residuals[0], folds)
-        passing = (found.t > FORM_SETTINGS.nearly * rules.t) & (
-            found.gain > FORM_SETTINGS.nearly * rules.gain
-        )
-        if option is not None:
-            own = score(products, present, [products.index(option.columns)], products.residuals[0], folds)
-            passing &= _as_good(found, own, rules.rival_t)
+        passing = found.t > FORM_SETTINGS.nearly * rules.t
+        passing &= found.gain > FORM_SETTINGS.nearly * rules.gain
+        if without:
+            columns = [products.index(one.columns) for one in without]
+            own = score(products, present, columns, products.residuals[0], folds)
+            best = own.loss[:, [int(np.argmin(own.loss.sum(axis=0)))]]
+            passing &= hac_t(found.loss - best) < rules.rival_t
         gains = np.maximum(gains, np.where(passing, found.gain, 0.0))
     return [
         (float(gain), cell, entry)
         for gain, (cell, entry) in zip(gains, entries.items(), strict=True)
         if gain > 0
     ]
-
-
-def _as_good(found: Scores, own: Scores, rival_t: float) -> np.ndarray:
-    """Return which candidates leave no more than an effect does, or not clearly more; (candidate,)."""
-    behind = found.loss - own.loss
-    return np.asarray(hac_t(behind) < rival_t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,10 +340,6 @@ class CellProducts:
         """Return the places of the columns of a cell."""
         k = self.inner.shape[2]
         return len(self.names) + cell * k + np.arange(k)
-
-    def present(self, search: Search, without: Option | None) -> ModelColumns:
-        """Return the columns of the model, one effect left out, with their priors."""
-        return search.present_in(self, without)
 
     def rows(self, columns: Index, others: Index | None = None) -> Floats:
         """Return the products of residual and columns of the model with others; (block, column, other)."""

@@ -87,14 +87,16 @@ MEANING: dict[Verdict, str] = {
     "NOTHING_LEFT": "only noise remains",
 }
 
-#: How sure an entry is: of its cause; that something is there, with rivals named; hardly; without a cause.
-Status = Literal["sure", "rivals", "weak", "unknown"]
+#: How sure an entry is: of its cause; that something is there, with rivals named, or with as much left that
+#: no effect explains; hardly; without a cause.
+Status = Literal["sure", "rivals", "stand-in", "weak", "unknown"]
 
 
 #: The same in words.
 HOW_SURE: dict[Status, str] = {
     "sure": "sure",
     "rivals": "something is there; causes look alike",
+    "stand-in": "something is there; it may be a part of what is left, which is as large",
     "weak": "weak: hardly more than chance",
     "unknown": "sure; no cause in the library",
 }
@@ -112,8 +114,9 @@ class Entry:
         What it is, for a physicist.
     status : str
         ``sure``: this cause, and nothing else explains it as well. ``rivals``: something is there, and these
-        data cannot tell which of several causes. ``weak``: were its gain one sigma smaller, it would not have
-        been taken. ``unknown``: something is there, and no effect of the library is its cause.
+        data cannot tell which of several causes. ``stand-in``: what is left is as large and has no shape of
+        its own: both may be one cause, which the library lacks. ``weak``: were its gain one sigma smaller, it
+        would not have been taken. ``unknown``: something is there, and no effect of the library is its cause.
     takes_off_nT : float
         Rms of what it alone explains when all others are in the model, or of the structure that is left; nT.
     first_in_nT : float or None
@@ -141,6 +144,7 @@ class Entry:
         names: dict[Status, Verdict] = {
             "sure": "FOUND",
             "rivals": "CONFOUNDED",
+            "stand-in": "CONFOUNDED",
             "weak": "NOT_IDENTIFIABLE",
             "unknown": "UNKNOWN_EFFECT",
         }
@@ -396,6 +400,8 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         for one in facts["effects"]
     ]
     found += _wrong_numbers(facts)
+    size = _size_left(facts["residual"], facts["signature"]) if facts["remaining"] != "NOTHING_LEFT" else 0.0
+    found = _told_stand_ins(found, 0.0 if _has_own_shape(facts["signature"]) else size)
     found.sort(key=lambda one: -one.takes_off_nT)
     if facts["remaining"] == "NOTHING_LEFT":
         return tuple(found)
@@ -404,11 +410,33 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         name=LEFT,
         words=_signature_text(facts["signature"]) if sure else why_not_identifiable(facts),
         status="unknown" if sure else "weak",
-        takes_off_nT=_size_left(facts["residual"], facts["signature"]),
+        takes_off_nT=size,
         command=_command_left(facts["signature"]) if sure else "inflight compare",
     )
     place = sum(one.takes_off_nT >= left.takes_off_nT for one in found) if sure else len(found)
     return (*found[:place], left, *found[place:])
+
+
+def _told_stand_ins(found: Sequence[Entry], left_nT: float) -> list[Entry]:  # noqa: N803 (a unit)
+    """Return the entries, those that explain no more than what has no cause told as possible parts of it.
+
+    Without a cause are what is left, shapes and what is weak; not how the calibration changes in time.
+    """
+    without = [
+        one for one in found if one.status in ("unknown", "weak") and not one.name.startswith("wander(")
+    ]
+    size = sqrt(left_nT**2 + sum(one.takes_off_nT**2 for one in without))
+    return [
+        replace(one, status="stand-in") if one.status == "sure" and 0 < one.takes_off_nT <= size else one
+        for one in found
+    ]
+
+
+def _has_own_shape(signature: Signature | None) -> bool:
+    """Return True when what is left is a line, a fast band or a unit that switches: no slow effect is."""
+    return signature is not None and bool(
+        signature.period_s or signature.faster_than_s or signature.switchings
+    )
 
 
 def _command_left(signature: Signature | None) -> str:

@@ -248,19 +248,24 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
             search = more(search, data, [first, last], remaining.is_sure)
             if search.options is not options:
                 search, _, last = select_effects(search, data)
+                if len(search.accepted) > 1:
+                    # One cause in the form that is there now may be what several stood in for.
+                    search, last = _afresh(search, data, last)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]
     if shapes and len(search.accepted) > max(len(shapes), 2):
-        search, last = _from_shapes(search, data, last)
+        search, last = _afresh(search, data, last, shapes_first=True)
     return refine_all(search, data), first, last
 
 
-def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
-    """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
+def _afresh(
+    search: Search, data: DiagnosisData, last: ScoreTable, shapes_first: bool = False
+) -> tuple[Search, ScoreTable]:
+    """Search anew; keep it when fewer effects explain as much, else what was found."""
     before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset(), freed={})
-    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
+    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first)
     fewer = len(other.accepted) < len(search.accepted)
     if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
         return other, table

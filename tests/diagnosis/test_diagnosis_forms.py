@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from diagnosis_cases import NOISE_NT, POLAR, case_of, flight_of, read
 
-from inflight.diagnosis.forms import ACTS_ON, CellProducts, _cells, _entry, _option, add_forms, scalar_channels
+from inflight.diagnosis.forms import (
+    ACTS_ON,
+    CellProducts,
+    _cells,
+    _entry,
+    _option,
+    add_forms,
+    scalar_channels,
+)
 from inflight.diagnosis.refine import join_terms
 from inflight.diagnosis.scoring import make_folds, score
 
@@ -22,7 +30,11 @@ def shapes(flight):
     return {
         "bias": 0.1 * about / about.std(),
         "clock": 3e-3 * rate * about / about.std(),
-        "scale": -2.5e-6 * strength * (current - current.mean()) / current.std() * flight.direction[:, 2] ** 2,
+        "scale": -2.5e-6
+        * strength
+        * (current - current.mean())
+        / current.std()
+        * flight.direction[:, 2] ** 2,
     }
 
 
@@ -47,7 +59,7 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     folds = make_folds(len(grams))
     slow = score(grams, joined.present(), [grams.index(o.columns) for _, o in made], joined.y(), folds)
     places = [products.places(k) for k in range(len(cells))]
-    quick = score(products, products.present(search, None), places, products.residuals[0], folds)
+    quick = score(products, search.present_in(products), places, products.residuals[0], folds)
     np.testing.assert_allclose(quick.loss0, slow.loss0, rtol=1e-4)
     np.testing.assert_allclose(quick.gain, slow.gain, atol=2e-4)
     np.testing.assert_allclose(quick.t, slow.t, atol=0.05)
