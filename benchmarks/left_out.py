@@ -12,7 +12,8 @@ called sure and has nothing to do with it is wrong.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,10 +22,12 @@ from benchmarks.coverage import Design, search_over
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.design import Candidate, DesignRows, design_matrix
-from inflight.diagnosis import Diagnosis, DiagnosisData, Search, run_search
+from inflight.diagnosis import Diagnosis, DiagnosisData, Search, forms, run_search
+from inflight.diagnosis.forms import Followed
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import channels_under
 from inflight.lsq import GramArrays
+from inflight.model import Model
 from inflight.residual import NoiseFloor
 from inflight.tasks.analysis import DiagnoseSettings
 from inflight.tasks.analysis.diagnosis import diagnosis_data, make_pass
@@ -239,8 +242,9 @@ class Missions:
         """Return what the search says of a case."""
         case = self.cases[place]
         search, data = self._search(place)
-        found, last = run_search(search, data)
-        return judged(case, found, last, self.settings)
+        with cells_without(case):
+            found, last = run_search(search, data)
+        return judged(case, found, last, data.model, self.settings)
 
     def _search(self, place: int) -> tuple[Search, DiagnosisData]:
         case, library = self.cases[place], self.design.made.plan.library
@@ -262,6 +266,34 @@ class Missions:
             columns={},
         )
         return search, data
+
+
+#: Forms of the library's core that are cells of the table `acts on` x `follows`.
+CELLS = {
+    "channel_power": ("channel_field", "square"),
+    "hysteresis": ("channel_field", "play"),
+    **{label: (label, "value") for label in ("channel_field", "channel_scale", "channel_angle")},
+    **{f"{label}, lag": (label, "response") for label in ("channel_field", "channel_scale", "channel_angle")},
+}
+
+
+@contextmanager
+def cells_without(case: Case) -> Iterator[None]:
+    """Leave out of the library's second tier, too, what a case leaves out of its core."""
+    gone = CELLS.get(form_of(case.candidate)) if case.group.startswith("form") and case.candidate else None
+    every = forms._cells
+
+    def cells(search: Search, data: DiagnosisData, label: str, channels: Sequence[str]) -> list[Followed]:
+        found = every(search, data, label, channels)
+        if case.group.startswith("family"):
+            return [one for one in found if one.channel not in case.channels]
+        return [one for one in found if (label, one.how) != gone]
+
+    forms._cells = cells
+    try:
+        yield
+    finally:
+        forms._cells = every
 
 
 def with_columns(grams: GramArrays, names: list[str]) -> GramArrays:
@@ -286,7 +318,7 @@ def with_residual(series: Series, residuals: list[Floats], weights: list[Floats]
     return replace(series, values=values)
 
 
-def judged(case: Case, found: Diagnosis, last: Search, settings: LeftOutSettings) -> Answer:
+def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: LeftOutSettings) -> Answer:
     """Return how a diagnosis stands against what was hidden."""
     channels = {one.name: set(one.channels) for one in found.effects}
     families = {one.name: one.family for one in found.effects}
@@ -299,6 +331,8 @@ def judged(case: Case, found: Diagnosis, last: Search, settings: LeftOutSettings
             return bool(under & case.channels)
         return family == case.family or name.partition("(")[0] == mechanism.partition("(")[0]
 
+    # A number of the model is named by its effect, which follows a channel.
+    numbers = {one.name: channels_under(one.effect.channels) for one in model.effects}
     named, wrong, told = False, False, []
     for entry in found.entries:
         own, family = channels.get(entry.name, set()), families.get(entry.name, "")
@@ -306,6 +340,7 @@ def judged(case: Case, found: Diagnosis, last: Search, settings: LeftOutSettings
         right = is_it(entry.name, own, family) or any(
             is_it(one.mechanism, set(one.channels), one.family) for one in rivals
         )
+        right |= bool(numbers.get(entry.name.partition(".")[0], set()) & case.channels)
         named |= right
         wrong |= entry.status == "sure" and not right
         told.append(f"{entry.status}: {entry.name} {entry.takes_off_nT:.3f}")

@@ -24,7 +24,7 @@ from inflight.design import Term, design_matrix
 from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors
 from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
-from inflight.diagnosis.scoring import Index, make_folds, score
+from inflight.diagnosis.scoring import Index, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
 from inflight.errors import InflightError
@@ -65,6 +65,8 @@ class FormSettings:
         A factor that varies by less than this part of its size is a constant; assumed.
     own_t : float
         A channel is strong when its own effect reaches this t; assumed.
+    related : float
+        A cell that explains this part of what an effect does, in its place, is related to it; assumed.
     nearly : float
         Cells and products that reach this part of the t and of the gain of an addition are held against
         everything.
@@ -75,6 +77,7 @@ class FormSettings:
     pairs: int = 60
     steady: float = 1e-3
     own_t: float = 1.0
+    related: float = 0.5
     nearly: float = 0.5
 
 
@@ -92,6 +95,11 @@ class Followed:
     channel: str
     name: str
     lag_s: float = 0.0
+
+    @property
+    def lag_text(self) -> str:
+        """How its name writes the lag."""
+        return f"@lag={self.lag_s:g}s" if self.lag_s else ""
 
 
 def follows(channel: str, mean: float, spread: float, has_history: bool = True) -> list[Followed]:
@@ -146,6 +154,55 @@ def add_forms(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable],
     )
 
 
+def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
+    """Return effects that may stand in for another form of their cause: effect -> what is left follows.
+
+    Of each effect the related cells: those that follow a channel of it, or that explain half as much in its
+    place. What is left follows one of them where its t passes, and sign flips of blocks say that the largest
+    of them all is no chance.
+    """
+    options = [one for one in search.accepted if one.change is None and not one.agnostic]
+    if not options or not can_add_columns(search, data):
+        return {}
+    signs, units = draw_signs(len(search.raw), search.rules.draws, search.rules.seed)
+    folds = make_folds(len(search.raw))
+    names: list[str] = []
+    t, observed, flipped = [], [], []
+    related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
+    for label in ACTS_ON.values():
+        cells = _cells(search, data, label, scalar_channels(data), held=True)
+        entries = [(one, entry) for one in cells if (entry := _entry(data, label, one)) is not None]
+        if not entries:
+            continue
+        products = CellProducts.of(search, data, entries[0][1], [one for one, _ in entries])
+        every = [products.places(number) for number in range(len(entries))]
+        y, present = products.residuals[0], search.present_in(products)
+        t.append(score(products, present, every, y, folds).t)
+        ratios = sign_flip_ratios(products, present, every, y, signs, units)
+        observed.append(ratios[0])
+        flipped.append(ratios[1])
+        names += [f"{label}({one.name})" for one, _ in entries]
+        for option in options:
+            present = search.present_in(products, option)
+            own = score(products, present, [products.index(option.columns)], y, folds)
+            found = score(products, present, every, y, folds)
+            same = np.array([one.channel in option.channels for one, _ in entries])
+            related[option.name].append(same | (found.gain > FORM_SETTINGS.related * own.gain[0]))
+    if not names:
+        return {}
+    all_t, all_observed, all_flipped = np.concatenate(t), np.concatenate(observed), np.concatenate(flipped, 1)
+    out = {}
+    for name, parts in related.items():
+        mask = np.concatenate(parts)
+        if not mask.any():
+            continue
+        p = family_wise_p(all_observed, all_flipped[:, mask].max(axis=1, keepdims=True))
+        clear = mask & (all_t > search.rules.t) & (p < search.rules.p)
+        if clear.any():
+            out[name] = names[int(np.argmax(np.where(clear, all_t, -np.inf)))]
+    return out
+
+
 def scalar_channels(data: DiagnosisData) -> list[str]:
     """Return the channels of one number a time that change and are no angles."""
     series, out = data.series, []
@@ -158,17 +215,19 @@ def scalar_channels(data: DiagnosisData) -> list[str]:
     return out
 
 
-def _cells(search: Search, data: DiagnosisData, label: str, channels: Sequence[str]) -> list[Followed]:
-    """Return the cells of one row of the table that the core and the model lack."""
+def _cells(
+    search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
+) -> list[Followed]:
+    """Return the cells of one row of the table; those that the core has only when they are asked for."""
     core = {
         (term.entry.effect.label(), *term.entry.effect.channels)
         for term in search.library.all_terms
         if term.entry.effect.channels
     }
-    held = {(one[0], name) for one in core for name in one[1:]}
+    known = {(one[0], name) for one in core for name in one[1:]} if not held else set()
     same = {
         (_SAME[one], base)
-        for one, name in held
+        for one, name in known
         if one in _SAME and label == "channel_field" and name
         for base in base_channels(name)
     }
@@ -180,7 +239,7 @@ def _cells(search: Search, data: DiagnosisData, label: str, channels: Sequence[s
             channel not in GEOMETRY or channel in SLOW_GEOMETRY
         )
         for one in follows(channel, float(np.nanmean(values)), float(high - low), slow):
-            if (label, one.name) not in held and (one.how, channel) not in same:
+            if (label, one.name) not in known and (one.how, channel) not in same:
                 out.append(one if label in _HAS_CONSTANT else _about_mean(one, float(np.nanmean(values))))
     return out
 
@@ -192,13 +251,16 @@ def _about_mean(cell: Followed, mean: float) -> Followed:
     return replace(cell, name=f"{cell.channel}@about={mean:.4g}{cell.name.removeprefix(cell.channel)}")
 
 
-def _entry(data: DiagnosisData, label: str, channel: str) -> ModelEffect | None:
+def _entry(data: DiagnosisData, label: str, cell: Followed) -> ModelEffect | None:
     """Return the effect of a cell; None where the mission has no sensor for it."""
     kind = known_effects(data.model.own)[label]
     sensors = acting_sensors(kind, data.mission, data.model)
     if not sensors:
         return None
-    given = {"effect": label, "sensor": sensors[0].name, "channel": channel}
+    given = {"effect": label, "sensor": sensors[0].name, "channel": cell.name}
+    if cell.lag_s:
+        # As an option of the effect, which a refined lag replaces.
+        given |= {"channel": cell.name.replace(cell.lag_text, ""), "lag": f"{cell.lag_s:g} s"}
     try:
         return make_effect(
             given, sensors_of(data.mission, data.model.comparison), data.model.own, data.mission
@@ -213,8 +275,8 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
     mechanism = key = f"{label}({cell.name})"
     if cell.how == "response":
         # The refined lag takes the place of this one.
-        mechanism = f"{label}({cell.name.replace(f'@lag={cell.lag_s:g}s', '')})"
-        key = f"{mechanism}@lag={cell.lag_s:g}s"
+        mechanism = f"{label}({cell.name.replace(cell.lag_text, '')})"
+        key = f"{mechanism}{cell.lag_text}"
     size = sum(kind.size for kind in entry.effect.parameters().values() if np.isfinite(kind.sigma))
     names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
     term = Term(key, entry, names, (np.inf,) * size)
@@ -233,7 +295,7 @@ def _shortlisted(
     search: Search, data: DiagnosisData, label: str, cells: Sequence[Followed]
 ) -> list[tuple[float, Followed, ModelEffect]]:
     """Return cells that nearly pass beside the model, or do as well as an effect of it, with their gain."""
-    entries = {one: entry for one in cells if (entry := _entry(data, label, one.name)) is not None}
+    entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
     if not entries:
         return []
     products = CellProducts.of(search, data, next(iter(entries.values())), list(entries))

@@ -42,7 +42,8 @@ class FoundEffect:
     that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
-    what it does in words, where family and channels do not say it.
+    what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
+    related channels is left still follows: the effect may stand in for another form.
     """
 
     name: str
@@ -69,6 +70,7 @@ class FoundEffect:
     first_in_nT: float | None = None  # noqa: N815 (a unit)
     model_effects: tuple[str, ...] = ()
     said: str = ""
+    left_follows: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -417,7 +419,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     return (*found[:place], left, *found[place:])
 
 
-def _told_stand_ins(found: Sequence[Entry], left_nT: float) -> list[Entry]:  # noqa: N803 (a unit)
+def _told_stand_ins(found: Sequence[Entry], left_nT: float) -> list[Entry]:
     """Return the entries, those that explain no more than what has no cause told as possible parts of it.
 
     Without a cause are what is left, shapes and what is weak; not how the calibration changes in time.
@@ -612,6 +614,8 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.model_effects:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
+    if effect.left_follows:
+        text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
     return text + _rivals_text(effect.rivals)
 
 

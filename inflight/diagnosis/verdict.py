@@ -18,7 +18,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.forms import add_forms, add_interactions
+from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
@@ -158,6 +158,13 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
+    if remaining.is_there:
+        otherwise = left_follows(search, known)
+        effects = tuple(replace(one, left_follows=otherwise.get(one.name, "")) for one in effects)
+        effects = tuple(
+            replace(one, status="stand-in") if one.left_follows and one.status == "sure" else one
+            for one in effects
+        )
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {

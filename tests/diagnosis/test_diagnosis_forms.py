@@ -52,7 +52,7 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     search = search.add(next(one for one in search.options if one.name == "channel_field(solar_current)"))
     cells = _cells(search, data, label, ["boom_temperature"])
     assert len(cells) >= (1 if label == "channel_field" else 5)
-    made = [_option(search, data, one, _entry(data, label, one.name)) for one in cells]
+    made = [_option(search, data, one, _entry(data, label, one)) for one in cells]
     products = CellProducts.of(search, data, made[0][0].entry, cells)
     joined = join_terms(search.of_model(), data, [term for term, _ in made])
     grams = joined.forms["raw"]
