@@ -283,8 +283,10 @@ def cells_without(case: Case) -> Iterator[None]:
     gone = CELLS.get(form_of(case.candidate)) if case.group.startswith("form") and case.candidate else None
     every = forms._cells
 
-    def cells(search: Search, data: DiagnosisData, label: str, channels: Sequence[str]) -> list[Followed]:
-        found = every(search, data, label, channels)
+    def cells(
+        search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
+    ) -> list[Followed]:
+        found = every(search, data, label, channels, held)
         if case.group.startswith("family"):
             return [one for one in found if one.channel not in case.channels]
         return [one for one in found if (label, one.how) != gone]
