@@ -280,10 +280,13 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
     size = sum(kind.size for kind in entry.effect.parameters().values() if np.isfinite(kind.sigma))
     names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
     term = Term(key, entry, names, (np.inf,) * size)
+    # Another form of the same channel is no other cause: its family is that of the channel itself.
+    plain = _entry(data, label, Followed("value", cell.channel, cell.channel))
+    family = family_of((plain or entry).effect, data.mission)
     return term, Option(
         name=key,
         mechanism=mechanism,
-        family=family_of(entry.effect, data.mission),
+        family=family,
         columns=tuple(term.columns),
         channels=base_channels(cell.name),
         terms=(key,),
