@@ -123,21 +123,14 @@ def follows(channel: str, mean: float, spread: float, has_history: bool = True) 
     return out
 
 
-def add_forms(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool) -> Search:
+def add_forms(search: Search, data: DiagnosisData) -> Search:
     """Return the state with cells of the table among its options; the state itself when there are none.
 
-    Parameters
-    ----------
-    unexplained : bool
-        Something is left: all channels are tried. Else only those of what was taken, which may stand in for
-        the same channel in another form.
+    Also where nothing is left: what was taken may stand in for another channel, or for another form.
     """
     if not can_add_columns(search, data):
         return search
     channels = scalar_channels(data)
-    if not unexplained:
-        taken = {name for option in search.accepted for name in option.channels}
-        channels = [name for name in channels if name in taken]
     found: list[tuple[float, Followed, ModelEffect]] = []
     tried = 0
     for label in ACTS_ON.values() if channels else ():

@@ -248,11 +248,14 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    for more in (add_forms, add_interactions):
+    for forms in (True, False):
         # Products come last, when each factor was tried in all its forms.
         if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
             options = search.options
-            search = more(search, data, [first, last], remaining.is_sure)
+            if forms:
+                search = add_forms(search, data)
+            else:
+                search = add_interactions(search, data, [first, last], remaining.is_sure)
             if search.options is not options:
                 search, _, last = select_effects(search, data)
                 if len(search.accepted) > 1:

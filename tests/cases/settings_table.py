@@ -1,9 +1,9 @@
 """Which settings a verdict depends on: each number that a search reads is halved and doubled.
 
 One small flight with several residuals: causes of several kinds, an unknown line, a drift, noise alone. A
-setting changes a mission when the verdict, an entry or how sure it is differs; refined lags and times may move.
+setting changes a mission when the verdict, an entry or how sure it is differs; lags and times may move.
 
-``python tests/cases/settings_table.py`` prints the table, one line for each setting that was read.
+``python tests/cases/settings_table.py`` prints the table, a line for each setting that was read.
 """
 
 from __future__ import annotations

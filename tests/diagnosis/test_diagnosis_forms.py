@@ -79,7 +79,7 @@ def test_what_the_scalar_sensor_does_with_its_heat_is_found(place, label, channe
 def test_nothing_joins_where_nothing_is_left():
     case = flown()
     search = case.search(3)
-    assert add_forms(search, case.material(3), [], unexplained=True) is search
+    assert add_forms(search, case.material(3)) is search
 
 
 def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
