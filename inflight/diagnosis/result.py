@@ -460,7 +460,10 @@ def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
             continue
         worst = max(wrong, key=lambda one: abs(one["moved"]) / one["known"])
         times = abs(worst["moved"]) / worst["known"]
-        rivals = tuple(dict.fromkeys(one["instead_of"] for one in wrong if one.get("instead_of")))
+        instead = [one["instead_of"] for one in wrong if one.get("instead_of")]
+        rivals = tuple(
+            dict.fromkeys([*instead, *(other for one in wrong for other in one.get("rivals", ()))])
+        )
         found.append(
             Entry(
                 name=name,

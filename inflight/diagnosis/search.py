@@ -56,6 +56,9 @@ class Border(NamedTuple):
     given: Floats | None = None
 
 
+#: A number that is held keeps this part of the sigma it states: next to nothing, and no trouble to solvers.
+HELD = 1e-3
+
 #: Forms of the Gram blocks, in the order of preference.
 FORMS = ("raw", "within", "white")
 
@@ -369,6 +372,8 @@ class Search:
     freed : dict of str to str
         Numbers of the model, such as ``model:temperature.linear``, that data may move freely, and
         the option whose place that took: what the model states of them does not fit.
+    held : frozenset of str
+        Numbers of the model that data may not move at all.
     ran_out : bool
         The rounds ended because there were as many as the rules allow.
     design_cache : CachedDesign
@@ -391,6 +396,7 @@ class Search:
     dropped: frozenset[str] = frozenset()
     hidden: tuple[Change, ...] = ()
     freed: Mapping[str, str] = field(default_factory=dict)
+    held: frozenset[str] = frozenset()
     ran_out: bool = False
     design_cache: CachedDesign = field(default_factory=CachedDesign)
 
@@ -528,12 +534,16 @@ class Search:
 
     def sigma_of_model(self, count: int) -> Floats:
         """Return what is known beforehand of the model's columns, refined ones first; (count,)."""
-        refined = [
-            np.inf if name.partition("[")[0] in self.freed else sigma
+        numbers = [
+            (name.partition("[")[0], sigma)
             for term in self.library.refined
             for name, sigma in zip(term.columns, term.sigma, strict=True)
         ]
-        return np.array([*refined, *[np.inf] * (count - len(refined))])
+        known = [
+            np.inf if name in self.freed else sigma * (HELD if name in self.held else 1.0)
+            for name, sigma in numbers
+        ]
+        return np.array([*known, *[np.inf] * (count - len(known))])
 
     def _marginalised(self, grams: GramBlocks, intervals: Groups) -> GramBlocks:
         names, sigma = self.base()

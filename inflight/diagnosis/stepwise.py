@@ -22,13 +22,14 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
-from inflight.diagnosis.scoring import ModelColumns, fit, project_out_of
+from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of, score
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import (
     GramBlocks,
     bartlett_covariance,
     expected_gain_p,
     gram_inverse,
+    hac_t,
     inverse_square_root,
     regression_coefficients,
     sandwich,
@@ -421,6 +422,32 @@ def number_that_explains(search: Search, option: Option) -> str | None:
         if moved < SELECTION_SETTINGS.most_sigmas or uses_channel_of(search, number, option):
             return number
     return None
+
+
+def rivals_of_number(search: Search, number: str) -> tuple[str, ...]:
+    """Return the mechanisms of other channels that do as well as a number of the model, were it held.
+
+    Parameters
+    ----------
+    number : str
+        Such as ``model:temperature.linear``.
+    """
+    freed = {one: at for one, at in search.freed.items() if one != number}
+    held = replace(search, freed=freed, held=search.held | {number})
+    table = held.table()
+    scores, grams = table.scores["raw"], search.forms["raw"]
+    moved = score(grams, search.present(), [], search.y(), make_folds(len(grams))).loss0
+    passing = table.passing(search.rules)["raw"]
+    behind = hac_t(scores.loss - moved[:, None])
+    found = {
+        table.options[place].mechanism: None
+        for place in np.argsort(scores.loss.sum(axis=0), kind="stable")
+        if passing[place]
+        and behind[place] < search.rules.rival_t
+        and not table.options[place].agnostic
+        and not uses_channel_of(search, number, table.options[place])
+    }
+    return tuple(found)
 
 
 def uses_channel_of(search: Search, number: str, option: Option) -> bool:

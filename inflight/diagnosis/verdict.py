@@ -58,6 +58,7 @@ from inflight.diagnosis.stepwise import (
     form_disagreement,
     joint_fit,
     refine_all,
+    rivals_of_number,
     select_effects,
     uses_channel_of,
 )
@@ -492,8 +493,11 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
     return tuple(real + [row for row in rows if row["placebo"]][: REPORT_SETTINGS.candidates])
 
 
-def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
-    """Return the model's own parameters that data moved, within what was known of them."""
+def refined_parameters(search: Search, with_rivals: bool = True) -> tuple[dict[str, Any], ...]:
+    """Return the model's own parameters that data moved, within what was known of them.
+
+    Those that are wrong come with what explains as much, which takes the options of a search (`with_rivals`).
+    """
     grams, present = search.forms["raw"], search.present()
     names = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]
@@ -516,6 +520,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
                 "known": float(sigma[place]),
                 "rms_nT": float(np.sqrt(explained)),
                 "wrong": False,
+                "rivals": (),
             }
         )
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -534,9 +539,10 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
         if freed and any(uses_channel_of(search, number, one) for one in search.accepted):
             # The response to its channel is another one: the number is a part of that.
             far = False
+        wrong = bool(far and (matters or freed))
+        rivals = rivals_of_number(search, number) if wrong and with_rivals else ()
         for one in group:
-            one["wrong"] = bool(far and (matters or freed))
-            one["instead_of"] = freed
+            one["wrong"], one["instead_of"], one["rivals"] = wrong, freed, rivals
     return tuple(out)
 
 
@@ -549,7 +555,7 @@ def refined_at_both(search: Search, at_native: Search | None) -> tuple[dict[str,
     if at_native is None:
         return found
     known = {one["name"].partition("[")[0] for one in found if one["wrong"]}
-    fast = {one["name"]: one for one in refined_parameters(at_native) if one["wrong"]}
+    fast = {one["name"]: one for one in refined_parameters(at_native, with_rivals=False) if one["wrong"]}
     return tuple(
         one if one["name"].partition("[")[0] in known else fast.get(one["name"], one) for one in found
     )
