@@ -1,10 +1,12 @@
 """Leave one form out: what the search says of an effect whose form, or whose family, its library lacks.
 
 The design is that of a simulated mission's own pass (`benchmarks.coverage.Design`). Each case hides one
-effect in noise: one of the library that is then taken out of it, with every other of its form or of its
-family, or one that no library has (a delay, a threshold, a bias that follows a channel, ...). The search must
-name the channel that drives it, alone or among rivals, or say that what is there is unknown; a cause that is
-called sure and has nothing to do with it is wrong.
+effect in noise: one of the library that is then taken out of it, with every other of its form; with its whole
+family (whose channels are in the table *acts on* x *follows* still); with all that follows its channel; or one
+that no library has (a delay, a threshold, a bias that follows a channel, ...). The search must name the
+channel that drives it, alone or among rivals, or say that what is there is unknown; a cause that is called
+sure and has nothing to do with it is wrong. Where nobody recorded the channel, another one that moves with it
+is all that can be named.
 
 ``python -m benchmarks left_out`` prints the table.
 """
@@ -82,6 +84,10 @@ class Answer:
     sentence: str = field(default="", repr=False)
 
 
+#: Cases in which nothing of the library follows the channel, as if nobody had recorded it.
+UNRECORDED = "a channel nobody recorded"
+
+
 def form_of(candidate: Candidate) -> str:
     """Return what a candidate acts on, and how it follows its channel: ``channel_field, lag``."""
     label = candidate.mechanism.partition("(")[0]
@@ -113,6 +119,21 @@ def cases(design: Design, search: Search, settings: LeftOutSettings) -> list[Cas
                         left_out=gone,
                     )
                 )
+    fields_of = [one for one in real if one.mechanism.startswith("channel_field(") and not one.lag_s]
+    for one in fields_of:
+        gone = frozenset(
+            other.name for other in library.candidates if set(one.channels) & set(other.channels)
+        )
+        out.append(
+            Case(
+                group=UNRECORDED,
+                name=one.name,
+                channels=frozenset(one.channels),
+                family=one.family,
+                candidate=one,
+                left_out=gone,
+            )
+        )
     driving = sorted({one.channels[0] for one in real if one.mechanism.startswith("channel_field(")})
     for name, shape in OUTSIDE.items():
         for at in generator.permutation(len(driving))[: settings.outside]:
@@ -287,7 +308,7 @@ def cells_without(case: Case) -> Iterator[None]:
         search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
     ) -> list[Followed]:
         found = every(search, data, label, channels, held)
-        if case.group.startswith("family"):
+        if case.group == UNRECORDED:
             return [one for one in found if one.channel not in case.channels]
         return [one for one in found if (label, one.how) != gone]
 
