@@ -1,7 +1,7 @@
 """Leave one form out: what the search says of an effect whose form, or whose family, its library lacks.
 
 The design is that of a simulated mission's own pass (`benchmarks.coverage.Design`). Each case hides one
-effect in noise: one of the library that is then taken out of it, with every other of its form; with its whole
+effect in noise: one of the library that is then taken out of it, with every other of its form; or with its
 family (whose channels are in the table *acts on* x *follows* still); with all that follows its channel; or one
 that no library has (a delay, a threshold, a bias that follows a channel, ...). The search must name the
 channel that drives it, alone or among rivals, or say that what is there is unknown; a cause that is called
