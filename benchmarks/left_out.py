@@ -2,7 +2,7 @@
 
 The design is that of a simulated mission's own pass (`benchmarks.coverage.Design`). Each case hides one
 effect in noise: one of the library that is then taken out of it, with every other of its form; or with its
-family (whose channels are in the table *acts on* x *follows* still); with all that follows its channel; or one
+family, whose channels stay in the table *acts on* x *follows*; or with all that follows its channel; or one
 that no library has (a delay, a threshold, a bias that follows a channel, ...). The search must name the
 channel that drives it, alone or among rivals, or say that what is there is unknown; a cause that is called
 sure and has nothing to do with it is wrong. Where nobody recorded the channel, another one that moves with it

@@ -117,7 +117,8 @@ def changed(owner: Any, field: str, value: Any) -> Iterator[None]:
 
 def outcomes(name: str, factor: float) -> list[Outcome]:
     """Return the answer of every mission with one setting times a factor; an error is an answer, too."""
-    owner, field = next(((o, f) for n, o, f in every_setting() if n == name), (None, ""))
+    every = every_setting() if name else ()
+    owner, field = next(((o, f) for n, o, f in every if n == name), (None, ""))
     value = times(getattr(owner or Rules(), field), factor) if field else None
     rules = {field: value} if field and owner is None else {}
     flight, missions = case()
