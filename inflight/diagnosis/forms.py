@@ -373,10 +373,10 @@ class CellProducts:
             flat = own.reshape(-1, m)
             given[block] = flat.T @ flat
         # Cell by cell: (block, left, cell * k).
-        cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(search.raw), m, -1)
+        flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(search.raw), m, -1)
         inner = np.ascontiguousarray(inner.transpose(0, 3, 1, 2))
-        _marginalise(search, cross, given, inner, b)
-        table = np.concatenate([given[:, b:, b:-1], cross[:, b:], given[:, b:, -1:]], axis=2)
+        _marginalise(search, flat_cross, given, inner, b)
+        table = np.concatenate([given[:, b:, b:-1], flat_cross[:, b:], given[:, b:, -1:]], axis=2)
         scale = np.concatenate(
             [search.raw.scale[search.forms["raw"].index(model)], np.ones(len(cells) * k + 1)]
         )
@@ -397,7 +397,7 @@ class CellProducts:
     def places(self, cell: int) -> Index:
         """Return the places of the columns of a cell."""
         k = self.inner.shape[2]
-        return len(self.names) + cell * k + np.arange(k)
+        return np.asarray(len(self.names) + cell * k + np.arange(k))
 
     def rows(self, columns: Index, others: Index | None = None) -> Floats:
         """Return the products of residual and columns of the model with others; (block, column, other)."""

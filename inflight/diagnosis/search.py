@@ -586,9 +586,9 @@ class Search:
         real = np.array([not option.placebo for option in options], dtype=bool)
         largest = [flipped[:, real].max(axis=1, initial=0.0) for _, flipped in ratios.values()]
         most = np.max(largest, axis=0)[:, None]
-        more = np.array([option.of_more for option in options])
+        of_more = np.array([option.of_more for option in options])
         p = {
-            form: np.minimum(more * family_wise_p(observed, most), 1.0)
+            form: np.asarray(np.minimum(of_more * family_wise_p(observed, most), 1.0))
             for form, (observed, _) in ratios.items()
         }
         placebos = [place for place, option in enumerate(options) if option.placebo]
