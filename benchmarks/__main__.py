@@ -44,11 +44,32 @@ def _show_coverage(kept: Path | None, seeds: int) -> None:
     print("\n".join(table(counts)), flush=True)
 
 
+def _show_left_out(kept: Path | None, only: str) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from benchmarks.archive import simulated_workspace
+    from benchmarks.left_out import Answer, left_out, table
+
+    answers: list[Answer] = []
+    with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
+        for one in left_out(simulated_workspace((kept or Path(scratch)) / "archive-30", 30), only=only):
+            answers.append(one)
+            case = one.case
+            print(
+                f"{one.kind:8} {case.group}: {case.name} | {'; '.join(one.told)} | left {one.part_left:.0%}",
+                flush=True,
+            )
+    print("\n".join(table(answers)), flush=True)
+
+
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
     parser.add_argument(
-        "which", nargs="*", choices=[*_ALL, "coverage", []], help="all but coverage when absent"
+        "which",
+        nargs="*",
+        choices=[*_ALL, "coverage", "left_out", []],
+        help="all but coverage and left_out when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
@@ -57,6 +78,7 @@ def main() -> None:
     )
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument("--seeds", type=int, default=200, help="residuals drawn of each effect (200)")
+    parser.add_argument("--only", default="", help="cases of left_out whose group or name holds this")
     given = parser.parse_args()
     which = given.which or _ALL
 
@@ -82,6 +104,8 @@ def main() -> None:
             _show("nine", nine_parameters(cat))
     if "coverage" in which:
         _show_coverage(given.keep, given.seeds)
+    if "left_out" in which:
+        _show_left_out(given.keep, given.only)
     if "spin_fits" in which:
         print("\n".join(spin_fit_ratios()), flush=True)
     if "spin_eight" in which:

@@ -19,7 +19,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Workspace
-from inflight.design import DesignRows, design_matrix
+from inflight.design import DesignRows, Library, design_matrix
 from inflight.diagnosis import Search, estimate, time_variable_columns
 from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import best_passing
@@ -125,8 +125,8 @@ class Design:
             first, last = day_bounds(day)
             yield rows, [first + part * (last - first) // plan.parts for part in range(plan.parts + 1)]
 
-    def search(self, residuals: list[Floats]) -> Search:
-        """Return the first state of a search over residuals; (time, residual) of each day's rows."""
+    def grams(self, residuals: list[Floats]) -> tuple[GramArrays, GramArrays]:
+        """Return the Gram blocks over residuals, raw and prewhitened; (time, residual) of each day's rows."""
         plan, library = self.made.plan, self.made.plan.library
         found: list[list[GramArrays]] = [[], []]
         count = residuals[0].shape[1]
@@ -142,12 +142,21 @@ class Design:
                 gram = gram_of(*pair, rows.weight, parts)
                 out.append(GramArrays(names, gram, np.array(edges[:-1]), np.array(edges[1:]), in_part, scale))
         raw, prewhitened = (one[0].join(one[1:]) for one in found)
-        day = (raw.start - raw.start[0]) // DAY
-        groups = [np.flatnonzero(day == one).tolist() for one in np.unique(day)]
-        intervals_of = [np.flatnonzero(day // 15 == one).tolist() for one in np.unique(day // 15)]
-        return Search.begin(
-            raw, prewhitened, library, intervals_of, groups, time_variable=time_variable_columns(library)
-        )
+        return raw, prewhitened
+
+    def search(self, residuals: list[Floats]) -> Search:
+        """Return the first state of a search over residuals; (time, residual) of each day's rows."""
+        return search_over(*self.grams(residuals), self.made.plan.library)
+
+
+def search_over(raw: GramArrays, prewhitened: GramArrays, library: Library) -> Search:
+    """Return the first state of a search, with calibration intervals of half a month."""
+    day = (raw.start - raw.start[0]) // DAY
+    groups = [np.flatnonzero(day == one).tolist() for one in np.unique(day)]
+    intervals_of = [np.flatnonzero(day // 15 == one).tolist() for one in np.unique(day // 15)]
+    return Search.begin(
+        raw, prewhitened, library, intervals_of, groups, time_variable=time_variable_columns(library)
+    )
 
 
 def coverage(cat: Catalog, seeds: int = 200, settings: CoverageSettings | None = None) -> Iterator[Coverage]:

@@ -21,7 +21,9 @@ The walk, step by step, with the file of each:
    superfluous are dropped; what lies in few blocks gets the few-block test. A change in time is judged with
    calibration intervals whose edges keep away from it (``search.py``, `intervals_around`).
 6. **Refinement** (``refine.py``). Before the next round what was taken gets its best form: lag, width,
-   change time. When something is left, interactions (products of two channels) join the options.
+   change time.
+   **Other forms** (``forms.py``). When something is left, or was taken, every other combination of what a
+   channel acts on and how it is followed is tried, and products of two channels last.
 7. **Rivals** (``stepwise.py``). Whatever does as well in an effect's place is its rival; what does better
    is exchanged for it.
 8. **Verdict** (``verdict.py``, ``residual.py``, ``signature.py``, ``result.py``). Values with errors, sizes

@@ -141,7 +141,7 @@ def _add_effect(
 ) -> None:
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
-    for sensor in _sensors(kind, mission, model):
+    for sensor in acting_sensors(kind, mission, model):
         entry = _effect_or_none({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
             continue
@@ -238,7 +238,7 @@ def _add_plays(
 def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
     """Add the plain field of shifted channels, with a few lags."""
     kind = known_effects(model.own)["channel_field"]
-    sensors = _sensors(kind, mission, model)
+    sensors = acting_sensors(kind, mission, model)
     for name in shifts:
         channel, number = name.split("~")
         for lag in BANK_SETTINGS.placebo_lags if channel not in library.unlagged else (0.0,):
@@ -257,7 +257,7 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
             )
 
 
-def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]:
+def acting_sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]:
     """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
     sensors = list(sensors_of(mission, model.comparison).values())
     roles = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))

@@ -1,4 +1,4 @@
-"""The best form of what was taken, before the next effect is sought: lag, width, time; and interactions.
+"""The best form of what was taken, before the next effect is sought: lag, width, time.
 
 Takes a state of the search, its `DiagnosisData` with the coarse series, and an option of the model; makes the
 next state, in which the option has its best form (`refine`). An effect in a form that is nearly right leaves
@@ -13,9 +13,6 @@ The time of a step or an episode (`refine_change_time`): a change of known size 
 it is moved over; the sum of these from row to row is what each time would leave. With the noise of a row
 that makes the posterior of the time, whose median and standard deviation are returned.
 
-Interactions (`add_interactions`): all products of two channels would be too many columns. When the rounds
-leave something unexplained, those of the strongest channels are added as candidates like any other.
-
 A lag between two of the bank is a combination of their responses (`lag_weights`); `profile_lag` returns how
 well each lag explains the residual.
 """
@@ -25,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -41,11 +38,10 @@ from inflight.diagnosis.residual import (
     model_columns,
     remaining_residual,
 )
-from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out, score
-from inflight.diagnosis.search import Border, CachedDesign, Option, ScoreTable, Search
+from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out
+from inflight.diagnosis.search import Border, CachedDesign, Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.time_changes import Change, time_text
-from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import (
     LEAST_KEPT,
@@ -156,29 +152,6 @@ class ChangeTimeSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InteractionSettings:
-    """Which products of channels are tried.
-
-    Attributes
-    ----------
-    channels, pairs : int
-        The strongest channels that are paired, and pairs at most: a bound on memory, assumed.
-    steady : float
-        A factor that varies by less than this part of its size is a constant; assumed.
-    own_t : float
-        A channel is strong when its own effect reaches this t; assumed.
-    nearly : float
-        Products that reach this part of the t and of the gain of an addition are held against everything.
-    """
-
-    channels: int = 8
-    pairs: int = 60
-    steady: float = 1e-3
-    own_t: float = 1.0
-    nearly: float = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
 class DesignSettings:
     """How columns are made of the coarse series: bounds on memory and time, assumed.
 
@@ -205,7 +178,6 @@ class DesignSettings:
 LAG_SETTINGS = LagSettings()
 WIDTH_SETTINGS = WidthSettings()
 CHANGE_TIME_SETTINGS = ChangeTimeSettings()
-INTERACTION_SETTINGS = InteractionSettings()
 DESIGN_SETTINGS = DesignSettings()
 
 #: Angles: a field may follow them, but no product with them means anything.
@@ -759,119 +731,13 @@ def _change_time(stamps: Int64, gained: Floats, window: tuple[int, int], noise: 
     return int(stamps[0]) + round(float(best)), float(np.sqrt(spread))
 
 
-# Interactions, and columns that join.
-
-
-def add_interactions(
-    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
-) -> Search:
-    """Return the state with products of channels among its options; the state itself when there are none.
-
-    Parameters
-    ----------
-    unexplained : bool
-        Something is left: all pairs of the strongest channels are tried. Else only pairs with a channel that
-        was taken, because its field may depend on another channel.
-    """
-    if not can_add_columns(search, data):
-        return search
-    known = {option.mechanism for option in search.options}
-    terms = [
-        term
-        for one, other in _channel_pairs(search, data, tables, unexplained)
-        if (term := _product(data, one, other)) is not None and term.key not in known
-    ]
-    terms = _promising(search, data, terms)
-    if not terms:
-        return search
-    return join_terms(search, data, terms).with_options(
-        [
-            Option(
-                name=term.key,
-                mechanism=term.key,
-                family="unknown",
-                columns=tuple(term.columns),
-                channels=tuple(term.entry.effect.channels[0].split("*")),
-                terms=(term.key,),
-            )
-            for term in terms
-        ]
-    )
+# Columns that join.
 
 
 def can_add_columns(search: Search, data: DiagnosisData) -> bool:
     """Return True when columns can be made of the series: its rows are those of the Gram blocks."""
     rows, found = data.series.tt2000.size, data.series
     return rows <= DESIGN_SETTINGS.most_rows and found.step_s < 1.5 * data.cadence_s
-
-
-def _channel_pairs(
-    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
-) -> list[tuple[str, str]]:
-    """Return the pairs to try: a channel that was taken with every other one; of the strongest ones all."""
-    series = data.series
-    scalars = []
-    for name in series.channels:
-        values = series[name]
-        known = values[np.isfinite(values)] if values.ndim == 1 and name not in ANGLES else np.zeros(0)
-        # A product with a constant is the other channel alone.
-        if known.size and np.std(known) > INTERACTION_SETTINGS.steady * np.abs(known).mean():
-            scalars.append(name)
-    taken = [name for option in search.accepted for name in option.channels if name in scalars]
-    pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
-    if unexplained:
-        pairs += combinations(strongest_channels(search, data, tables), 2)
-    first: dict[frozenset[str], tuple[str, str]] = {}
-    for pair in pairs:
-        first.setdefault(frozenset(pair), pair)
-    return list(first.values())[: INTERACTION_SETTINGS.pairs]
-
-
-def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
-    there = set(data.series.channels)
-    gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
-    for table in tables:
-        scores = table.scores["raw"]
-        for place, option in enumerate(table.options):
-            if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
-                continue
-            name = option.channels[0]
-            if data.series[name].ndim == 1 and scores.t[place] > INTERACTION_SETTINGS.own_t:
-                gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
-    scalars = [name for name in gains if data.series[name].ndim == 1]
-    return sorted(sorted(scalars), key=lambda name: -gains[name])[: INTERACTION_SETTINGS.channels]
-
-
-def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
-    sensors = sensors_of(data.mission, data.model.comparison)
-    first = next(iter(data.series.features.sensors))
-    entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
-    try:
-        made = make_effect(entry, sensors, data.model.own, data.mission)
-    except InflightError:
-        return None
-    return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
-
-
-def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:
-    """Return the terms that would by themselves be taken, or nearly, beside what the model has.
-
-    Their products with the columns of the model and with the residual say so; those with all other columns of
-    the library, many times as many, are made for them alone.
-    """
-    if not terms:
-        return []
-    small = join_terms(search.of_model(), data, terms)
-    best = np.zeros(len(terms), dtype=bool)
-    for form, grams in small.forms.items():
-        columns = [grams.index(term.columns) for term in terms]
-        found = score(grams, small.present(form), columns, small.y(form), make_folds(len(grams)))
-        rules = search.rules
-        best |= (found.t > INTERACTION_SETTINGS.nearly * rules.t) & (
-            found.gain > INTERACTION_SETTINGS.nearly * rules.gain
-        )
-    return [term for term, one in zip(terms, best.tolist(), strict=True) if one]
 
 
 def join_terms(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> Search:

@@ -269,9 +269,7 @@ def derived_channels(
         for part in parse_channel(name).parts:
             shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0) if part.placebo else 0.0
             values = _shifted(series, part.channel, round(shift / series.step_s) if shift else 0, rows)
-            if part.lag_s or part.width:
-                values = part.of(values, np.diff(series.tt2000[rows]) / SECOND)
-            factors.append(values)
+            factors.append(part.of(values, np.diff(series.tt2000[rows]) / SECOND))
         made = channel_product(factors)
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})

@@ -42,7 +42,8 @@ class FoundEffect:
     that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
-    what it does in words, where family and channels do not say it.
+    what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
+    related channels is left still follows: the effect may stand in for another form.
     """
 
     name: str
@@ -69,6 +70,7 @@ class FoundEffect:
     first_in_nT: float | None = None  # noqa: N815 (a unit)
     model_effects: tuple[str, ...] = ()
     said: str = ""
+    left_follows: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -87,14 +89,16 @@ MEANING: dict[Verdict, str] = {
     "NOTHING_LEFT": "only noise remains",
 }
 
-#: How sure an entry is: of its cause; that something is there, with rivals named; hardly; without a cause.
-Status = Literal["sure", "rivals", "weak", "unknown"]
+#: How sure an entry is: of its cause; that something is there, with rivals named, or with as much left that
+#: no effect explains; hardly; without a cause.
+Status = Literal["sure", "rivals", "stand-in", "weak", "unknown"]
 
 
 #: The same in words.
 HOW_SURE: dict[Status, str] = {
     "sure": "sure",
     "rivals": "something is there; causes look alike",
+    "stand-in": "something is there; it may be a part of what is left, which is as large",
     "weak": "weak: hardly more than chance",
     "unknown": "sure; no cause in the library",
 }
@@ -112,8 +116,9 @@ class Entry:
         What it is, for a physicist.
     status : str
         ``sure``: this cause, and nothing else explains it as well. ``rivals``: something is there, and these
-        data cannot tell which of several causes. ``weak``: were its gain one sigma smaller, it would not have
-        been taken. ``unknown``: something is there, and no effect of the library is its cause.
+        data cannot tell which of several causes. ``stand-in``: what is left is as large and has no shape of
+        its own: both may be one cause, which the library lacks. ``weak``: were its gain one sigma smaller, it
+        would not have been taken. ``unknown``: something is there, and no effect of the library is its cause.
     takes_off_nT : float
         Rms of what it alone explains when all others are in the model, or of the structure that is left; nT.
     first_in_nT : float or None
@@ -141,6 +146,7 @@ class Entry:
         names: dict[Status, Verdict] = {
             "sure": "FOUND",
             "rivals": "CONFOUNDED",
+            "stand-in": "CONFOUNDED",
             "weak": "NOT_IDENTIFIABLE",
             "unknown": "UNKNOWN_EFFECT",
         }
@@ -396,6 +402,8 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         for one in facts["effects"]
     ]
     found += _wrong_numbers(facts)
+    size = _size_left(facts["residual"], facts["signature"]) if facts["remaining"] != "NOTHING_LEFT" else 0.0
+    found = _told_stand_ins(found, 0.0 if _has_own_shape(facts["signature"]) else size)
     found.sort(key=lambda one: -one.takes_off_nT)
     if facts["remaining"] == "NOTHING_LEFT":
         return tuple(found)
@@ -404,11 +412,33 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
         name=LEFT,
         words=_signature_text(facts["signature"]) if sure else why_not_identifiable(facts),
         status="unknown" if sure else "weak",
-        takes_off_nT=_size_left(facts["residual"], facts["signature"]),
+        takes_off_nT=size,
         command=_command_left(facts["signature"]) if sure else "inflight compare",
     )
     place = sum(one.takes_off_nT >= left.takes_off_nT for one in found) if sure else len(found)
     return (*found[:place], left, *found[place:])
+
+
+def _told_stand_ins(found: Sequence[Entry], left_nT: float) -> list[Entry]:
+    """Return the entries, those that explain no more than what has no cause told as possible parts of it.
+
+    Without a cause are what is left, shapes and what is weak; not how the calibration changes in time.
+    """
+    without = [
+        one for one in found if one.status in ("unknown", "weak") and not one.name.startswith("wander(")
+    ]
+    size = sqrt(left_nT**2 + sum(one.takes_off_nT**2 for one in without))
+    return [
+        replace(one, status="stand-in") if one.status == "sure" and 0 < one.takes_off_nT <= size else one
+        for one in found
+    ]
+
+
+def _has_own_shape(signature: Signature | None) -> bool:
+    """Return True when what is left is a line, a fast band or a unit that switches: no slow effect is."""
+    return signature is not None and bool(
+        signature.period_s or signature.faster_than_s or signature.switchings
+    )
 
 
 def _command_left(signature: Signature | None) -> str:
@@ -430,7 +460,10 @@ def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
             continue
         worst = max(wrong, key=lambda one: abs(one["moved"]) / one["known"])
         times = abs(worst["moved"]) / worst["known"]
-        rivals = tuple(dict.fromkeys(one["instead_of"] for one in wrong if one.get("instead_of")))
+        instead = [one["instead_of"] for one in wrong if one.get("instead_of")]
+        rivals = tuple(
+            dict.fromkeys([*instead, *(other for one in wrong for other in one.get("rivals", ()))])
+        )
         found.append(
             Entry(
                 name=name,
@@ -584,6 +617,8 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.model_effects:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
+    if effect.left_follows:
+        text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
     return text + _rivals_text(effect.rivals)
 
 

@@ -56,6 +56,9 @@ class Border(NamedTuple):
     given: Floats | None = None
 
 
+#: A number that is held keeps this part of the sigma it states: next to nothing, and no trouble to solvers.
+HELD = 1e-3
+
 #: Forms of the Gram blocks, in the order of preference.
 FORMS = ("raw", "within", "white")
 
@@ -156,6 +159,8 @@ class Option:
         When it is bound to a time.
     lag_sigma_s : float, optional
         Error of a refined lag, s.
+    of_more : float
+        It was the best of so many times as many as those it is scored with: its p-value counts them.
     """
 
     name: str
@@ -169,6 +174,7 @@ class Option:
     placebo: bool = False
     change: Change | None = None
     lag_sigma_s: float | None = None
+    of_more: float = 1.0
 
     @property
     def interleaved(self) -> bool:
@@ -366,6 +372,8 @@ class Search:
     freed : dict of str to str
         Numbers of the model, such as ``model:temperature.linear``, that data may move freely, and
         the option whose place that took: what the model states of them does not fit.
+    held : frozenset of str
+        Numbers of the model that data may not move at all.
     ran_out : bool
         The rounds ended because there were as many as the rules allow.
     design_cache : CachedDesign
@@ -388,6 +396,7 @@ class Search:
     dropped: frozenset[str] = frozenset()
     hidden: tuple[Change, ...] = ()
     freed: Mapping[str, str] = field(default_factory=dict)
+    held: frozenset[str] = frozenset()
     ran_out: bool = False
     design_cache: CachedDesign = field(default_factory=CachedDesign)
 
@@ -525,12 +534,16 @@ class Search:
 
     def sigma_of_model(self, count: int) -> Floats:
         """Return what is known beforehand of the model's columns, refined ones first; (count,)."""
-        refined = [
-            np.inf if name.partition("[")[0] in self.freed else sigma
+        numbers = [
+            (name.partition("[")[0], sigma)
             for term in self.library.refined
             for name, sigma in zip(term.columns, term.sigma, strict=True)
         ]
-        return np.array([*refined, *[np.inf] * (count - len(refined))])
+        known = [
+            np.inf if name in self.freed else sigma * (HELD if name in self.held else 1.0)
+            for name, sigma in numbers
+        ]
+        return np.array([*known, *[np.inf] * (count - len(known))])
 
     def _marginalised(self, grams: GramBlocks, intervals: Groups) -> GramBlocks:
         names, sigma = self.base()
@@ -573,7 +586,11 @@ class Search:
         real = np.array([not option.placebo for option in options], dtype=bool)
         largest = [flipped[:, real].max(axis=1, initial=0.0) for _, flipped in ratios.values()]
         most = np.max(largest, axis=0)[:, None]
-        p = {form: family_wise_p(observed, most) for form, (observed, _) in ratios.items()}
+        of_more = np.array([option.of_more for option in options])
+        p = {
+            form: np.asarray(np.minimum(of_more * family_wise_p(observed, most), 1.0))
+            for form, (observed, _) in ratios.items()
+        }
         placebos = [place for place, option in enumerate(options) if option.placebo]
         over_placebo = {
             form: one.t_over_placebo(placebos, self.rules.significant(one, p[form]), self.rules.rival_t)

@@ -22,13 +22,14 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
-from inflight.diagnosis.scoring import ModelColumns, fit, project_out_of
+from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of, score
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import (
     GramBlocks,
     bartlett_covariance,
     expected_gain_p,
     gram_inverse,
+    hac_t,
     inverse_square_root,
     regression_coefficients,
     sandwich,
@@ -423,6 +424,32 @@ def number_that_explains(search: Search, option: Option) -> str | None:
     return None
 
 
+def rivals_of_number(search: Search, number: str) -> tuple[str, ...]:
+    """Return the mechanisms of other channels that do as well as a number of the model, were it held.
+
+    Parameters
+    ----------
+    number : str
+        Such as ``model:temperature.linear``.
+    """
+    freed = {one: at for one, at in search.freed.items() if one != number}
+    held = replace(search, freed=freed, held=search.held | {number})
+    table = held.table()
+    scores, grams = table.scores["raw"], search.forms["raw"]
+    moved = score(grams, search.present(), [], search.y(), make_folds(len(grams))).loss0
+    passing = table.passing(search.rules)["raw"]
+    behind = hac_t(scores.loss - moved[:, None])
+    found = {
+        table.options[place].mechanism: None
+        for place in np.argsort(scores.loss.sum(axis=0), kind="stable")
+        if passing[place]
+        and behind[place] < search.rules.rival_t
+        and not table.options[place].agnostic
+        and not uses_channel_of(search, number, table.options[place])
+    }
+    return tuple(found)
+
+
 def uses_channel_of(search: Search, number: str, option: Option) -> bool:
     """Return True when the effect a number of the model belongs to follows a channel of an option."""
     return any(
@@ -619,7 +646,8 @@ def exchange_and_check(
         tables = {}
         for option in search.accepted:
             tables[option.name] = search.table(without=option)
-            better = _better_option(search, option, tables[option.name])
+            table = tables[option.name]
+            better = _better_option(search, option, table) or _simpler_form(option, table, search.rules)
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)
                 search = search.with_round("exchange", better)
@@ -658,6 +686,24 @@ def _better_option(search: Search, option: Option, table: ScoreTable) -> Option 
         return None
     best = min(others, key=lambda other: float(loss[:, other].sum()))
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
+
+
+def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | None:
+    """Return an option that follows the same channels with fewer coefficients and leaves no more held out."""
+    place = place_in(table, option)
+    if place is None or option.change is not None or not option.channels:
+        return None
+    form = clearest_form(table, place)
+    loss = table.scores[form].loss.sum(axis=0)
+    simpler = [
+        other
+        for other in np.flatnonzero(table.passing(rules)[form])
+        if set(table.options[other].channels) == set(option.channels)
+        and table.options[other].change is None
+        and len(table.options[other].columns) < len(option.columns)
+        and loss[other] <= loss[place]
+    ]
+    return table.options[min(simpler, key=lambda other: float(loss[other]))] if simpler else None
 
 
 def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float) -> bool:

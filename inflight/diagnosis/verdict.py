@@ -18,7 +18,8 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, add_interactions, bank_of, profile_lag
+from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
+from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
     Structure,
@@ -57,6 +58,7 @@ from inflight.diagnosis.stepwise import (
     form_disagreement,
     joint_fit,
     refine_all,
+    rivals_of_number,
     select_effects,
     uses_channel_of,
 )
@@ -157,6 +159,13 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
+    if remaining.is_there:
+        otherwise = left_follows(search, known)
+        effects = tuple(replace(one, left_follows=otherwise.get(one.name, "")) for one in effects)
+        effects = tuple(
+            replace(one, status="stand-in") if one.left_follows and one.status == "sure" else one
+            for one in effects
+        )
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {
@@ -240,24 +249,34 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
-        options = search.options
-        search = add_interactions(search, data, [first, last], remaining.is_sure)
-        if search.options is not options:
-            search, _, last = select_effects(search, data)
+    for forms in (True, False):
+        # Products come last, when each factor was tried in all its forms.
+        if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
+            options = search.options
+            if forms:
+                search = add_forms(search, data)
+            else:
+                search = add_interactions(search, data, [first, last], remaining.is_sure)
+            if search.options is not options:
+                search, _, last = select_effects(search, data)
+                if len(search.accepted) > 1:
+                    # One cause in the form that is there now may be what several stood in for.
+                    search, last = _afresh(search, data, last)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]
     if shapes and len(search.accepted) > max(len(shapes), 2):
-        search, last = _from_shapes(search, data, last)
+        search, last = _afresh(search, data, last, shapes_first=True)
     return refine_all(search, data), first, last
 
 
-def _from_shapes(search: Search, data: DiagnosisData, last: ScoreTable) -> tuple[Search, ScoreTable]:
-    """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
+def _afresh(
+    search: Search, data: DiagnosisData, last: ScoreTable, shapes_first: bool = False
+) -> tuple[Search, ScoreTable]:
+    """Search anew; keep it when fewer effects explain as much, else what was found."""
     before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset(), freed={})
-    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first=True)
+    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first)
     fewer = len(other.accepted) < len(search.accepted)
     if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
         return other, table
@@ -474,8 +493,11 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
     return tuple(real + [row for row in rows if row["placebo"]][: REPORT_SETTINGS.candidates])
 
 
-def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
-    """Return the model's own parameters that data moved, within what was known of them."""
+def refined_parameters(search: Search, with_rivals: bool = True) -> tuple[dict[str, Any], ...]:
+    """Return the model's own parameters that data moved, within what was known of them.
+
+    Those that are wrong come with what explains as much, which takes the options of a search (`with_rivals`).
+    """
     grams, present = search.forms["raw"], search.present()
     names = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]
@@ -498,6 +520,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
                 "known": float(sigma[place]),
                 "rms_nT": float(np.sqrt(explained)),
                 "wrong": False,
+                "rivals": (),
             }
         )
     groups: dict[str, list[dict[str, Any]]] = {}
@@ -516,9 +539,10 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
         if freed and any(uses_channel_of(search, number, one) for one in search.accepted):
             # The response to its channel is another one: the number is a part of that.
             far = False
+        wrong = bool(far and (matters or freed))
+        rivals = rivals_of_number(search, number) if wrong and with_rivals else ()
         for one in group:
-            one["wrong"] = bool(far and (matters or freed))
-            one["instead_of"] = freed
+            one["wrong"], one["instead_of"], one["rivals"] = wrong, freed, rivals
     return tuple(out)
 
 
@@ -531,7 +555,7 @@ def refined_at_both(search: Search, at_native: Search | None) -> tuple[dict[str,
     if at_native is None:
         return found
     known = {one["name"].partition("[")[0] for one in found if one["wrong"]}
-    fast = {one["name"]: one for one in refined_parameters(at_native) if one["wrong"]}
+    fast = {one["name"]: one for one in refined_parameters(at_native, with_rivals=False) if one["wrong"]}
     return tuple(
         one if one["name"].partition("[")[0] in known else fast.get(one["name"], one) for one in found
     )

@@ -41,6 +41,8 @@ _LIBRARY: tuple[type[Effect], ...] = (
     TimeShift,
     Oscillator,
     ScalarBias,
+    sensors.ChannelBias,
+    sensors.ChannelClock,
     Heading,
     channels.Induced,
     channels.SoftIron,

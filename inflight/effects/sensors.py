@@ -389,6 +389,52 @@ class ChannelScale(ScaledReading):
         return options_of_channels(channels_of_kind(mission))
 
 
+class ChannelBias(Effect):
+    """A scalar sensor's bias that follows any channel: corrected ``F - coefficient * channel``.
+
+    The channel carries its own reference, ``channel: electronics_temperature@about=20``.
+    """
+
+    family = "bias"
+    family_by_channel = True
+    acts_on = ("scalar",)
+    channels = ("",)
+    coefficient = Parameter("nT", sigma=1.0, per_channel=1)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading with its bias; (time,) nT."""
+        return np.asarray(reading + values["coefficient"][..., 0] * self.drive(samples, "coefficient"))
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading without it; (time,) nT."""
+        return np.asarray(reading - values["coefficient"][..., 0] * self.drive(samples, "coefficient"))
+
+
+class ChannelClock(Effect):
+    """A scalar reading that is early by what follows any channel: `time_shift` of ``coefficient * channel``.
+
+    The channel carries its own reference, ``channel: electronics_temperature@about=20``.
+    """
+
+    family = "clock"
+    family_by_channel = True
+    acts_on = ("scalar",)
+    channels = ("",)
+    coefficient = Parameter("s", step=1e-2, sigma=0.1, per_channel=1)
+
+    def _shift(self, samples: xr.Dataset, values: Values) -> Floats:
+        seconds = values["coefficient"][..., 0] * self.drive(samples, "coefficient")
+        return _shift_effect({"seconds": np.reshape(seconds, (-1, 1))}, samples)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the early reading; (time,) nT."""
+        return np.asarray(reading - self._shift(samples, values))
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading at the vector sensor's time; (time,) nT."""
+        return np.asarray(reading + self._shift(samples, values))
+
+
 class AdcTemperature(ChannelScale):
     """The converter's reference and zero follow the temperature of the electronics.
 

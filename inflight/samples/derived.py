@@ -1,4 +1,4 @@
-"""Channels made from channels: a slow response, a play (backlash), a product; each has a name.
+"""Channels made from channels: a difference, a slow response, a play (backlash), a product; each has a name.
 
 A derived name may stand wherever a channel's name may:
 
@@ -6,12 +6,15 @@ A derived name may stand wherever a channel's name may:
     First-order low-pass response with a time constant of 600 s and unit gain.
 ``boom_temperature@width=2``
     Play operator of full width 2, in the channel's unit: the simplest hysteresis.
+``boom_temperature@about=21.5``
+    What the channel is above 21.5, in its unit.
 ``solar_current~3``
     Third placebo: the channel shifted in time. Only a search makes it; no model may name it.
 ``solar_current*boom_temperature``
     Product; each factor may carry a response or a play: ``a@lag=600s*b``.
 
-With both, the response comes first: ``a@lag=600s@width=2`` is the play of the response.
+With several, the difference comes first, then the response: ``a@lag=600s@width=2`` is the play of the
+response.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ _PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<
 
 _OPTION = re.compile(r"@(\w+)=([^@~*]+)")
 
-_REMEDY = "write a channel, 'channel@lag=600s', 'channel@width=2', or a product of such with '*'"
+_REMEDY = "write a channel, 'channel@lag=600s', 'channel@width=2', 'channel@about=20', or a product with '*'"
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ class ChannelFactor:
         Full width of the play, in the channel's unit; 0 for none.
     placebo : int
         Number of the placebo, from 1; 0 for the channel itself.
+    about : float
+        What is taken off the channel first, in its unit.
     text : str
         The part as it was written; it does not count in comparisons.
     """
@@ -80,6 +85,7 @@ class ChannelFactor:
     lag_s: float = 0.0
     width: float = 0.0
     placebo: int = 0
+    about: float = 0.0
     text: str = field(default="", compare=False)
 
     @property
@@ -87,14 +93,15 @@ class ChannelFactor:
         """Name as written, or the shortest equal one."""
         if self.text:
             return self.text
+        about = f"@about={self.about:.12g}" if self.about else ""
         lag = f"@lag={self.lag_s:.12g}s" if self.lag_s else ""
         width = f"@width={self.width:.12g}" if self.width else ""
-        return f"{self.channel}{lag}{width}{f'~{self.placebo}' if self.placebo else ''}"
+        return f"{self.channel}{about}{lag}{width}{f'~{self.placebo}' if self.placebo else ''}"
 
     @property
     def is_plain(self) -> bool:
         """True when the part is the channel itself."""
-        return not (self.lag_s or self.width or self.placebo)
+        return not (self.lag_s or self.width or self.placebo or self.about)
 
     @property
     def history_s(self) -> float:
@@ -102,7 +109,7 @@ class ChannelFactor:
         return RESPONSE_SETTINGS.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
 
     def of(self, values: Floats, step_s: float | Floats) -> Floats:
-        """Return response and play of a channel; (time,) or (time, axis), in its unit.
+        """Return what is made of a channel: difference, response, play; (time,) or (time, axis), in its unit.
 
         Parameters
         ----------
@@ -111,7 +118,8 @@ class ChannelFactor:
         step_s : float or ndarray, shape (time - 1,)
             Seconds between samples.
         """
-        slow = slow_response(values, step_s, self.lag_s) if self.lag_s else values
+        above = values - self.about if self.about else values
+        slow = slow_response(above, step_s, self.lag_s) if self.lag_s else above
         return play(slow, self.width) if self.width else slow
 
 
@@ -151,20 +159,25 @@ def _parse_factor(text: str, name: str) -> ChannelFactor:
         raise ModelError(f"{name!r} names no channel", channel=name, remedy=_REMEDY)
     options: dict[str, float] = {}
     for key, value in _OPTION.findall(match["options"]):
-        if key not in ("lag", "width") or key in options:
+        if key not in ("lag", "width", "about") or key in options:
             raise ModelError(f"{name!r} has no use for '@{key}={value}'", channel=name, remedy=_REMEDY)
         try:
             size = parse_duration(value) / SECOND if key == "lag" else float(value)
         except ValueError as error:
             raise ModelError(f"{name!r}: {error}", channel=name, remedy=_REMEDY) from None
-        if not (0 < size < np.inf):
-            raise ModelError(f"{name!r}: '{key}' must be positive", channel=name, remedy=_REMEDY)
+        if not np.isfinite(size) or (key != "about" and size <= 0):
+            raise ModelError(
+                f"{name!r}: '{key}' must be {'finite' if key == 'about' else 'positive'}",
+                channel=name,
+                remedy=_REMEDY,
+            )
         options[key] = size
     return ChannelFactor(
         match["channel"].strip(),
         options.get("lag", 0.0),
         options.get("width", 0.0),
         int(match["placebo"] or 0),
+        options.get("about", 0.0),
         text.strip(),
     )
 

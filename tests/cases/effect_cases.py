@@ -40,6 +40,8 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "cross_talk": ("fgm", {}),
     "channel_scale": ("fgm", {"channel": "coil_temperature"}),
     "channel_angle": ("fgm", {"channel": "coil_temperature"}),
+    "channel_bias": ("ovm", {"channel": "electronics_temperature"}),
+    "channel_clock": ("ovm", {"channel": "electronics_temperature"}),
     "adc_temperature": ("fgm", {"channel": "electronics_temperature"}),
     "solar_array": ("fgm", {"channel": "solar_current", "normals": [[1, 0, 1], [-1, 0, 1], [0, 1, 0]]}),
     "channel_power": ("fgm", {"channel": "coil_temperature"}),

@@ -8,7 +8,7 @@ from diagnosis_cases import NOISE_NT, POLAR, case_of, flight_of, read
 
 from inflight.design import design_matrix
 from inflight.diagnosis import Search
-from inflight.diagnosis.stepwise import best_passing, number_that_explains
+from inflight.diagnosis.stepwise import best_passing, number_that_explains, rivals_of_number
 
 HELD = "channel_scale(coil_temperature)"
 #: What the model states of its number, and by how many of it the number is off.
@@ -65,3 +65,11 @@ def test_a_number_that_had_to_be_further_off_explains_its_own_channel_only(monke
     assert number_that_explains(search, option) == f"{HELD}.coefficient"
     monkeypatch.setitem(known, "uses_channel_of", lambda *_: False)
     assert number_that_explains(search, option) is None
+
+
+def test_what_does_as_well_as_a_held_number_is_its_rival():
+    """Of the data that a field of another channel made, the number is no better explanation than that."""
+    freed = searches()[1].with_freed(f"{HELD}.coefficient", searches()[1].options[0])
+    assert "channel_field(heater_current)" in rivals_of_number(freed, f"{HELD}.coefficient")
+    wrong = searches()[0].with_freed(f"{HELD}.coefficient", searches()[0].options[0])
+    assert rivals_of_number(wrong, f"{HELD}.coefficient") == ()

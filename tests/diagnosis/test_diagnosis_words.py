@@ -181,14 +181,38 @@ def test_what_is_left_is_not_told_larger_than_all_that_is_left():
 
 
 def test_what_is_left_beside_effects_and_is_not_sure_comes_last():
-    given = told("NOT_IDENTIFIABLE", effects=(effect(0.01),), residual=SIZES | {"structure_nT": 0.5})
+    given = told("NOT_IDENTIFIABLE", effects=(effect(0.6),), residual=SIZES | {"structure_nT": 0.5})
     assert [one.status for one in ranked_entries(given)] == ["sure", "weak"]
+
+
+@pytest.mark.parametrize("remaining", ["NOT_IDENTIFIABLE", "UNKNOWN_EFFECT"])
+def test_what_explains_no_more_than_what_has_no_cause_may_be_a_part_of_it(remaining):
+    given = told(remaining, effects=(effect(0.01), effect(0.6)), residual=SIZES | {"structure_nT": 0.5})
+    status = {one.takes_off_nT: one.status for one in ranked_entries(given)}
+    assert (status[0.01], status[0.6]) == ("stand-in", "sure")
+
+
+def test_beside_a_line_or_how_the_calibration_changes_in_time_a_small_effect_is_sure():
+    line = told("UNKNOWN_EFFECT", effects=(effect(0.01),), signature=SWITCH, residual=SIZES)
+    assert {one.status for one in ranked_entries(line)} == {"sure", "unknown"}
+    drift = effect(0.6, name="wander(offset[x], 1 d)", status="unknown")
+    assert {one.status for one in ranked_entries(told("NOTHING_LEFT", effects=(effect(0.01), drift)))} == {
+        "sure",
+        "unknown",
+    }
+
+
+def test_an_effect_says_what_is_left_follows():
+    one = effect(0.1, left_follows="channel_scale(heater)")
+    said = sentence(told("UNKNOWN_EFFECT", effects=(one,), residual=SIZES))
+    assert "what is left follows channel_scale(heater), so that it may stand in for another form" in said
 
 
 def test_the_verdict_of_an_entry_is_that_of_how_sure_it_is():
     verdicts = {
         "sure": "FOUND",
         "rivals": "CONFOUNDED",
+        "stand-in": "CONFOUNDED",
         "weak": "NOT_IDENTIFIABLE",
         "unknown": "UNKNOWN_EFFECT",
     }

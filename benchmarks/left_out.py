@@ -1,0 +1,410 @@
+"""Leave one form out: what the search says of an effect whose form, or whose family, its library lacks.
+
+The design is that of a simulated mission's own pass (`benchmarks.coverage.Design`). Each case hides one
+effect in noise: one of the library that is then taken out of it, with every other of its form; or with its
+family, whose channels stay in the table *acts on* x *follows*; or with all that follows its channel; or one
+that no library has (a delay, a threshold, a bias that follows a channel, ...). The search must name the
+channel that drives it, alone or among rivals, or say that what is there is unknown; a cause that is called
+sure and has nothing to do with it is wrong. Where nobody recorded the channel, another one that moves with it
+is all that can be named.
+
+``python -m benchmarks left_out`` prints the table.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.coverage import Design, search_over
+from inflight.arrays import Floats
+from inflight.catalog import Catalog
+from inflight.design import Candidate, DesignRows, design_matrix
+from inflight.diagnosis import Diagnosis, DiagnosisData, Search, forms, run_search
+from inflight.diagnosis.forms import Followed
+from inflight.diagnosis.series import Series
+from inflight.diagnosis.stepwise import channels_under
+from inflight.lsq import GramArrays
+from inflight.model import Model
+from inflight.residual import NoiseFloor
+from inflight.tasks.analysis import DiagnoseSettings
+from inflight.tasks.analysis.diagnosis import diagnosis_data, make_pass
+
+Hidden = Callable[[DesignRows], Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOutSettings:
+    """What is hidden.
+
+    Attributes
+    ----------
+    noise_nT : float
+        Of a row, all of whose samples are there.
+    size : float
+        Rms of what the calibration leaves of the effect, in noises of a row.
+    each, family, outside : int
+        Cases of each form, of each family, and of each shape that no library has.
+    """
+
+    noise_nT: float = 0.1  # noqa: N815 (a unit)
+    size: float = 0.5
+    each: int = 5
+    family: int = 1
+    outside: int = 3
+    seed: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One hidden effect: what it is called, what drives it, what of the library is left out."""
+
+    group: str
+    name: str
+    channels: frozenset[str]
+    family: str
+    candidate: Candidate | None = None
+    shape: Callable[[DesignRows, Floats], Floats] | None = None
+    left_out: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What the search said of a case: ``named``, ``unknown``, ``other`` (with doubts), or ``wrong``."""
+
+    case: Case
+    kind: str
+    verdict: str
+    told: tuple[str, ...] = ()
+    part_left: float = np.nan
+    sentence: str = field(default="", repr=False)
+
+
+#: Cases in which nothing of the library follows the channel, as if nobody had recorded it.
+UNRECORDED = "a channel nobody recorded"
+
+
+def form_of(candidate: Candidate) -> str:
+    """Return what a candidate acts on, and how it follows its channel: ``channel_field, lag``."""
+    label = candidate.mechanism.partition("(")[0]
+    return f"{label}, lag" if candidate.lag_s else label
+
+
+def cases(design: Design, search: Search, settings: LeftOutSettings) -> list[Case]:
+    """Return what is hidden, in a fixed order; only what the calibration leaves visible."""
+    generator = np.random.default_rng(settings.seed)
+    library = design.made.plan.library
+    seen = {one.name for one in search.options if not one.placebo}
+    real = [one for one in library.candidates if one.name in seen and not one.agnostic]
+    out = []
+    for kind, count in (("form", settings.each), ("family", settings.family)):
+        groups: dict[str, list[Candidate]] = {}
+        for one in real:
+            groups.setdefault(form_of(one) if kind == "form" else one.family, []).append(one)
+        for key, some in groups.items():
+            gone = frozenset(one.name for one in some)
+            for at in generator.permutation(len(some))[:count]:
+                one = some[int(at)]
+                out.append(
+                    Case(
+                        group=f"{kind} {key}",
+                        name=one.name,
+                        channels=frozenset(one.channels),
+                        family=one.family,
+                        candidate=one,
+                        left_out=gone,
+                    )
+                )
+    fields_of = [one for one in real if one.mechanism.startswith("channel_field(") and not one.lag_s]
+    for one in fields_of:
+        gone = frozenset(
+            other.name for other in library.candidates if set(one.channels) & set(other.channels)
+        )
+        out.append(
+            Case(
+                group=UNRECORDED,
+                name=one.name,
+                channels=frozenset(one.channels),
+                family=one.family,
+                candidate=one,
+                left_out=gone,
+            )
+        )
+    driving = sorted({one.channels[0] for one in real if one.mechanism.startswith("channel_field(")})
+    for name, shape in OUTSIDE.items():
+        for at in generator.permutation(len(driving))[: settings.outside]:
+            channel = driving[int(at)]
+            out.append(
+                Case(
+                    group="outside the library",
+                    name=f"{name} of {channel}",
+                    channels=frozenset([channel]),
+                    family="",
+                    shape=shape,
+                )
+            )
+    return out
+
+
+def _channel(rows: DesignRows, case: Case) -> Floats:
+    (name,) = case.channels
+    return np.asarray(rows.samples[name].values, dtype=np.float64)
+
+
+def _delayed(rows: DesignRows, values: Floats) -> Floats:
+    step = float(np.median(np.diff(rows.samples["tt2000"].values))) / 1e9
+    late = max(1, round(900.0 / step))
+    return np.concatenate([np.repeat(values[:1], late), values[:-late]])
+
+
+def _threshold(_: DesignRows, values: Floats) -> Floats:
+    return (values > np.nanmedian(values)).astype(np.float64)
+
+
+def _saturating(_: DesignRows, values: Floats) -> Floats:
+    centre, spread = np.nanmedian(values), max(float(np.nanstd(values)), 1e-12)
+    return np.asarray(np.tanh(2.0 * (values - centre) / spread))
+
+
+def _folded(_: DesignRows, values: Floats) -> Floats:
+    return np.asarray(np.abs(values - np.nanmedian(values)))
+
+
+def _rate(rows: DesignRows, values: Floats) -> Floats:
+    return np.asarray(np.gradient(values, rows.samples["tt2000"].values / 1e9))
+
+
+#: Functions of a channel that no effect of the library is: a dead time of 900 s, a threshold, a saturation, a
+#: field on both sides of a mean alike, a rate.
+FUNCTIONS = {
+    "delay": _delayed,
+    "threshold": _threshold,
+    "saturation": _saturating,
+    "absolute value": _folded,
+    "rate": _rate,
+}
+
+
+def _field_of(function: Callable[[DesignRows, Floats], Floats]) -> Callable[[DesignRows, Floats], Floats]:
+    def shape(rows: DesignRows, values: Floats) -> Floats:
+        (direction,) = list(rows.directions.values())[:1]
+        return np.asarray(direction[:, 0] * function(rows, values)[:, None])
+
+    return shape
+
+
+def _bias(_: DesignRows, values: Floats) -> Floats:
+    return np.asarray(values[:, None] - np.nanmean(values))
+
+
+def _clock(rows: DesignRows, values: Floats) -> Floats:
+    strength = np.linalg.norm(rows.samples["field"].values, axis=1)
+    return _bias(rows, values) * _rate(rows, strength)[:, None]
+
+
+#: Effects that no library has: columns (time, column) of the channel's values (time,).
+OUTSIDE: dict[str, Callable[[DesignRows, Floats], Floats]] = {
+    **{f"field, {name}": _field_of(one) for name, one in FUNCTIONS.items()},
+    "bias": _bias,
+    "clock": _clock,
+}
+
+
+class Missions:
+    """Residuals of all cases on one design, and the search over each."""
+
+    def __init__(self, cat: Catalog, settings: LeftOutSettings) -> None:
+        self.settings = settings
+        self.design = Design(cat)
+        self.data = diagnosis_data(
+            make_pass(cat, self.design.mission, None, None, DiagnoseSettings()), self.design.mission
+        )
+        self.weights = [rows.weight for rows, _ in self.design.rows()]
+        zeros = [np.zeros((len(one), 1)) for one in self.weights]
+        self.cases = cases(self.design, self.design.search(zeros), settings)
+        self.residuals = self._drawn()
+        self.grams = self.design.grams(self.residuals)
+
+    def _drawn(self) -> list[Floats]:
+        """Return the residuals of each day; (time, case)."""
+        generator = np.random.default_rng(self.settings.seed)
+        library = self.design.made.plan.library
+        noise, columns = [], [list[Floats]() for _ in self.cases]
+        for rows, _ in self.design.rows():
+            with np.errstate(divide="ignore"):
+                spread = np.where(rows.weight > 0, self.settings.noise_nT / np.sqrt(rows.weight), 0.0)
+            noise.append(generator.normal(size=(len(rows.weight), len(self.cases))) * spread[:, None])
+            for case, out in zip(self.cases, columns, strict=True):
+                if case.candidate is not None:
+                    terms = [library.terms[key] for key in case.candidate.terms]
+                    out.append(design_matrix(terms, rows)[:, 0])
+                else:
+                    assert case.shape is not None
+                    out.append(np.nan_to_num(case.shape(rows, np.nan_to_num(_channel(rows, case)))))
+        base = [design_matrix(library.base, rows)[:, 0] for rows, _ in self.design.rows()]
+        edges = np.cumsum([0, *map(len, self.weights)])
+        root = np.sqrt(np.concatenate(self.weights))
+        basis = np.linalg.qr(np.concatenate(base) * root[:, None])[0]
+        for place, parts in enumerate(columns):
+            whole = np.concatenate(parts)
+            whole = whole / np.maximum(np.sqrt(np.mean(whole**2, axis=0)), 1e-30)
+            effect = whole @ generator.normal(size=whole.shape[1])
+            left = effect * root - basis @ (basis.T @ (effect * root))
+            effect *= self.settings.size * self.settings.noise_nT / np.sqrt(np.sum(left**2) / np.sum(root**2))
+            for day, out in enumerate(noise):
+                out[:, place] -= effect[edges[day] : edges[day + 1]]
+        return noise
+
+    def answer(self, place: int) -> Answer:
+        """Return what the search says of a case."""
+        case = self.cases[place]
+        search, data = self._search(place)
+        with cells_without(case):
+            found, last = run_search(search, data)
+        return judged(case, found, last, data.model, self.settings)
+
+    def _search(self, place: int) -> tuple[Search, DiagnosisData]:
+        case, library = self.cases[place], self.design.made.plan.library
+        kept = [one for one in library.candidates if one.name not in case.left_out]
+        keys = {key for one in kept for key in one.terms}
+        own = replace(
+            library,
+            candidates=kept,
+            terms={key: term for key, term in library.terms.items() if key in keys},
+        )
+        names = [*own.columns, f"residual~{place}" if place else "residual"]
+        search = search_over(*(with_columns(one, names) for one in self.grams), own)
+        noise = self.settings.noise_nT
+        data = replace(
+            self.data,
+            series=with_residual(self.data.series, [one[:, place] for one in self.residuals], self.weights),
+            sums={"count": float(search.raw.count.sum()), "inside": 0.0},
+            floor=NoiseFloor(noise, 0.99 * noise, 1.01 * noise),
+            columns={},
+        )
+        return search, data
+
+
+#: Forms of the library's core that are cells of the table `acts on` x `follows`.
+CELLS = {
+    "channel_power": ("channel_field", "square"),
+    "hysteresis": ("channel_field", "play"),
+    **{label: (label, "value") for label in ("channel_field", "channel_scale", "channel_angle")},
+    **{f"{label}, lag": (label, "response") for label in ("channel_field", "channel_scale", "channel_angle")},
+}
+
+
+@contextmanager
+def cells_without(case: Case) -> Iterator[None]:
+    """Leave out of the library's second tier, too, what a case leaves out of its core."""
+    gone = CELLS.get(form_of(case.candidate)) if case.group.startswith("form") and case.candidate else None
+    every = forms._cells
+
+    def cells(
+        search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
+    ) -> list[Followed]:
+        found = every(search, data, label, channels, held)
+        if case.group == UNRECORDED:
+            return [one for one in found if one.channel not in case.channels]
+        return [one for one in found if (label, one.how) != gone]
+
+    forms._cells = cells
+    try:
+        yield
+    finally:
+        forms._cells = every
+
+
+def with_columns(grams: GramArrays, names: list[str]) -> GramArrays:
+    """Return some columns and one residual of Gram blocks, which comes last."""
+    known = {name: place for place, name in enumerate(grams.names)}
+    at = np.array([known[name] for name in names])
+    kept = np.ascontiguousarray(grams.gram[:, at[:, None], at])
+    return replace(grams, names=(*names[:-1], "residual"), gram=kept, scale=grams.scale[at])
+
+
+def with_residual(series: Series, residuals: list[Floats], weights: list[Floats]) -> Series:
+    """Return a series with another residual: weighted means of so many rows as it joined."""
+    step = round(sum(map(len, weights)) / len(series.tt2000))
+    values = series.values.copy(order="K")
+    joined = []
+    for residual, weight in zip(residuals, weights, strict=True):
+        count = len(weight) // step * step
+        own, rows = (one[:count].reshape(-1, step) for one in (weight, residual))
+        total = own.sum(axis=1)
+        joined.append(np.divide((own * rows).sum(axis=1), total, out=np.zeros_like(total), where=total > 0))
+    values[:, series.features.place("residual").start] = np.concatenate(joined)
+    return replace(series, values=values)
+
+
+def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: LeftOutSettings) -> Answer:
+    """Return how a diagnosis stands against what was hidden."""
+    channels = {one.name: set(one.channels) for one in found.effects}
+    families = {one.name: one.family for one in found.effects}
+    options = {one.mechanism: one for one in [*last.options, *last.accepted]}
+    mechanism = case.candidate.mechanism if case.candidate else ""
+
+    def is_it(name: str, own: set[str], family: str) -> bool:
+        under = channels_under(list(own)) if own else own
+        if case.channels:
+            return bool(under & case.channels)
+        return family == case.family or name.partition("(")[0] == mechanism.partition("(")[0]
+
+    # A number of the model is named by its effect, which follows a channel.
+    numbers = {one.name: channels_under(one.effect.channels) for one in model.effects}
+    named, wrong, told = False, False, []
+    for entry in found.entries:
+        own, family = channels.get(entry.name, set()), families.get(entry.name, "")
+        rivals = [options[one] for one in entry.rivals if one in options]
+        right = is_it(entry.name, own, family) or any(
+            is_it(one.mechanism, set(one.channels), one.family) for one in rivals
+        )
+        right |= bool(numbers.get(entry.name.partition(".")[0], set()) & case.channels)
+        named |= right
+        wrong |= entry.status == "sure" and not right
+        told.append(f"{entry.status}: {entry.name} {entry.takes_off_nT:.3f}")
+    left = found.remaining.get("signature")
+    named |= (
+        left is not None and left.channel is not None and bool(set(left.channel.split("*")) & case.channels)
+    )
+    kind = "wrong" if wrong else "named" if named else "other"
+    if kind == "other" and all(one.status == "unknown" for one in found.entries):
+        kind = "unknown" if found.entries else "nothing"
+    before, after = (found.residual[f"held_out_{when}_nT"] for when in ("before", "after"))
+    hidden = (settings.size * settings.noise_nT) ** 2
+    return Answer(
+        case=case,
+        kind=kind,
+        verdict=found.verdict,
+        told=tuple(told),
+        part_left=float(
+            max(after**2 - settings.noise_nT**2, 0.0) / max(before**2 - settings.noise_nT**2, hidden)
+        ),
+        sentence=found.sentence,
+    )
+
+
+def left_out(cat: Catalog, settings: LeftOutSettings | None = None, only: str = "") -> Iterator[Answer]:
+    """Yield what the search says of each case whose group or name holds `only`."""
+    missions = Missions(cat, settings or LeftOutSettings())
+    for place, case in enumerate(missions.cases):
+        if only in f"{case.group} {case.name}":
+            yield missions.answer(place)
+
+
+def table(answers: list[Answer]) -> list[str]:
+    """Return the lines of the table, as Markdown: how many cases of each group were answered how."""
+    kinds = ("named", "unknown", "other", "nothing", "wrong")
+    out = ["| left out | cases | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 2) + "|"]
+    groups = list(dict.fromkeys(one.case.group for one in answers))
+    for group in [*groups, "all"]:
+        some = [one.kind for one in answers if group in (one.case.group, "all")]
+        count = Counter(some)
+        out.append(
+            f"| {group} | {len(some)} | " + " | ".join(str(count[kind] or "") for kind in kinds) + " |"
+        )
+    return out

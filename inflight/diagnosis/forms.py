@@ -1,0 +1,566 @@
+"""What an effect acts on, and how it follows a channel: every combination of both, beside the library's core.
+
+`ACTS_ON` times `follows` is the whole table. The core of the library (`inflight.diagnosis.candidates`) has
+the cells that are causes of their own, with products of every column with every other; all other cells are
+tried here once the rounds are over (`add_forms`), and products of two channels last (`add_interactions`).
+
+A cell's columns are those of its effect with a channel that is 1, times the series that follows the channel.
+Its products with calibration, model and residual are therefore matrix products of a few columns with all
+series at once (`CellProducts`): they grow with the number of cells, not with its square. Only what explains
+something beside the model, or instead of an effect of it, joins the Gram blocks with all its products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.design import Term, design_matrix
+from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors
+from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
+from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
+from inflight.diagnosis.scoring import Index, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
+from inflight.diagnosis.search import Option, ScoreTable, Search
+from inflight.effects import family_of, known_effects
+from inflight.errors import InflightError
+from inflight.frames import GEOMETRY, SLOW_GEOMETRY
+from inflight.lsq import hac_t, solve_scaled
+from inflight.mission import sensors_of
+from inflight.model import ModelEffect, make_effect
+from inflight.samples import base_channels
+
+#: What a channel may act on, and the effect that does it: ``effect(channel)``.
+ACTS_ON: Mapping[str, str] = {
+    "field at the sensor": "channel_field",
+    "scale factors": "channel_scale",
+    "angles": "channel_angle",
+    "bias of the scalar sensor": "channel_bias",
+    "clock of the scalar sensor": "channel_clock",
+}
+
+#: Effects of which a constant channel is a constant that the calibration has anyway; the others' channels
+#: are taken about their mean.
+_HAS_CONSTANT = frozenset({"channel_field", "channel_scale", "channel_angle"})
+
+#: Effects of the core that are cells by another name: effect, and how its channel is followed.
+_SAME = {"channel_power": "square", "hysteresis": "play"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormSettings:
+    """Which cells, and which products of channels, are tried.
+
+    Attributes
+    ----------
+    joining : int
+        Cells that join at most: a bound on time, assumed.
+    channels, pairs : int
+        The strongest channels that are paired, and pairs at most: a bound on memory, assumed.
+    steady : float
+        A factor that varies by less than this part of its size is a constant; assumed.
+    own_t : float
+        A channel is strong when its own effect reaches this t; assumed.
+    related : float
+        A cell that explains this part of what an effect does, in its place, is related to it; assumed.
+    nearly : float
+        Cells and products that reach this part of the t and of the gain of an addition are held against
+        everything.
+    """
+
+    joining: int = 40
+    channels: int = 8
+    pairs: int = 60
+    steady: float = 1e-3
+    own_t: float = 1.0
+    related: float = 0.5
+    nearly: float = 0.5
+
+
+FORM_SETTINGS = FormSettings()
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One way to follow a channel.
+
+    `how` is ``value``, ``response``, ``play`` or ``square``; `name` is the derived channel.
+    """
+
+    how: str
+    channel: str
+    name: str
+    lag_s: float = 0.0
+
+    @property
+    def lag_text(self) -> str:
+        """How its name writes the lag."""
+        return f"@lag={self.lag_s:g}s" if self.lag_s else ""
+
+
+def follows(channel: str, mean: float, spread: float, has_history: bool = True) -> list[Followed]:
+    """Return every way to follow a channel.
+
+    Parameters
+    ----------
+    mean, spread : float
+        Of the channel, in its unit; the spread is its range without outliers.
+    has_history : bool
+        Slow responses and plays make sense: between the samples of a synthetic turn there is no time.
+    """
+    about = f"{channel}@about={mean:.4g}"
+    out = [Followed("value", channel, channel), Followed("square", channel, f"{about}*{about}")]
+    if has_history:
+        lags = [lag for lag in BANK_SETTINGS.lags if lag]
+        out += [Followed("response", channel, f"{channel}@lag={lag:g}s", lag) for lag in lags]
+        out += [
+            Followed("play", channel, f"{channel}@width={part * spread:.3g}") for part in BANK_SETTINGS.widths
+        ]
+    return out
+
+
+def add_forms(search: Search, data: DiagnosisData) -> Search:
+    """Return the state with cells of the table among its options; the state itself when there are none.
+
+    Also where nothing is left: what was taken may stand in for another channel, or for another form.
+    """
+    if not can_add_columns(search, data):
+        return search
+    channels = scalar_channels(data)
+    found: list[tuple[float, Followed, ModelEffect]] = []
+    tried = 0
+    for label in ACTS_ON.values() if channels else ():
+        cells = _cells(search, data, label, channels)
+        tried += len(cells)
+        found += _shortlisted(search, data, label, cells)
+    found.sort(key=lambda one: -one[0])
+    made = [_option(search, data, one, entry) for _, one, entry in found[: FORM_SETTINGS.joining]]
+    if not made:
+        return search
+    more = 1.0 + tried / max(len(search.options), 1)
+    return join_terms(search, data, [term for term, _ in made]).with_options(
+        [replace(option, of_more=more) for _, option in made]
+    )
+
+
+def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
+    """Return effects that may stand in for another form of their cause: effect -> what is left follows.
+
+    Of each effect the related cells: those that follow a channel of it, or that explain half as much in its
+    place. What is left follows one of them where its t passes, and sign flips of blocks say that the largest
+    of them all is no chance.
+    """
+    options = [one for one in search.accepted if one.change is None and not one.agnostic]
+    if not options or not can_add_columns(search, data):
+        return {}
+    signs, units = draw_signs(len(search.raw), search.rules.draws, search.rules.seed)
+    folds = make_folds(len(search.raw))
+    names: list[str] = []
+    t, observed, flipped = [], [], []
+    related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
+    for label in ACTS_ON.values():
+        cells = _cells(search, data, label, scalar_channels(data), held=True)
+        entries = [(one, entry) for one in cells if (entry := _entry(data, label, one)) is not None]
+        if not entries:
+            continue
+        products = CellProducts.of(search, data, entries[0][1], [one for one, _ in entries])
+        every = [products.places(number) for number in range(len(entries))]
+        y, present = products.residuals[0], search.present_in(products)
+        t.append(score(products, present, every, y, folds).t)
+        ratios = sign_flip_ratios(products, present, every, y, signs, units)
+        observed.append(ratios[0])
+        flipped.append(ratios[1])
+        names += [f"{label}({one.name})" for one, _ in entries]
+        for option in options:
+            present = search.present_in(products, option)
+            own = score(products, present, [products.index(option.columns)], y, folds)
+            found = score(products, present, every, y, folds)
+            same = np.array([one.channel in option.channels for one, _ in entries])
+            related[option.name].append(same | (found.gain > FORM_SETTINGS.related * own.gain[0]))
+    if not names:
+        return {}
+    all_t, all_observed, all_flipped = np.concatenate(t), np.concatenate(observed), np.concatenate(flipped, 1)
+    out = {}
+    for name, parts in related.items():
+        mask = np.concatenate(parts)
+        if not mask.any():
+            continue
+        p = family_wise_p(all_observed, all_flipped[:, mask].max(axis=1, keepdims=True))
+        clear = mask & (all_t > search.rules.t) & (p < search.rules.p)
+        if clear.any():
+            out[name] = names[int(np.argmax(np.where(clear, all_t, -np.inf)))]
+    return out
+
+
+def scalar_channels(data: DiagnosisData) -> list[str]:
+    """Return the channels of one number a time that change and are no angles."""
+    series, out = data.series, []
+    for name in series.channels:
+        values = series[name]
+        known = values[np.isfinite(values)] if values.ndim == 1 and name not in ANGLES else np.zeros(0)
+        # A product with a constant is the other channel alone.
+        if known.size and np.std(known) > FORM_SETTINGS.steady * np.abs(known).mean():
+            out.append(name)
+    return out
+
+
+def _cells(
+    search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
+) -> list[Followed]:
+    """Return the cells of one row of the table; those that the core has only when they are asked for."""
+    core = {
+        (term.entry.effect.label(), *term.entry.effect.channels)
+        for term in search.library.all_terms
+        if term.entry.effect.channels
+    }
+    known = {(one[0], name) for one in core for name in one[1:]} if not held else set()
+    same = {
+        (_SAME[one], base)
+        for one, name in known
+        if one in _SAME and label == "channel_field" and name
+        for base in base_channels(name)
+    }
+    out = []
+    for channel in channels:
+        values = data.series[channel]
+        low, high = np.nanquantile(values, WIDTH_SETTINGS.quantiles)
+        slow = channel not in search.library.unlagged and (
+            channel not in GEOMETRY or channel in SLOW_GEOMETRY
+        )
+        for one in follows(channel, float(np.nanmean(values)), float(high - low), slow):
+            if (label, one.name) not in known and (one.how, channel) not in same:
+                out.append(one if label in _HAS_CONSTANT else _about_mean(one, float(np.nanmean(values))))
+    return out
+
+
+def _about_mean(cell: Followed, mean: float) -> Followed:
+    """Return a cell whose channel is taken about its mean; a square is already."""
+    if cell.how == "square" or not mean:
+        return cell
+    return replace(cell, name=f"{cell.channel}@about={mean:.4g}{cell.name.removeprefix(cell.channel)}")
+
+
+def _entry(data: DiagnosisData, label: str, cell: Followed) -> ModelEffect | None:
+    """Return the effect of a cell; None where the mission has no sensor for it."""
+    kind = known_effects(data.model.own)[label]
+    sensors = acting_sensors(kind, data.mission, data.model)
+    if not sensors:
+        return None
+    given = {"effect": label, "sensor": sensors[0].name, "channel": cell.name}
+    if cell.lag_s:
+        # As an option of the effect, which a refined lag replaces.
+        given |= {"channel": cell.name.replace(cell.lag_text, ""), "lag": f"{cell.lag_s:g} s"}
+    try:
+        return make_effect(
+            given, sensors_of(data.mission, data.model.comparison), data.model.own, data.mission
+        )
+    except InflightError:
+        return None
+
+
+def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEffect) -> tuple[Term, Option]:
+    """Return the term of a cell and the option that takes it."""
+    label = entry.effect.label()
+    mechanism = key = f"{label}({cell.name})"
+    if cell.how == "response":
+        # The refined lag takes the place of this one.
+        mechanism = f"{label}({cell.name.replace(cell.lag_text, '')})"
+        key = f"{mechanism}{cell.lag_text}"
+    size = sum(kind.size for kind in entry.effect.parameters().values() if np.isfinite(kind.sigma))
+    names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
+    term = Term(key, entry, names, (np.inf,) * size)
+    # Another form of the same channel is no other cause: its family is that of the channel itself.
+    plain = _entry(data, label, Followed("value", cell.channel, cell.channel))
+    family = family_of((plain or entry).effect, data.mission)
+    return term, Option(
+        name=key,
+        mechanism=mechanism,
+        family=family,
+        columns=tuple(term.columns),
+        channels=base_channels(cell.name),
+        terms=(key,),
+        lag_s=cell.lag_s,
+    )
+
+
+def _shortlisted(
+    search: Search, data: DiagnosisData, label: str, cells: Sequence[Followed]
+) -> list[tuple[float, Followed, ModelEffect]]:
+    """Return cells that nearly pass beside the model, or do as well as an effect of it, with their gain."""
+    entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
+    if not entries:
+        return []
+    products = CellProducts.of(search, data, next(iter(entries.values())), list(entries))
+    rules, folds = search.rules, make_folds(len(products))
+    every = [products.places(number) for number in range(len(entries))]
+    gains = np.zeros(len(entries))
+    taken = [[one] for one in search.accepted if one.change is None and one.channels]
+    # Beside the model, in the place of each effect of it, and in the place of all of them.
+    for without in ([], *taken, *([list(search.accepted)] if len(search.accepted) > 1 else [])):
+        kept = search.with_accepted([one for one in search.accepted if one not in without])
+        present = kept.present_in(products)
+        found = score(products, present, every, products.residuals[0], folds)
+        passing = found.t > FORM_SETTINGS.nearly * rules.t
+        passing &= found.gain > FORM_SETTINGS.nearly * rules.gain
+        if without:
+            columns = [products.index(one.columns) for one in without]
+            own = score(products, present, columns, products.residuals[0], folds)
+            best = own.loss[:, [int(np.argmin(own.loss.sum(axis=0)))]]
+            passing &= hac_t(found.loss - best) < rules.rival_t
+        gains = np.maximum(gains, np.where(passing, found.gain, 0.0))
+    return [
+        (float(gain), cell, entry)
+        for gain, (cell, entry) in zip(gains, entries.items(), strict=True)
+        if gain > 0
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class CellProducts:
+    """Products of the cells of one row of the table with the model and the residual, and of each with itself.
+
+    The calibration is marginalised. It answers what scores ask of Gram blocks (`BlockProducts`) for the
+    model's columns, which come first, and the cells', k each; the residual comes last.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Columns of the model.
+    table : ndarray, shape (block, model + 1, column)
+        Products of the model's columns and of the residual with all.
+    inner : ndarray, shape (block, cell, k, k)
+    scale : ndarray, shape (column,)
+    """
+
+    names: tuple[str, ...]
+    table: Floats
+    inner: Floats
+    scale: Floats
+
+    @classmethod
+    def of(
+        cls, search: Search, data: DiagnosisData, entry: ModelEffect, cells: Sequence[Followed]
+    ) -> CellProducts:
+        """Return the products of cells of one effect; `entry` is that of any of them."""
+        series = data.series
+        rows, names, columns = model_columns(search, series, data.sensor_matrices, search.accepted)
+        base = [names.index(one) for one in search.base()[0]]
+        model = search.model_columns()
+        others = [names.index(one) for one in model]
+        root = np.sqrt(series["weight"])[:, None, None]
+        residual = np.where(root > 0, np.nan_to_num(rows.residual)[:, :, None], 0.0)
+        left = np.concatenate([columns[:, :, base], columns[:, :, others], residual], axis=2) * root
+        acting = _acting_columns(data, entry) * root
+        values = _followed(data, cells, entry.effect.label() in _HAS_CONSTANT)
+        k, m, b = acting.shape[2], left.shape[2], len(base)
+        edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
+        cross = np.zeros((len(search.raw), m, k, len(cells)))
+        given = np.zeros((len(search.raw), m, m))
+        inner = np.zeros((len(search.raw), k, k, len(cells)))
+        for block in range(len(search.raw)):
+            part = slice(int(edges[block]), int(edges[block + 1]))
+            if part.start == part.stop:
+                continue
+            own, on, f = left[part], acting[part], values[part]
+            both = np.einsum("trm,trk->tmk", own, on).reshape(len(f), -1)
+            cross[block] = (both.T @ f).reshape(m, k, -1)
+            square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
+            inner[block] = (square.T @ f**2).reshape(k, k, -1)
+            flat = own.reshape(-1, m)
+            given[block] = flat.T @ flat
+        # Cell by cell: (block, left, cell * k).
+        flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(search.raw), m, -1)
+        inner = np.ascontiguousarray(inner.transpose(0, 3, 1, 2))
+        _marginalise(search, flat_cross, given, inner, b)
+        table = np.concatenate([given[:, b:, b:-1], flat_cross[:, b:], given[:, b:, -1:]], axis=2)
+        scale = np.concatenate(
+            [search.raw.scale[search.forms["raw"].index(model)], np.ones(len(cells) * k + 1)]
+        )
+        return cls(tuple(model), table, inner, scale)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def residuals(self) -> list[int]:
+        """Place of the residual."""
+        return [self.table.shape[2] - 1]
+
+    def index(self, names: Sequence[str]) -> Index:
+        """Return the places of columns of the model."""
+        return np.array([self.names.index(name) for name in names], dtype=np.int64)
+
+    def places(self, cell: int) -> Index:
+        """Return the places of the columns of a cell."""
+        k = self.inner.shape[2]
+        return np.asarray(len(self.names) + cell * k + np.arange(k))
+
+    def rows(self, columns: Index, others: Index | None = None) -> Floats:
+        """Return the products of residual and columns of the model with others; (block, column, other)."""
+        at = np.where(np.asarray(columns) == self.residuals[0], len(self.names), columns)
+        found = self.table[:, at]
+        return found if others is None else found[:, :, others]
+
+    def products_within(self, groups: Index) -> Floats:
+        """Return the products of each group's columns with each other; (block, group, k, k)."""
+        first = np.asarray(groups)[:, 0]
+        if first.size and first[0] < len(self.names):
+            return np.stack([self.table[:, group][:, :, group] for group in groups], axis=1)
+        return self.inner[:, (first - len(self.names)) // self.inner.shape[2]]
+
+
+def _marginalise(search: Search, cross: Floats, given: Floats, inner: Floats, base: int) -> None:
+    """Take off what the calibration, the first `base` columns, explains in each interval; in place."""
+    if not base:
+        return
+    k = inner.shape[2]
+    names, sigma = search.base()
+    prior = np.diag(search.precision(search.raw, names, sigma))
+    for group in search.intervals:
+        at = np.asarray(group)
+        normal = given[at, :base, :base].sum(axis=0) + prior
+        both = np.concatenate([given[at, :base, base:].sum(axis=0), cross[at, :base].sum(axis=0)], axis=1)
+        solved = solve_scaled(normal, both)
+        theta, own = np.split(solved, [given.shape[2] - base], axis=1)
+        cells = own.reshape(base, -1, k)
+        for block in at:
+            n, x = given[block, :base, :base].copy(), given[block, :base, base:].copy()
+            z = cross[block, :base].copy()
+            part = z.reshape(base, -1, k)
+            mixed = np.einsum("nck,ncl->ckl", cells, part)
+            inner[block] += np.einsum("nck,nm,mcl->ckl", cells, n, cells, optimize=True)
+            inner[block] -= mixed + mixed.swapaxes(1, 2)
+            left = n @ own
+            cross[block, base:] += theta.T @ (left - z) - x.T @ own
+            given[block, base:, base:] += theta.T @ n @ theta - theta.T @ x - x.T @ theta
+
+
+def _acting_columns(data: DiagnosisData, entry: ModelEffect) -> Floats:
+    """Return the columns of an effect whose channel is 1; (sample, row, k)."""
+    series = data.series
+    (channel,) = entry.effect.channels
+    unit = derived_channels(series, {channel}).get(channel)
+    attrs = (
+        unit.attrs
+        if unit is not None
+        else {"units": series.features.units[series.features.names.index(channel)]}
+    )
+    one = xr.Variable(("time",), np.ones(len(series.tt2000)), attrs)
+    names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
+    term = Term("cell", entry, names, ())
+    columns = design_matrix([term], series.rows(data.sensor_matrices, {channel: one}))
+    return np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(columns), 0.0)
+
+
+def _followed(data: DiagnosisData, cells: Sequence[Followed], about_mean: bool) -> Floats:
+    """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
+    derived = derived_channels(data.series, {one.name for one in cells})
+    out = np.empty((len(data.series.tt2000), len(cells)))
+    for place, one in enumerate(cells):
+        values = derived[one.name].values if one.name in derived else data.series[one.name]
+        out[:, place] = np.nan_to_num(values - np.nanmean(values) if about_mean else values)
+    return out
+
+
+# Products of two channels.
+
+
+def add_interactions(
+    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
+) -> Search:
+    """Return the state with products of channels among its options; the state itself when there are none.
+
+    Parameters
+    ----------
+    unexplained : bool
+        Something is left: all pairs of the strongest channels are tried. Else only pairs with a channel that
+        was taken, because its field may depend on another channel.
+    """
+    if not can_add_columns(search, data):
+        return search
+    known = {option.mechanism for option in search.options}
+    terms = [
+        term
+        for one, other in _channel_pairs(search, data, tables, unexplained)
+        if (term := _product(data, one, other)) is not None and term.key not in known
+    ]
+    terms = _promising(search, data, terms)
+    if not terms:
+        return search
+    return join_terms(search, data, terms).with_options(
+        [
+            Option(
+                name=term.key,
+                mechanism=term.key,
+                family="unknown",
+                columns=tuple(term.columns),
+                channels=tuple(term.entry.effect.channels[0].split("*")),
+                terms=(term.key,),
+            )
+            for term in terms
+        ]
+    )
+
+
+def _channel_pairs(
+    search: Search, data: DiagnosisData, tables: Sequence[ScoreTable], unexplained: bool
+) -> list[tuple[str, str]]:
+    """Return the pairs to try: a channel that was taken with every other one; of the strongest ones all."""
+    scalars = scalar_channels(data)
+    taken = [name for option in search.accepted for name in option.channels if name in scalars]
+    pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
+    if unexplained:
+        pairs += combinations(strongest_channels(search, data, tables), 2)
+    first: dict[frozenset[str], tuple[str, str]] = {}
+    for pair in pairs:
+        first.setdefault(frozenset(pair), pair)
+    return list(first.values())[: FORM_SETTINGS.pairs]
+
+
+def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[ScoreTable]) -> list[str]:
+    """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
+    there = set(data.series.channels)
+    gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
+    for table in tables:
+        scores = table.scores["raw"]
+        for place, option in enumerate(table.options):
+            if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
+                continue
+            name = option.channels[0]
+            if data.series[name].ndim == 1 and scores.t[place] > FORM_SETTINGS.own_t:
+                gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
+    scalars = [name for name in gains if data.series[name].ndim == 1]
+    return sorted(sorted(scalars), key=lambda name: -gains[name])[: FORM_SETTINGS.channels]
+
+
+def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
+    sensors = sensors_of(data.mission, data.model.comparison)
+    first = next(iter(data.series.features.sensors))
+    entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
+    try:
+        made = make_effect(entry, sensors, data.model.own, data.mission)
+    except InflightError:
+        return None
+    return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
+
+
+def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:
+    """Return the terms that would by themselves be taken, or nearly, beside what the model has.
+
+    Their products with the columns of the model and with the residual say so; those with all other columns of
+    the library, many times as many, are made for them alone.
+    """
+    if not terms:
+        return []
+    small = join_terms(search.of_model(), data, terms)
+    best = np.zeros(len(terms), dtype=bool)
+    for form, grams in small.forms.items():
+        columns = [grams.index(term.columns) for term in terms]
+        found = score(grams, small.present(form), columns, small.y(form), make_folds(len(grams)))
+        rules = search.rules
+        best |= (found.t > FORM_SETTINGS.nearly * rules.t) & (found.gain > FORM_SETTINGS.nearly * rules.gain)
+    return [term for term, one in zip(terms, best.tolist(), strict=True) if one]

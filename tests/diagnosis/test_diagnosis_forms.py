@@ -1,0 +1,88 @@
+"""Cells of the table `acts on` x `follows`: products as of joined columns, and effects only they describe."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from diagnosis_cases import NOISE_NT, POLAR, case_of, flight_of, read
+
+from inflight.diagnosis.forms import (
+    ACTS_ON,
+    CellProducts,
+    _cells,
+    _entry,
+    _option,
+    add_forms,
+    scalar_channels,
+)
+from inflight.diagnosis.refine import join_terms
+from inflight.diagnosis.scoring import make_folds, score
+
+CHANNELS = ("solar_current", "boom_temperature", "heater_current")
+
+
+def shapes(flight):
+    """What the scalar reading has, or the vector sensor's scale: nT of each sample."""
+    warmth, current = flight["boom_temperature"], flight["heater_current"]
+    strength = np.linalg.norm(flight["field"], axis=1)
+    rate = np.gradient(strength, flight.tt2000 / 1e9)
+    about = warmth - warmth.mean()
+    return {
+        "bias": 0.1 * about / about.std(),
+        "clock": 3e-3 * rate * about / about.std(),
+        "scale": -2.5e-6
+        * strength
+        * (current - current.mean())
+        / current.std()
+        * flight.direction[:, 2] ** 2,
+    }
+
+
+@lru_cache(maxsize=1)
+def flown():
+    flight = flight_of(POLAR, 30)
+    hidden = [read(flight, seed, scalar=one) for seed, one in enumerate(shapes(flight).values())]
+    return case_of(flight, [*hidden, read(flight, 9)], channels=CHANNELS)
+
+
+@pytest.mark.parametrize("label", ACTS_ON.values())
+def test_products_of_cells_are_those_of_columns_that_join(label):
+    case = flown()
+    search, data = case.search(), case.material()
+    search = search.add(next(one for one in search.options if one.name == "channel_field(solar_current)"))
+    cells = _cells(search, data, label, ["boom_temperature"])
+    assert len(cells) >= (1 if label == "channel_field" else 5)
+    made = [_option(search, data, one, _entry(data, label, one)) for one in cells]
+    products = CellProducts.of(search, data, made[0][0].entry, cells)
+    joined = join_terms(search.of_model(), data, [term for term, _ in made])
+    grams = joined.forms["raw"]
+    folds = make_folds(len(grams))
+    slow = score(grams, joined.present(), [grams.index(o.columns) for _, o in made], joined.y(), folds)
+    places = [products.places(k) for k in range(len(cells))]
+    quick = score(products, search.present_in(products), places, products.residuals[0], folds)
+    np.testing.assert_allclose(quick.loss0, slow.loss0, rtol=1e-4)
+    np.testing.assert_allclose(quick.gain, slow.gain, atol=2e-4)
+    np.testing.assert_allclose(quick.t, slow.t, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("place", "label", "channel"),
+    [(0, "channel_bias", "boom_temperature"), (1, "channel_clock", "boom_temperature")],
+)
+def test_what_the_scalar_sensor_does_with_its_heat_is_found(place, label, channel):
+    found = flown().diagnose(place)
+    names = [one.name for one in found.effects]
+    assert any(name.startswith(f"{label}({channel}") for name in names), found.sentence
+    assert found.residual["held_out_after_nT"] < 1.03 * NOISE_NT
+
+
+def test_nothing_joins_where_nothing_is_left():
+    case = flown()
+    search = case.search(3)
+    assert add_forms(search, case.material(3)) is search
+
+
+def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
+    names = scalar_channels(flown().material())
+    assert set(CHANNELS) <= set(names)
+    assert not {"orbit_phase", "local_time", "longitude"} & set(names)
