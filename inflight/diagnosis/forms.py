@@ -67,6 +67,8 @@ class FormSettings:
         A channel is strong when its own effect reaches this t; assumed.
     related : float
         A cell that explains this part of what an effect does, in its place, is related to it; assumed.
+    small_mean : float
+        A channel whose mean is no more than this part of its spread is taken as it is; assumed.
     nearly : float
         Cells and products that reach this part of the t and of the gain of an addition are held against
         everything.
@@ -78,6 +80,7 @@ class FormSettings:
     steady: float = 1e-3
     own_t: float = 1.0
     related: float = 0.5
+    small_mean: float = 0.02
     nearly: float = 0.5
 
 
@@ -102,7 +105,9 @@ class Followed:
         return f"@lag={self.lag_s:g}s" if self.lag_s else ""
 
 
-def follows(channel: str, mean: float, spread: float, has_history: bool = True) -> list[Followed]:
+def follows(
+    channel: str, mean: float, spread: float, has_history: bool = True, about_mean: bool = False
+) -> list[Followed]:
     """Return every way to follow a channel.
 
     Parameters
@@ -111,15 +116,17 @@ def follows(channel: str, mean: float, spread: float, has_history: bool = True) 
         Of the channel, in its unit; the spread is its range without outliers.
     has_history : bool
         Slow responses and plays make sense: between the samples of a synthetic turn there is no time.
+    about_mean : bool
+        The channel is taken about its mean, as a square always is.
     """
-    about = f"{channel}@about={mean:.4g}"
-    out = [Followed("value", channel, channel), Followed("square", channel, f"{about}*{about}")]
+    centred = f"{channel}@about={mean:.4g}" if abs(mean) > FORM_SETTINGS.small_mean * spread else channel
+    own = centred if about_mean else channel
+    out = [Followed("value", channel, own), Followed("square", channel, f"{centred}*{centred}")]
     if has_history:
         lags = [lag for lag in BANK_SETTINGS.lags if lag]
-        out += [Followed("response", channel, f"{channel}@lag={lag:g}s", lag) for lag in lags]
-        out += [
-            Followed("play", channel, f"{channel}@width={part * spread:.3g}") for part in BANK_SETTINGS.widths
-        ]
+        out += [Followed("response", channel, f"{own}@lag={lag:g}s", lag) for lag in lags]
+        widths = [part * spread for part in BANK_SETTINGS.widths]
+        out += [Followed("play", channel, f"{own}@width={width:.3g}") for width in widths]
     return out
 
 
@@ -231,17 +238,11 @@ def _cells(
         slow = channel not in search.library.unlagged and (
             channel not in GEOMETRY or channel in SLOW_GEOMETRY
         )
-        for one in follows(channel, float(np.nanmean(values)), float(high - low), slow):
-            if (label, one.name) not in known and (one.how, channel) not in same:
-                out.append(one if label in _HAS_CONSTANT else _about_mean(one, float(np.nanmean(values))))
+        found = follows(
+            channel, float(np.nanmean(values)), float(high - low), slow, label not in _HAS_CONSTANT
+        )
+        out += [one for one in found if (label, one.name) not in known and (one.how, channel) not in same]
     return out
-
-
-def _about_mean(cell: Followed, mean: float) -> Followed:
-    """Return a cell whose channel is taken about its mean; a square is already."""
-    if cell.how == "square" or not mean:
-        return cell
-    return replace(cell, name=f"{cell.channel}@about={mean:.4g}{cell.name.removeprefix(cell.channel)}")
 
 
 def _entry(data: DiagnosisData, label: str, cell: Followed) -> ModelEffect | None:
