@@ -14,7 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -74,7 +75,7 @@ class FormSettings:
         everything.
     """
 
-    joining: int = 40
+    joining: int = 12
     channels: int = 8
     pairs: int = 60
     steady: float = 1e-3
@@ -130,28 +131,43 @@ def follows(
     return out
 
 
-def add_forms(search: Search, data: DiagnosisData) -> Search:
+class _Shortlisted(NamedTuple):
+    """A cell that may join: its gain, and whether it alone does as well as all that was taken together."""
+
+    gain: float
+    cell: Followed
+    entry: ModelEffect
+    alone: bool
+
+
+def add_forms(search: Search, data: DiagnosisData) -> tuple[Search, bool]:
     """Return the state with cells of the table among its options; the state itself when there are none.
 
-    Also where nothing is left: what was taken may stand in for another channel, or for another form.
+    Also where nothing is left: what was taken may stand in for another channel, or for another form. True
+    comes with it when one of them alone does as well as all that was taken together.
     """
     if not can_add_columns(search, data):
-        return search
-    channels = scalar_channels(data)
-    found: list[tuple[float, Followed, ModelEffect]] = []
+        return search, False
+    channels, rows = scalar_channels(data), CellRows(search, data)
+    found: list[_Shortlisted] = []
     tried = 0
     for label in ACTS_ON.values() if channels else ():
         cells = _cells(search, data, label, channels)
         tried += len(cells)
-        found += _shortlisted(search, data, label, cells)
-    found.sort(key=lambda one: -one[0])
-    made = [_option(search, data, one, entry) for _, one, entry in found[: FORM_SETTINGS.joining]]
+        found += _shortlisted(rows, label, cells)
+    # Of a channel the best way to follow it: what it lacks of lag or width is found once it is taken.
+    best: dict[tuple[str, str], _Shortlisted] = {}
+    for one in sorted(found, key=lambda one: -one.gain):
+        best.setdefault((one.entry.effect.label(), one.cell.channel), one)
+    joining = list(best.values())[: FORM_SETTINGS.joining]
+    made = [_option(search, data, one.cell, one.entry) for one in joining]
     if not made:
-        return search
+        return search, False
     more = 1.0 + tried / max(len(search.options), 1)
-    return join_terms(search, data, [term for term, _ in made]).with_options(
+    search = join_terms(search, data, [term for term, _ in made]).with_options(
         [replace(option, of_more=more) for _, option in made]
     )
+    return search, any(one.alone for one in joining)
 
 
 def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
@@ -165,7 +181,7 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     if not options or not can_add_columns(search, data):
         return {}
     signs, units = draw_signs(len(search.raw), search.rules.draws, search.rules.seed)
-    folds = make_folds(len(search.raw))
+    folds, rows = make_folds(len(search.raw)), CellRows(search, data)
     names: list[str] = []
     t, observed, flipped = [], [], []
     related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
@@ -174,7 +190,7 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
         entries = [(one, entry) for one in cells if (entry := _entry(data, label, one)) is not None]
         if not entries:
             continue
-        products = CellProducts.of(search, data, entries[0][1], [one for one, _ in entries])
+        products = CellProducts.of(rows, entries[0][1], [one for one, _ in entries])
         every = [products.places(number) for number in range(len(entries))]
         y, present = products.residuals[0], search.present_in(products)
         t.append(score(products, present, every, y, folds).t)
@@ -288,17 +304,17 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
     )
 
 
-def _shortlisted(
-    search: Search, data: DiagnosisData, label: str, cells: Sequence[Followed]
-) -> list[tuple[float, Followed, ModelEffect]]:
+def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[_Shortlisted]:
     """Return cells that nearly pass beside the model, or do as well as an effect of it, with their gain."""
+    search, data = rows.search, rows.data
     entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
     if not entries:
         return []
-    products = CellProducts.of(search, data, next(iter(entries.values())), list(entries))
+    products = CellProducts.of(rows, next(iter(entries.values())), list(entries))
     rules, folds = search.rules, make_folds(len(products))
     every = [products.places(number) for number in range(len(entries))]
-    gains = np.zeros(len(entries))
+    together = score(products, search.present_in(products), [], products.residuals[0], folds).loss0
+    gains, alone = np.zeros(len(entries)), np.zeros(len(entries), dtype=bool)
     taken = [[one] for one in search.accepted if one.change is None and one.channels]
     # Beside the model, in the place of each effect of it, and in the place of all of them.
     for without in ([], *taken, *([list(search.accepted)] if len(search.accepted) > 1 else [])):
@@ -313,11 +329,48 @@ def _shortlisted(
             best = own.loss[:, [int(np.argmin(own.loss.sum(axis=0)))]]
             passing &= hac_t(found.loss - best) < rules.rival_t
         gains = np.maximum(gains, np.where(passing, found.gain, 0.0))
+        if without and len(without) == len(search.accepted):
+            alone = passing & (hac_t(found.loss - together[:, None]) < rules.rival_t)
     return [
-        (float(gain), cell, entry)
-        for gain, (cell, entry) in zip(gains, entries.items(), strict=True)
+        _Shortlisted(float(gain), cell, entry, bool(as_well))
+        for gain, as_well, (cell, entry) in zip(gains, alone, entries.items(), strict=True)
         if gain > 0
     ]
+
+
+class CellRows:
+    """The series' rows that the cells of every row of the table share.
+
+    Attributes
+    ----------
+    left : ndarray, shape (sample, row, column)
+        Columns of calibration and model, then the residual, weighted.
+    parts : list of slice
+        Rows of each block.
+    """
+
+    def __init__(self, search: Search, data: DiagnosisData) -> None:
+        self.search, self.data = search, data
+        series = data.series
+        rows, names, columns = model_columns(search, series, data.sensor_matrices, search.accepted)
+        places = [names.index(one) for one in [*search.base()[0], *search.model_columns()]]
+        root = np.sqrt(series["weight"])[:, None, None]
+        residual = np.where(root > 0, np.nan_to_num(rows.residual)[:, :, None], 0.0)
+        self.left = np.concatenate([columns[:, :, places], residual], axis=2) * root
+        edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
+        self.parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        self._series: dict[str, Floats] = {}
+
+    def followed(self, cells: Sequence[Followed], about_mean: bool) -> Floats:
+        """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
+        series = self.data.series
+        derived = derived_channels(series, {one.name for one in cells} - self._series.keys())
+        self._series |= {name: np.asarray(one.values) for name, one in derived.items()}
+        out = np.empty((len(series.tt2000), len(cells)))
+        for place, one in enumerate(cells):
+            values = self._series[one.name] if one.name in self._series else series[one.name]
+            out[:, place] = np.nan_to_num(values - np.nanmean(values) if about_mean else values)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,29 +396,17 @@ class CellProducts:
     scale: Floats
 
     @classmethod
-    def of(
-        cls, search: Search, data: DiagnosisData, entry: ModelEffect, cells: Sequence[Followed]
-    ) -> CellProducts:
+    def of(cls, rows: CellRows, entry: ModelEffect, cells: Sequence[Followed]) -> CellProducts:
         """Return the products of cells of one effect; `entry` is that of any of them."""
-        series = data.series
-        rows, names, columns = model_columns(search, series, data.sensor_matrices, search.accepted)
-        base = [names.index(one) for one in search.base()[0]]
-        model = search.model_columns()
-        others = [names.index(one) for one in model]
-        root = np.sqrt(series["weight"])[:, None, None]
-        residual = np.where(root > 0, np.nan_to_num(rows.residual)[:, :, None], 0.0)
-        left = np.concatenate([columns[:, :, base], columns[:, :, others], residual], axis=2) * root
+        search, data, left = rows.search, rows.data, rows.left
+        root = np.sqrt(data.series["weight"])[:, None, None]
         acting = _acting_columns(data, entry) * root
-        values = _followed(data, cells, entry.effect.label() in _HAS_CONSTANT)
-        k, m, b = acting.shape[2], left.shape[2], len(base)
-        edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
-        cross = np.zeros((len(search.raw), m, k, len(cells)))
-        given = np.zeros((len(search.raw), m, m))
-        inner = np.zeros((len(search.raw), k, k, len(cells)))
-        for block in range(len(search.raw)):
-            part = slice(int(edges[block]), int(edges[block + 1]))
-            if part.start == part.stop:
-                continue
+        values = rows.followed(cells, entry.effect.label() in _HAS_CONSTANT)
+        k, m, b = acting.shape[2], left.shape[2], len(search.base()[0])
+        cross = np.zeros((len(rows.parts), m, k, len(cells)))
+        given = np.zeros((len(rows.parts), m, m))
+        inner = np.zeros((len(rows.parts), k, k, len(cells)))
+        for block, part in enumerate(rows.parts):
             own, on, f = left[part], acting[part], values[part]
             both = np.einsum("trm,trk->tmk", own, on).reshape(len(f), -1)
             cross[block] = (both.T @ f).reshape(m, k, -1)
@@ -374,10 +415,11 @@ class CellProducts:
             flat = own.reshape(-1, m)
             given[block] = flat.T @ flat
         # Cell by cell: (block, left, cell * k).
-        flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(search.raw), m, -1)
+        flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(rows.parts), m, -1)
         inner = np.ascontiguousarray(inner.transpose(0, 3, 1, 2))
         _marginalise(search, flat_cross, given, inner, b)
         table = np.concatenate([given[:, b:, b:-1], flat_cross[:, b:], given[:, b:, -1:]], axis=2)
+        model = search.model_columns()
         scale = np.concatenate(
             [search.raw.scale[search.forms["raw"].index(model)], np.ones(len(cells) * k + 1)]
         )
@@ -455,16 +497,6 @@ def _acting_columns(data: DiagnosisData, entry: ModelEffect) -> Floats:
     term = Term("cell", entry, names, ())
     columns = design_matrix([term], series.rows(data.sensor_matrices, {channel: one}))
     return np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(columns), 0.0)
-
-
-def _followed(data: DiagnosisData, cells: Sequence[Followed], about_mean: bool) -> Floats:
-    """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
-    derived = derived_channels(data.series, {one.name for one in cells})
-    out = np.empty((len(data.series.tt2000), len(cells)))
-    for place, one in enumerate(cells):
-        values = derived[one.name].values if one.name in derived else data.series[one.name]
-        out[:, place] = np.nan_to_num(values - np.nanmean(values) if about_mean else values)
-    return out
 
 
 # Products of two channels.

@@ -252,16 +252,16 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
     for forms in (True, False):
         # Products come last, when each factor was tried in all its forms.
         if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
-            options = search.options
+            options, alone = search.options, False
             if forms:
-                search = add_forms(search, data)
+                search, alone = add_forms(search, data)
             else:
                 search = add_interactions(search, data, [first, last], remaining.is_sure)
             if search.options is not options:
                 search, _, last = select_effects(search, data)
-                if len(search.accepted) > 1:
-                    # One cause in the form that is there now may be what several stood in for.
-                    search, last = _afresh(search, data, last)
+            if alone and len(search.accepted) > 1:
+                # One cause in the form that is there now may be what several stood in for.
+                search, last = _afresh(search, data, last)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]

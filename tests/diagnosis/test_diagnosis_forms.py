@@ -9,6 +9,7 @@ from diagnosis_cases import NOISE_NT, POLAR, case_of, flight_of, read
 from inflight.diagnosis.forms import (
     ACTS_ON,
     CellProducts,
+    CellRows,
     _cells,
     _entry,
     _option,
@@ -53,7 +54,7 @@ def test_products_of_cells_are_those_of_columns_that_join(label):
     cells = _cells(search, data, label, ["boom_temperature"])
     assert len(cells) >= (1 if label == "channel_field" else 5)
     made = [_option(search, data, one, _entry(data, label, one)) for one in cells]
-    products = CellProducts.of(search, data, made[0][0].entry, cells)
+    products = CellProducts.of(CellRows(search, data), made[0][0].entry, cells)
     joined = join_terms(search.of_model(), data, [term for term, _ in made])
     grams = joined.forms["raw"]
     folds = make_folds(len(grams))
@@ -79,7 +80,7 @@ def test_what_the_scalar_sensor_does_with_its_heat_is_found(place, label, channe
 def test_nothing_joins_where_nothing_is_left():
     case = flown()
     search = case.search(3)
-    assert add_forms(search, case.material(3)) is search
+    assert add_forms(search, case.material(3)) == (search, False)
 
 
 def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
