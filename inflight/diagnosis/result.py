@@ -42,7 +42,8 @@ class FoundEffect:
     that of the samples its coefficients were estimated from; `cadence_shift` by how many sigmas of that fit
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
-    what it does in words, where family and channels do not say it.
+    what it does in words, where family and channels do not say it. `stamp_readings` are what a clock error
+    may be instead.
     """
 
     name: str
@@ -69,6 +70,7 @@ class FoundEffect:
     first_in_nT: float | None = None  # noqa: N815 (a unit)
     model_effects: tuple[str, ...] = ()
     said: str = ""
+    stamp_readings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -584,6 +586,9 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.model_effects:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
+    if effect.stamp_readings:
+        number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
+        text += f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
     return text + _rivals_text(effect.rivals)
 
 
