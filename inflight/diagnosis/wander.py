@@ -26,12 +26,12 @@ import numpy as np
 import scipy
 
 from inflight.arrays import Floats
-from inflight.diagnosis.scoring import Scores, hac_t, make_folds, score
+from inflight.diagnosis.scoring import Scores, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.stepwise import RivalCheck
 from inflight.diagnosis.time_changes import Change, block_length, lines_between_windows, time_text
 from inflight.effects import Affine
-from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse
+from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse, hac_t
 from inflight.residual import format_period
 from inflight.time import DAY, SECOND, Int64
 
