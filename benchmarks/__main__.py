@@ -62,14 +62,30 @@ def _show_left_out(kept: Path | None, only: str) -> None:
     print("\n".join(table(answers)), flush=True)
 
 
+def _show_real_cadence(real: Path) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from benchmarks.real_cadence import Said, real_cadence, table
+
+    said: list[Said] = []
+    with threadpool_limits(1):
+        for one in real_cadence(real):
+            said.append(one)
+            print(
+                f"{one.record}, {one.variant}: {one.found.verdict if one.found else one.problem}", flush=True
+            )
+            print(f"  {one.found.sentence if one.found else ''}", flush=True)
+    print("\n".join(table(said)), flush=True)
+
+
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
     parser.add_argument(
         "which",
         nargs="*",
-        choices=[*_ALL, "coverage", "left_out", []],
-        help="all but coverage and left_out when absent",
+        choices=[*_ALL, "coverage", "left_out", "real_cadence", []],
+        help="all but coverage, left_out and real_cadence when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
@@ -79,6 +95,7 @@ def main() -> None:
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument("--seeds", type=int, default=200, help="residuals drawn of each effect (200)")
     parser.add_argument("--only", default="", help="cases of left_out whose group or name holds this")
+    parser.add_argument("--real", type=Path, help="folder of real measurements, for real_cadence")
     given = parser.parse_args()
     which = given.which or _ALL
 
@@ -106,6 +123,10 @@ def main() -> None:
         _show_coverage(given.keep, given.seeds)
     if "left_out" in which:
         _show_left_out(given.keep, given.only)
+    if "real_cadence" in which:
+        from benchmarks.coil_temperature import real_data
+
+        _show_real_cadence(given.real or real_data())
     if "spin_fits" in which:
         print("\n".join(spin_fit_ratios()), flush=True)
     if "spin_eight" in which:

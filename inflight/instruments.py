@@ -240,6 +240,12 @@ class Instrument(Strict):
     position: Vector3 | None = None
     #: Quaternion x, y, z, w that turns sensor axes into spacecraft axes.
     orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    #: Readings are means over this long: so that two instruments are compared by the same means.
+    averaging: Duration = 0
+    #: Which moment of that time a stamp is.
+    stamp: Literal["start", "centre", "end"] = "centre"
+    #: A filter makes readings late by this much: they belong before their stamps.
+    delay: Duration = 0
 
     @model_validator(mode="after")
     def _has_its_field(self) -> Self:
@@ -252,3 +258,17 @@ class Instrument(Strict):
         if not np.isclose(np.linalg.norm(self.orientation), 1.0, atol=1e-6):
             raise ValueError("'orientation' must be a quaternion of length 1")
         return self
+
+    @model_validator(mode="after")
+    def _has_moments(self) -> Self:
+        for name in ("averaging", "delay"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"'{name}' must not be negative")
+        if self.stamp != "centre" and not self.averaging:
+            raise ValueError(f"'stamp: {self.stamp}' needs 'averaging', what a reading is the mean over")
+        return self
+
+    @property
+    def moment_ns(self) -> int:
+        """What is added to a stamp, ns, for the moment of its reading: the middle of its averaging."""
+        return {"start": 1, "centre": 0, "end": -1}[self.stamp] * (self.averaging // 2) - self.delay

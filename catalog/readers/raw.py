@@ -148,7 +148,8 @@ def _times(
     else:
         times = _times_of_rows(decode_times(source, files, span), source, files)
     missing = times == TT2000_FILL
-    times = np.where(missing, TT2000_FILL, times + clock_offset(times, files))
+    moments = times + clock_offset(times, files) + instrument.moment_ns
+    times = np.where(missing, TT2000_FILL, moments)
     outside = np.zeros(times.shape, dtype=bool)
     if span.start is not None:
         outside |= times < span.start - files.spill

@@ -43,7 +43,8 @@ class FoundEffect:
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
-    related channels is left still follows: the effect may stand in for another form.
+    related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
+    what a clock error may be instead.
     """
 
     name: str
@@ -71,6 +72,7 @@ class FoundEffect:
     model_effects: tuple[str, ...] = ()
     said: str = ""
     left_follows: str = ""
+    stamp_readings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -619,6 +621,9 @@ def _effect_text(effect: FoundEffect) -> str:
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.left_follows:
         text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
+    if effect.stamp_readings:
+        number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
+        text += f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
     return text + _rivals_text(effect.rivals)
 
 

@@ -46,6 +46,7 @@ from inflight.diagnosis.result import (
 from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
+from inflight.diagnosis.stamps import stamp_readings
 from inflight.diagnosis.stepwise import (
     SELECTION_SETTINGS,
     Estimate,
@@ -335,8 +336,19 @@ def describe_effect(
         cadence_shift=native.shift_in_sigmas(found) if native else None,
         status=_status(search, check, rivals),
         model_effects=_sharing(data.model, option),
+        stamp_readings=_stamp_readings(data, option, coefficients),
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def _stamp_readings(
+    data: DiagnosisData, option: Option, coefficients: Sequence[Coefficient]
+) -> tuple[str, ...]:
+    """Return what a clock that is off all the time may be instead."""
+    if option.family != "clock" or option.change or [one.unit for one in coefficients] != ["s"]:
+        return ()
+    only = coefficients[0]
+    return stamp_readings(data.mission, data.model.comparison, only.value, only.sigma)
 
 
 def _sharing(model: Model, option: Option) -> tuple[str, ...]:

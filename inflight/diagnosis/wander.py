@@ -26,12 +26,12 @@ import numpy as np
 import scipy
 
 from inflight.arrays import Floats
-from inflight.diagnosis.scoring import make_folds, score
+from inflight.diagnosis.scoring import Scores, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.stepwise import RivalCheck
 from inflight.diagnosis.time_changes import Change, block_length, lines_between_windows, time_text
 from inflight.effects import Affine
-from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse
+from inflight.lsq import CalibratedBlocks, TimedGrams, gram_inverse, hac_t
 from inflight.residual import format_period
 from inflight.time import DAY, SECOND, Int64
 
@@ -98,6 +98,8 @@ class InTime:
         The same of runs of blocks.
     at : tuple of int
         TT2000 of its steps.
+    alike : tuple of str
+        Other parameters that follow held-out blocks as well by windows as long: it may be one of them.
     column : str
         Of the library.
     """
@@ -113,6 +115,7 @@ class InTime:
     t: float = 0.0
     contiguous_gain: float = 0.0
     at: tuple[int, ...] = ()
+    alike: tuple[str, ...] = ()
     column: str = ""
 
     @property
@@ -126,7 +129,8 @@ class InTime:
         days = self.window_s / 86_400
         length = f"{days:.3g} {'day' if days == 1 else 'days'}" if days >= 1 else format_period(self.window_s)
         size = f"{self.size:.2g} +- {self.sigma:.1g}{per}"
-        return f"the parameter {self.parameter} wanders by {size} in 1 d: windows of {length} are best"
+        text = f"the parameter {self.parameter} wanders by {size} in 1 d: windows of {length} are best"
+        return text + (f"; these data cannot tell it from {', '.join(self.alike)}" if self.alike else "")
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name; times in UTC."""
@@ -331,6 +335,8 @@ def parameters_in_time(search: Search) -> tuple[list[InTime], InTime | None]:
         return found, None
     clearest = max(unlikely, key=lambda one: walks[one.column].clear)
     told = _with_form(search, clearest, blocks, covariance, WANDER_SETTINGS.chance / len(found))
+    if told.form == "irregular":
+        told = replace(told, alike=_alike(search, told, [one for one in unlikely if one is not clearest]))
     return [told if one is clearest else one for one in found], told if told.form == "irregular" else None
 
 
@@ -368,19 +374,7 @@ def _beside(matrix: Floats, scores: Floats, functions: Floats) -> tuple[Floats, 
 
 def _held_out(search: Search, one: InTime, forms: Sequence[tuple[Change, int]]) -> InTime:
     """Return a parameter with the form of some that leaves least of held-out blocks; constant when all do."""
-    base, own = search.base()[0], search.model_columns()
-    core = search.raw.select(list(dict.fromkeys([*base, *own, one.column])))
-    grams = TimedGrams.of(
-        CalibratedBlocks(core, base, search.intervals, search.precision(core, *search.base())),
-        own,
-        {name: source for change, _ in forms for name, source in change.functions.items()},
-    )
-    columns = [grams.index(list(change.functions)) for change, _ in forms]
-    y, present = grams.residuals[0], search.present_in(grams)
-    apart, runs = (
-        score(grams, present, columns, y, make_folds(len(grams), interleaved))
-        for interleaved in (True, False)
-    )
+    apart, runs = _scores(search, [change for change, _ in forms])
     best, rules = int(np.argmin(apart.loss.sum(axis=0))), search.rules
     if not (apart.gain[best] > rules.gain and apart.t[best] > rules.t):
         return one
@@ -394,6 +388,34 @@ def _held_out(search: Search, one: InTime, forms: Sequence[tuple[Change, int]]) 
         window_blocks=width,
         window_s=width * block_length(search.raw) / SECOND,
     )
+
+
+def _scores(search: Search, changes: Sequence[Change]) -> tuple[Scores, Scores]:
+    """Return how changes of parameters follow held-out blocks: every k-th of them, and runs of them."""
+    base, own = search.base()[0], search.model_columns()
+    functions = {name: source for change in changes for name, source in change.functions.items()}
+    sources = [source for source, _ in functions.values()]
+    core = search.raw.select(list(dict.fromkeys([*base, *own, *sources])))
+    calibrated = CalibratedBlocks(core, base, search.intervals, search.precision(core, *search.base()))
+    grams = TimedGrams.of(calibrated, own, functions)
+    columns = [grams.index(list(change.functions)) for change in changes]
+    y, present = grams.residuals[0], search.present_in(grams)
+    apart, runs = (
+        score(grams, present, columns, y, make_folds(len(grams), interleaved))
+        for interleaved in (True, False)
+    )
+    return apart, runs
+
+
+def _alike(search: Search, one: InTime, others: Sequence[InTime]) -> tuple[str, ...]:
+    """Return parameters by which windows as long leave no clearly more of held-out blocks, as of rivals."""
+
+    def loss(each: InTime) -> Floats:
+        # One after the other: a record of years has hundreds of windows.
+        return _scores(search, [windows_of(search, each, one.window_blocks)])[0].loss
+
+    least = loss(one)
+    return tuple(each.parameter for each in others if hac_t(loss(each) - least)[0] < search.rules.rival_t)
 
 
 def _step_edges(matrix: Floats, scores: Floats) -> list[int]:

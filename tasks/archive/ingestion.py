@@ -125,13 +125,15 @@ class Delivery:
 def content_key(files: Files, instrument: Instrument) -> str:
     """Return the sha256 of everything in the mission YAML that decides what a file becomes.
 
-    Patterns, positions and orientations do not: changing them makes no new revision of any day.
+    Patterns, positions and orientations do not: changing them makes no new revision of any day. What a
+    mission says of stamps and averaging does by what it adds to the stamps.
     """
+    elsewhere = {"files", "position", "orientation", "averaging", "stamp", "delay"}
     content = {
         "version": INGEST_VERSION,
         "files": files.model_dump(mode="json", exclude={"pattern", "same_as"}),
-        "instrument": instrument.model_dump(mode="json", exclude={"files", "position", "orientation"}),
-    }
+        "instrument": instrument.model_dump(mode="json", exclude=elsewhere),
+    } | ({"moment": instrument.moment_ns} if instrument.moment_ns else {})
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -78,6 +78,8 @@ class Need:
         Products of channels that the series is a factor of.
     smooth_ns : int
         Readings are averaged over this long, centred.
+    average_ns : int
+        A field is averaged over this long where it is resampled: see `averaging_by_role`.
     replaceable : bool
         A typical value may replace the channel where it is missing: see `replaceable_needs`.
     """
@@ -90,6 +92,7 @@ class Need:
     part: ChannelFactor | None = None
     products: tuple[str, ...] = ()
     smooth_ns: int = 0
+    average_ns: int = 0
     replaceable: bool = False
 
     @property
@@ -110,7 +113,8 @@ class Need:
     @property
     def margin_ns(self) -> int:
         """How much of the neighbouring days a day is made with."""
-        return INPUT_SETTINGS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
+        around = abs(self.lag_ns) + self.smooth_ns + self.average_ns
+        return INPUT_SETTINGS.margin_cadences * self.cadence_ns + around
 
 
 def channels_by_name(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -165,8 +169,15 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         When the model uses a channel the mission has not, or a placebo.
     """
     roles = mission.comparisons[model.comparison].instruments()
+    average = averaging_by_role(mission, model.comparison)
     needs = [
-        Need(name=role, instrument=name, channel="field", cadence_ns=mission.instruments[name].cadence)
+        Need(
+            name=role,
+            instrument=name,
+            channel="field",
+            cadence_ns=mission.instruments[name].cadence,
+            average_ns=average[role],
+        )
         for role, name in roles.items()
     ]
     for needed_by in (clock_of, axis_of, ambient_of):
@@ -180,6 +191,21 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         )
     names = used | {name for name in extra if set(known.bases(name)) <= known.all}
     return needs + known.needs(names)
+
+
+def averaging_by_role(mission: Mission, comparison: str) -> dict[str, int]:
+    """Return how long each field of a comparison is averaged before it meets the other one, ns.
+
+    Where one instrument's readings are means over `b` and the other's over `a < b`, the latter are averaged
+    over ``sqrt(b^2 - a^2)``: then both weigh the field with the same second moment in time. This is exact
+    for ``a = 0``, else to the fourth order of frequency times `b`: at frequencies of ``1 / (4 b)`` and
+    ``1 / (2 b)`` the two gains differ by at most 0.1 and 2.2 %. A spin comparison has one instrument, and of
+    a platform's vector only the direction counts: nothing is averaged there.
+    """
+    entry = mission.comparisons[comparison]
+    own = {role: mission.instruments[name].averaging for role, name in entry.instruments().items()}
+    longest = max(own.values()) if entry.kind in ("scalar", "dual") else 0
+    return {role: round(np.sqrt(max(0.0, float(longest) ** 2 - float(a) ** 2))) for role, a in own.items()}
 
 
 def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
@@ -454,6 +480,8 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
+        if need.lag_ns or need.part or need.smooth_ns or need.average_ns:
+            return False
+        if need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0

@@ -81,6 +81,8 @@ def channel_series(
     flag = _joined(cat, around, "flag") if need.name in FIELD_ROLES else None
     # The mission's lag and cadence hold, not those of the day the files were taken in.
     attrs = {**_read(cat, today, need.channel)[1], "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
+    if need.average_ns:
+        attrs["average_ns"] = need.average_ns
     series = Series(values, stamps, attrs, flag)
     return _derived(series, need.part) if need.part else series
 

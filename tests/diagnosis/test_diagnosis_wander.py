@@ -92,6 +92,8 @@ def test_a_parameter_that_wanders_is_named_with_size_and_windows(residual, param
     assert one.gain > one.contiguous_gain
     assert one.window_s >= 2 * BLOCK_DAYS * 86_400
     assert f"{parameter} wanders by {one.size:.2g} +- {one.sigma:.1g} nT in 1 d: windows" in one.words("nT")
+    # The field turns: no other parameter does as well.
+    assert one.alike == ()
     assert {other.form for other in found.values()} == {"constant"}
 
 

@@ -81,12 +81,13 @@ def diagnosed(
     comparison: str = "main",
     days: tuple[str | None, str | None] = (None, None),
     instruments: Sequence[str] | None = None,
+    cadence_s: float | None = None,
 ) -> Diagnosed:
     """Ingest some days of the data unless they are there already, and diagnose a comparison of them."""
     mission, cat = known.mission(), Catalog(known.root)
     if data is not None:
         ingest(cat, mission, data, instruments, *days)
-    settings = DiagnoseSettings(comparison=comparison, draws=500)
+    settings = DiagnoseSettings(comparison=comparison, draws=500, cadence_s=cadence_s)
     made = make_pass(cat, mission, *days, settings)
     search = begin_search(made, settings)
     found, search = run_search(search, diagnosis_data(made, mission))

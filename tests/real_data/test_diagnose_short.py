@@ -15,11 +15,13 @@ pytestmark = [
 def say(tmp_path_factory):
     done = {}
 
-    def make(mission, comparison="main"):
+    def make(mission, comparison="main", cadence_s=None):
         first = mission not in done
         if first:
             done[mission] = workspace(tmp_path_factory.mktemp(mission) / "w", mission)
-        return diagnosed(done[mission], REAL / FOLDERS[mission] if first else None, comparison)
+        return diagnosed(
+            done[mission], REAL / FOLDERS[mission] if first else None, comparison, cadence_s=cadence_s
+        )
 
     return make
 
@@ -40,3 +42,18 @@ def test_raw_and_published_values_of_one_observatory_leave_the_same(say):
     before = [one.diagnosis.residual["held_out_before_nT"] for one in (raw, published)]
     assert before[0] == pytest.approx(before[1], rel=0.01)
     assert raw.diagnosis.verdict == published.diagnosis.verdict
+
+
+def test_parameters_that_one_direction_of_field_cannot_tell_apart_are_named_together_at_every_cadence(say):
+    """Which of them comes first is chance, and differs."""
+    told = []
+    for cadence_s in (60.0, 180.0, 600.0):
+        irregular = [
+            one
+            for one in say("usgs-bou", cadence_s=cadence_s).diagnosis.in_time
+            if one["form"] == "irregular"
+        ]
+        assert len(irregular) == 1
+        told.append({irregular[0]["parameter"], *irregular[0]["alike"]})
+    assert told[0] == told[1] == told[2]
+    assert {"offset[x]", "offset[z]", "scale_factor[x]", "scale_factor[z]", "bias"} <= told[0]

@@ -256,3 +256,33 @@ def test_an_empty_channel_is_all_missing():
     samples = align({"vector": empty, "scalar": channel(1 + t, t, 1.0)}, "scalar")
     assert np.isnan(samples["vector"].values).all()
     assert (samples["flag"].values & np.uint32(Flag.VECTOR_MISSING) != 0).all()
+
+
+@pytest.mark.parametrize("base", ["vector", "scalar"])
+def test_an_averaged_field_is_the_mean_of_what_is_between_its_samples(base):
+    """Over 1 s at 1 s: no mean of readings could do it."""
+    t, wave = np.arange(0.0, 600.0), 2 * np.pi * 0.2
+    vector = np.stack([np.sin(wave * t), np.cos(wave * t), 100.0 + t], axis=1)
+    there = t if base == "vector" else t + 0.3
+    samples = align(
+        {
+            "vector": channel(vector, t, 1.0, average_ns=SECOND),
+            "scalar": channel(np.ones(t.size), t + 0.3, 1.0),
+        },
+        base,
+    )
+    gain = np.sin(wave / 2) / (wave / 2)
+    expected = np.stack([gain * np.sin(wave * there), gain * np.cos(wave * there), 100.0 + there], axis=1)
+    good = inner(samples)
+    assert np.abs(samples["vector"].values - expected)[good].max() < 2e-5
+    assert samples["vector"].attrs["resampling"] == "band_limited"
+
+
+def test_a_mean_that_lacks_samples_is_missing():
+    t = np.delete(np.arange(0.0, 200.0), slice(100, 110))
+    vector = channel(np.ones((t.size, 3)), t, 1.0, average_ns=SECOND)
+    samples = align({"vector": vector}, "vector")
+    lost = ~np.isfinite(samples["vector"].values).all(axis=1)
+    assert lost[(t > 85) & (t < 125)].all()
+    assert not lost[(t > 20) & (t < 80)].any()
+    assert ((samples["flag"].values & np.uint32(Flag.VECTOR_MISSING)) != 0).tolist() == lost.tolist()
