@@ -78,6 +78,18 @@ def _show_real_cadence(real: Path) -> None:
     print("\n".join(table(said)), flush=True)
 
 
+def _show_answers(given: argparse.Namespace, which: Sequence[str]) -> None:
+    """Show how right answers are: what is measured of the search's verdicts and sigmas."""
+    if "coverage" in which:
+        _show_coverage(given.keep, given.seeds)
+    if "left_out" in which:
+        _show_left_out(given.keep, given.only)
+    if "real_cadence" in which:
+        from benchmarks.coil_temperature import real_data
+
+        _show_real_cadence(given.real or real_data())
+
+
 def main() -> None:
     """Run the benchmarks named on the command line, or all."""
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
@@ -119,14 +131,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as scratch:
             cat = simulated_workspace((given.keep or Path(scratch)) / "archive-10", 10)
             _show("nine", nine_parameters(cat))
-    if "coverage" in which:
-        _show_coverage(given.keep, given.seeds)
-    if "left_out" in which:
-        _show_left_out(given.keep, given.only)
-    if "real_cadence" in which:
-        from benchmarks.coil_temperature import real_data
-
-        _show_real_cadence(given.real or real_data())
+    _show_answers(given, which)
     if "spin_fits" in which:
         print("\n".join(spin_fit_ratios()), flush=True)
     if "spin_eight" in which:

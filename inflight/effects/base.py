@@ -158,12 +158,18 @@ class RepetitionSettings:
     most_steps : int
         Steps after which it is refused (assumed; effects below a tenth of the field need less than 20).
     diverged : float
-        nT; a change beyond this is refused at once.
+        nT; a change beyond this is no solution.
+    refined : int
+        Solutions of the equations, each of what the one before leaves (assumed).
+    near_enough : float
+        nT; what a solution of the equations may leave: a thousandth of the best instruments' noise (assumed).
     """
 
     settled: float = 1e-9
     most_steps: int = 80
     diverged: float = 1e9
+    refined: int = 3
+    near_enough: float = 1e-6
 
 
 REPETITION_SETTINGS = RepetitionSettings()
@@ -397,17 +403,47 @@ class Effect:
         """Return the reading that `correct` turns into the truth, by repetition; (time, axis) nT."""
         reading, last = truth, np.inf
         for _ in range(REPETITION_SETTINGS.most_steps):
-            before, reading = reading, truth + self.field(with_field(samples, reading), values, sensor)
-            change = float(np.nanmax(np.abs(reading - before), initial=0.0))
+            more = truth + self.field(with_field(samples, reading), values, sensor) - reading
+            change = float(np.nanmax(np.abs(more), initial=0.0))
             if change == 0.0 or last <= change < REPETITION_SETTINGS.settled:
-                return reading
+                return np.asarray(reading + more)
             if change > REPETITION_SETTINGS.diverged:
                 break
-            last = change
+            reading, last = reading + more, change
+        # What follows the field's rate may go ever further round: as linear equations it is solved at once.
+        solved = self._solved(truth, samples, values, sensor)
+        if solved is not None:
+            return solved
         raise ModelError(
             f"effect '{self.name}' is too strong to be told from the field it follows",
             remedy="check the unit and the size of its parameters",
         )
+
+    def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats | None:
+        """Return the reading that `correct` turns into the truth, by GMRES; None where that finds none."""
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        known = np.isfinite(truth)
+        none = self.field(with_field(samples, np.where(known, 0.0, np.nan)), values, sensor)
+
+        def less_field(flat: Floats) -> Floats:
+            field = np.where(known, flat.reshape(truth.shape), np.nan)
+            made = self.field(with_field(samples, field), values, sensor) - none
+            return np.where(known, np.nan_to_num(field - made), 0.0).ravel()
+
+        right = np.where(known, np.nan_to_num(truth + none), 0.0).ravel()
+        operator = LinearOperator((right.size, right.size), matvec=less_field, dtype=np.float64)
+        found = np.nan_to_num(truth).ravel()
+        for _ in range(REPETITION_SETTINGS.refined):
+            # What rounding left of the solution before is solved for in turn.
+            left = right - less_field(found)
+            found = (
+                found + gmres(operator, left, rtol=1e-9, restart=REPETITION_SETTINGS.most_steps, maxiter=2)[0]
+            )
+        reading = np.where(known, found.reshape(truth.shape), np.nan)
+        off = reading - self.field(with_field(samples, reading), values, sensor) - truth
+        worst = float(np.nanmax(np.abs(off), initial=0.0))
+        return reading if worst < REPETITION_SETTINGS.near_enough else None
 
     def _at(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return what the field adds to the reading: itself, or its projection on the field direction."""

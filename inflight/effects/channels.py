@@ -417,5 +417,4 @@ def _symmetric(parts: Floats, field: Floats) -> Floats:
 
 def _field_rate(samples: xr.Dataset) -> Floats:
     """Return dB/dt of the best present field; (time, axis) nT/s."""
-    # The reading is found from the field by repetition, which a finer form would make diverge earlier.
-    return time_derivative(best_field(samples), samples["tt2000"].values, order=2)
+    return time_derivative(best_field(samples), samples["tt2000"].values)
