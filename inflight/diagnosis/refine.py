@@ -230,6 +230,29 @@ def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     return _with_term(search, data, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
 
 
+def error_by_lag(search: Search, data: DiagnosisData, option: Option, lag_sigma: float) -> Floats | None:
+    """Return by how much an error of the lag moves an effect's values; (column,), physical units.
+
+    Half of the difference between the values at both ends of the lag's error, everything else fitted with
+    them. None where the effect has no lag of its own, or the series cannot make its columns.
+    """
+    plain = len(option.terms) == 1 and option.change is None and option.lag_s > lag_sigma > 0
+    if not plain or not can_add_columns(search, data):
+        return None
+    source = search.library.by_key[option.terms[0]]
+    parts = _channel_of(source).parts
+    if len(parts) > 1:
+        return None
+    trials, ends = FormTrials(search, data, option), []
+    for place, lag in enumerate((option.lag_s - lag_sigma, option.lag_s + lag_sigma)):
+        given: dict[str, Any] = {"lag": f"{lag:g} s"}
+        if parts and parts[0].lag_s:
+            given = {"channel": replace(parts[0], lag_s=lag, text="").name}
+        columns = trials.columns(similar_term(data, source, f"end {place}", given, source.parameters))
+        ends.append(solve_scaled(columns @ columns.T, columns @ trials.rest))
+    return np.asarray(np.abs(ends[1] - ends[0]) / 2.0 * np.array(source.scale))
+
+
 def bank_of(search: Search, option: Option) -> dict[float, Index]:
     """Return the columns (of the raw form) of every lag that an option's mechanism has; lag in s."""
     form = search.forms["raw"]

@@ -128,6 +128,12 @@ class Estimate:
         known = self.sigma > 0
         return float(np.max(np.abs(self.value - other.value)[known] / self.sigma[known], initial=0.0))
 
+    def with_error(self, error: Floats) -> Estimate:
+        """Return the estimate with a further error of each value, physical units, independent of its own."""
+        sigma = np.hypot(self.sigma, error)
+        wider = np.divide(sigma, self.sigma, out=np.ones_like(sigma), where=self.sigma > 0)
+        return replace(self, sigma=sigma, covariance=self.covariance * np.outer(wider, wider))
+
     def covering(self, other: Estimate) -> Estimate:
         """Return the estimate with sigmas that reach as far as another estimate of the same data."""
         sigma = np.maximum(self.sigma, np.abs(self.value - other.value))

@@ -19,7 +19,7 @@ import scipy
 from inflight.arrays import Floats
 from inflight.design import Term
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
-from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, profile_lag
+from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
     Structure,
@@ -303,14 +303,17 @@ def describe_effect(
     terms = [search.library.by_key[key] for key in option.terms]
     # What depends on the cadence of the samples is known no better than that.
     told = native.covering(found) if native else found
-    coefficients = _coefficients(search, data, option, terms, told)
-    rivals = tuple(rival.mechanism for rival, _ in check.rivals)
-    if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
-        rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
     lag_sigma = option.lag_sigma_s
     if lag_sigma is None and option.lag_s:
         profile = lag_profile(search, option)
         lag_sigma = None if profile is None else profile.sigma
+    if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
+        # Values and lag were fitted together: what the lag does not know they do not.
+        told = told.with_error(by_lag)
+    coefficients = _coefficients(search, data, option, terms, told)
+    rivals = tuple(rival.mechanism for rival, _ in check.rivals)
+    if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
+        rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
     return FoundEffect(
         name=option.name,
         family=option.family,
