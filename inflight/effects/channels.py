@@ -372,7 +372,9 @@ class TollesLawson(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of the three; (time, axis) nT."""
         induced = _symmetric(values["induced"], best_field(samples))
-        return np.asarray(values["permanent"] + induced + multiply(values["eddy"], _field_rate(samples)))
+        return np.asarray(
+            values["permanent"] + induced + multiply(values["eddy"], _field_rate(samples, order=2))
+        )
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -415,6 +417,6 @@ def _symmetric(parts: Floats, field: Floats) -> Floats:
     return np.stack([xx * bx + xy * by + xz * bz, xy * bx + yy * by + yz * bz, xz * bx + yz * by + zz * bz]).T
 
 
-def _field_rate(samples: xr.Dataset) -> Floats:
+def _field_rate(samples: xr.Dataset, order: int = 4) -> Floats:
     """Return dB/dt of the best present field; (time, axis) nT/s."""
-    return time_derivative(best_field(samples), samples["tt2000"].values)
+    return time_derivative(best_field(samples), samples["tt2000"].values, order)

@@ -53,7 +53,8 @@ def test_a_field_of_the_solar_array_at_one_sensor_is_found(delivered, tmp_path_f
     left = said.diagnosis.residual["structure_nT"]
     found = [one for one in said.diagnosis.effects if one.family == "solar"]
     assert said.diagnosis.verdict in ("FOUND", "CONFOUNDED") or left > found[0].rms_nT
-    assert {status[one.name.partition("@")[0]] for one in found} <= {"sure", "rivals"}
+    # ... and a part of it happens to follow the lagged current: its field may be told as a stand-in.
+    assert {status[one.name.partition("@")[0]] for one in found} <= {"sure", "rivals", "stand-in"}
     assert "solar" in said.families
     assert SOURCE in said.channels | {
         channel for one in said.diagnosis.confusion_set for channel in one.get("channels", ())
