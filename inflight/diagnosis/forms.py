@@ -148,7 +148,7 @@ def add_forms(search: Search, data: DiagnosisData) -> tuple[Search, bool]:
     """
     if not can_add_columns(search, data):
         return search, False
-    channels, rows = scalar_channels(data), CellRows(search, data)
+    channels, rows = driving_channels(data), CellRows(search, data)
     found: list[_Shortlisted] = []
     tried = 0
     for label in ACTS_ON.values() if channels else ():
@@ -186,7 +186,7 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     t, observed, flipped = [], [], []
     related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
     for label in ACTS_ON.values():
-        cells = _cells(search, data, label, scalar_channels(data), held=True)
+        cells = _cells(search, data, label, driving_channels(data), held=True)
         entries = [(one, entry) for one in cells if (entry := _entry(data, label, one)) is not None]
         if not entries:
             continue
@@ -229,6 +229,11 @@ def scalar_channels(data: DiagnosisData) -> list[str]:
         if known.size and np.std(known) > FORM_SETTINGS.steady * np.abs(known).mean():
             out.append(name)
     return out
+
+
+def driving_channels(data: DiagnosisData) -> list[str]:
+    """Return the channels that may drive something: those recorded, and of geometry sunlight."""
+    return [name for name in scalar_channels(data) if name not in GEOMETRY or name == "sunlit"]
 
 
 def _cells(
