@@ -23,6 +23,8 @@ values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, al
         ("current@lag=10min", [ChannelFactor("current", lag_s=600.0)]),
         ("warmth@width=2", [ChannelFactor("warmth", width=2.0)]),
         ("warmth@width=.5@lag=1 h", [ChannelFactor("warmth", lag_s=3600.0, width=0.5)]),
+        ("warmth@about=-2.5", [ChannelFactor("warmth", about=-2.5)]),
+        ("warmth@about=20@lag=60s", [ChannelFactor("warmth", lag_s=60.0, about=20.0)]),
         ("current~3", [ChannelFactor("current", placebo=3)]),
         ("current@lag=90s~12", [ChannelFactor("current", lag_s=90.0, placebo=12)]),
         ("a*b", [ChannelFactor("a"), ChannelFactor("b")]),
@@ -206,3 +208,12 @@ def test_impossible_sizes_are_refused():
         slow_response(np.ones(3), 1.0, -1.0)
     with pytest.raises(ValueError, match="negative"):
         play(np.ones(3), -1.0)
+
+
+def test_a_channel_about_a_value_is_what_it_is_above_it_before_its_response():
+    values = np.array([20.0, 22.0, 22.0, 22.0])
+    factor = ChannelFactor("warmth", lag_s=30.0, about=20.0)
+    np.testing.assert_allclose(ChannelFactor("warmth", about=20.0).of(values, 10.0), values - 20.0)
+    np.testing.assert_allclose(factor.of(values, 10.0), slow_response(values - 20.0, 10.0, 30.0))
+    assert not factor.is_plain
+    assert parse_channel(factor.name).parts == (factor,)
