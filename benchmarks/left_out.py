@@ -34,8 +34,6 @@ from inflight.residual import NoiseFloor
 from inflight.tasks.analysis import DiagnoseSettings
 from inflight.tasks.analysis.diagnosis import diagnosis_data, make_pass
 
-Hidden = Callable[[DesignRows], Floats]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutSettings:

@@ -142,7 +142,7 @@ def _add_effect(
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
     for sensor in acting_sensors(kind, mission, model):
-        entry = _effect_or_none({"effect": label, "sensor": sensor.name, **options}, mission, model)
+        entry = effect_or_none({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
             continue
         used = [name for name in entry.effect.channels if name]
@@ -196,7 +196,7 @@ def _add_forms(
     slow = label in SLOW or (label in OF_RESPONSE and lone in _inside_sensors(model))
     if slow and (lone in channels or not lone):
         for lag in lags if lone not in library.unlagged else [one for one in lags if not one]:
-            made = _effect_or_none(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+            made = effect_or_none(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
                 library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
@@ -220,7 +220,7 @@ def _add_plays(
     common: dict[str, Any],
 ) -> None:
     """Add a channel with its play of several widths; its own columns are those of its plain field."""
-    plain = _effect_or_none(
+    plain = effect_or_none(
         {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
     )
     if plain is None:
@@ -228,7 +228,7 @@ def _add_plays(
     direct = term_of(plain, f"channel_field({given['channel']})")
     for part in BANK_SETTINGS.widths:
         width = float(f"{part * spread:.3g}")
-        made = _effect_or_none(given | {"width": width}, mission, model)
+        made = effect_or_none(given | {"width": width}, mission, model)
         if made is not None:
             key = f"{common['mechanism']}@width={width:g}"
             own = Term(key, made, ("play",), (np.inf,) * 3)
@@ -243,7 +243,7 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
         channel, number = name.split("~")
         for lag in BANK_SETTINGS.placebo_lags if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
-            entry = _effect_or_none(
+            entry = effect_or_none(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
             )
             if entry is None:
@@ -271,7 +271,8 @@ def acting_sensors(kind: type[Effect], mission: Mission, model: Model) -> list[S
     return []
 
 
-def _effect_or_none(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+def effect_or_none(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+    """Return the effect of an entry; None where the mission has not what it needs."""
     try:
         return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:

@@ -21,18 +21,16 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Term, design_matrix
-from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors
+from inflight.design import Term, design_matrix, term_of
+from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors, effect_or_none
 from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
 from inflight.diagnosis.scoring import Index, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
-from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import hac_t, solve_scaled
-from inflight.mission import sensors_of
-from inflight.model import ModelEffect, make_effect
+from inflight.model import ModelEffect
 from inflight.samples import base_channels
 
 #: What a channel may act on, and the effect that does it: ``effect(channel)``.
@@ -276,12 +274,7 @@ def _entry(data: DiagnosisData, label: str, cell: Followed) -> ModelEffect | Non
     if cell.lag_s:
         # As an option of the effect, which a refined lag replaces.
         given |= {"channel": cell.name.replace(cell.lag_text, ""), "lag": f"{cell.lag_s:g} s"}
-    try:
-        return make_effect(
-            given, sensors_of(data.mission, data.model.comparison), data.model.own, data.mission
-        )
-    except InflightError:
-        return None
+    return effect_or_none(given, data.mission, data.model)
 
 
 def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEffect) -> tuple[Term, Option]:
@@ -292,9 +285,7 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
         # The refined lag takes the place of this one.
         mechanism = f"{label}({cell.name.replace(cell.lag_text, '')})"
         key = f"{mechanism}{cell.lag_text}"
-    size = sum(kind.size for kind in entry.effect.parameters().values() if np.isfinite(kind.sigma))
-    names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
-    term = Term(key, entry, names, (np.inf,) * size)
+    term = term_of(entry, key)
     # Another form of the same channel is no other cause: its family is that of the channel itself.
     plain = _entry(data, label, Followed("value", cell.channel, cell.channel))
     family = family_of((plain or entry).effect, data.mission)
@@ -352,6 +343,8 @@ class CellRows:
         Columns of calibration and model, then the residual, weighted.
     parts : list of slice
         Rows of each block.
+    given : ndarray, shape (block, column, column)
+        Products of `left` with itself.
     """
 
     def __init__(self, search: Search, data: DiagnosisData) -> None:
@@ -364,6 +357,8 @@ class CellRows:
         self.left = np.concatenate([columns[:, :, places], residual], axis=2) * root
         edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
         self.parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        flat = [self.left[part].reshape(-1, self.left.shape[2]) for part in self.parts]
+        self.given = np.stack([one.T @ one for one in flat])
         self._series: dict[str, Floats] = {}
 
     def followed(self, cells: Sequence[Followed], about_mean: bool) -> Floats:
@@ -409,7 +404,6 @@ class CellProducts:
         values = rows.followed(cells, entry.effect.label() in _HAS_CONSTANT)
         k, m, b = acting.shape[2], left.shape[2], len(search.base()[0])
         cross = np.zeros((len(rows.parts), m, k, len(cells)))
-        given = np.zeros((len(rows.parts), m, m))
         inner = np.zeros((len(rows.parts), k, k, len(cells)))
         for block, part in enumerate(rows.parts):
             own, on, f = left[part], acting[part], values[part]
@@ -417,8 +411,7 @@ class CellProducts:
             cross[block] = (both.T @ f).reshape(m, k, -1)
             square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
             inner[block] = (square.T @ f**2).reshape(k, k, -1)
-            flat = own.reshape(-1, m)
-            given[block] = flat.T @ flat
+        given = rows.given.copy()
         # Cell by cell: (block, left, cell * k).
         flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(rows.parts), m, -1)
         inner = np.ascontiguousarray(inner.transpose(0, 3, 1, 2))
@@ -476,8 +469,7 @@ def _marginalise(search: Search, cross: Floats, given: Floats, inner: Floats, ba
         theta, own = np.split(solved, [given.shape[2] - base], axis=1)
         cells = own.reshape(base, -1, k)
         for block in at:
-            n, x = given[block, :base, :base].copy(), given[block, :base, base:].copy()
-            z = cross[block, :base].copy()
+            n, x, z = given[block, :base, :base], given[block, :base, base:], cross[block, :base]
             part = z.reshape(base, -1, k)
             mixed = np.einsum("nck,ncl->ckl", cells, part)
             inner[block] += np.einsum("nck,nm,mcl->ckl", cells, n, cells, optimize=True)
@@ -498,9 +490,7 @@ def _acting_columns(data: DiagnosisData, entry: ModelEffect) -> Floats:
         else {"units": series.features.units[series.features.names.index(channel)]}
     )
     one = xr.Variable(("time",), np.ones(len(series.tt2000)), attrs)
-    names = tuple(name for name, kind in entry.effect.parameters().items() if np.isfinite(kind.sigma))
-    term = Term("cell", entry, names, ())
-    columns = design_matrix([term], series.rows(data.sensor_matrices, {channel: one}))
+    columns = design_matrix([term_of(entry, "cell")], series.rows(data.sensor_matrices, {channel: one}))
     return np.where((series["weight"] > 0)[:, None, None], np.nan_to_num(columns), 0.0)
 
 
@@ -576,14 +566,10 @@ def strongest_channels(search: Search, data: DiagnosisData, tables: Sequence[Sco
 
 
 def _product(data: DiagnosisData, one: str, other: str) -> Term | None:
-    sensors = sensors_of(data.mission, data.model.comparison)
     first = next(iter(data.series.features.sensors))
     entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
-    try:
-        made = make_effect(entry, sensors, data.model.own, data.mission)
-    except InflightError:
-        return None
-    return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
+    made = effect_or_none(entry, data.mission, data.model)
+    return None if made is None else term_of(made, f"channel_field({one}*{other})")
 
 
 def _promising(search: Search, data: DiagnosisData, terms: Sequence[Term]) -> list[Term]:

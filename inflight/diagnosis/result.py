@@ -100,7 +100,7 @@ Status = Literal["sure", "rivals", "stand-in", "weak", "unknown"]
 HOW_SURE: dict[Status, str] = {
     "sure": "sure",
     "rivals": "something is there; causes look alike",
-    "stand-in": "something is there; it may be a part of what is left, which is as large",
+    "stand-in": "something is there; it may stand in for a part of what is left",
     "weak": "weak: hardly more than chance",
     "unknown": "sure; no cause in the library",
 }
