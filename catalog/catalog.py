@@ -12,7 +12,14 @@ import numpy.typing as npt
 
 from inflight.catalog import provenance
 from inflight.catalog.database import Database
-from inflight.catalog.days import current_day, day_of_version, published_days, released_days, status_of_days
+from inflight.catalog.days import (
+    current_day,
+    day_of_version,
+    published_days,
+    released_days,
+    revisions_of_days,
+    status_of_days,
+)
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
@@ -128,6 +135,11 @@ class Catalog:
         """
         with self._database.read() as session:
             return status_of_days(session, name, parse_span(time), states)
+
+    def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
+        """Return every published revision of each day in a span, past ones too, the oldest first."""
+        with self._database.read() as session:
+            return revisions_of_days(session, name, parse_span(time))
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
@@ -279,11 +291,24 @@ class Catalog:
     # --- models, contexts, files -----------------------------------------------------------------
 
     def save_model(
-        self, name: str, text: str, parent: int | None = None, message: str = "", *, new_version: bool = False
+        self,
+        name: str,
+        text: str,
+        parent: int | None = None,
+        message: str = "",
+        *,
+        new_version: bool = False,
+        change: Mapping[str, Any] | None = None,
     ) -> int:
-        """Save a model and return its version; a known text returns the version it has, unless `again`."""
+        """Save a model and return its version; a known text returns the version it has, unless `new_version`.
+
+        Parameters
+        ----------
+        change : mapping, optional
+            What making it did to the residual (`ModelRecord.change`).
+        """
         with self._database.write() as session:
-            return provenance.save_model(session, name, text, parent, message, new_version)
+            return provenance.save_model(session, name, text, parent, message, new_version, change)
 
     def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
         """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.

@@ -137,6 +137,15 @@ def published_days(session: Session, name: str, span: Span, context: str | None)
     return [day_record(row, name, path) for row, path in newest.values()]
 
 
+def revisions_of_days(session: Session, name: str, span: Span) -> list[Day]:
+    """Return every revision of each day that was ever published, the oldest first."""
+    dataset = dataset_id(session, name)
+    if dataset is None:
+        return []
+    query = _in_span(_with_store().where(DayRow.dataset_id == dataset, DayRow.state == "published"), span)
+    return [day_record(row, name, path) for row, path in session.execute(query.order_by(DayRow.id))]
+
+
 def released_days(session: Session, version: str, name: str | None, span: Span) -> list[Day]:
     """Return the days of a frozen collection.
 

@@ -24,7 +24,13 @@ _BATCH: Final = 500
 
 
 def save_model(
-    session: Session, name: str, text: str, parent: int | None, message: str, new_version: bool = False
+    session: Session,
+    name: str,
+    text: str,
+    parent: int | None,
+    message: str,
+    new_version: bool = False,
+    change: Mapping[str, Any] | None = None,
 ) -> int:
     """Save a model file; see `Catalog.save_model`."""
     sha256 = sha256_text(text)
@@ -48,6 +54,7 @@ def save_model(
             sha256=sha256,
             message=message,
             created=created,
+            change=None if change is None else dict(change),
         )
     )
     session.flush()

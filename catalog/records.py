@@ -185,7 +185,11 @@ class ContextRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRecord:
-    """One version of a model; `parent` is the version it was made from."""
+    """One version of a model; `parent` is the version it was made from.
+
+    `change` is what making it did to the residual, as plain fields: rms before and after, held out and not,
+    noise floor (nT), days. None where nothing was measured.
+    """
 
     name: str
     version: int
@@ -193,6 +197,7 @@ class ModelRecord:
     message: str
     sha256: str
     created: str
+    change: dict[str, Any] | None = None
 
 
 def idempotency_key(

@@ -176,6 +176,7 @@ class ModelRow(Base):
     sha256: Mapped[str]
     message: Mapped[str] = mapped_column(Text, default="")
     created: Mapped[str]
+    change: Mapped[dict[str, Any] | None]
 
 
 class ContextRow(Base):

@@ -235,6 +235,7 @@ class ModelHistory:
                 "parent": record.parent,
                 "message": record.message,
                 "created": record.created,
+                "change": record.change,
                 "sha256": record.sha256,
                 "used": key == (self.used.name, self.used.version),
             }

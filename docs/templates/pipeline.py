@@ -27,6 +27,7 @@ from inflight.tasks.archive import load_samples
 from inflight.tasks.pipelines import (
     Batch,
     CompareResult,
+    EarlierProducts,
     Pipeline,
     ProductBatch,
     Report,
@@ -136,6 +137,8 @@ class GainPipeline(Pipeline):
         days: Sequence[Day],
         span: slice,
         progress: Progress,
+        client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[GainReport]:
         """Return the residual of each day before and after, from the reports of the products."""
         report = GainReport(comparison, [{"day": str(day.day), **day.report} for day in days])

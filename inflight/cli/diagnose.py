@@ -377,18 +377,30 @@ def print_revision(console: Console, fields: Fields) -> None:
         console.print(text_table(heads, rows, right=_NUMERIC, folded=heads[:1]))
     if len(changed) > _CHANGED:
         console.print(f"  ... and {len(changed) - _CHANGED} more; --json lists all", markup=False)
+    if fields["not_justified"]:
+        why = f"not justified: {fields['not_justified']}. next: inflight undo"
+        console.print(why, style="yellow", soft_wrap=True, markup=False)
+        return
     console.print("next: inflight reprocess    (take it back: inflight undo)", soft_wrap=True, markup=False)
 
 
 def _print_step(console: Console, fields: Fields) -> None:
-    model, error = fields["model"], fields["error"]
-    inside, held = error["in_sample_nT"], error["held_out_nT"]
+    model = fields["model"]
     console.print(
-        f"{model['name']} version {model['version']}: {fields['effect']}: residual {inside[0]:.4g} -> "
-        f"{inside[1]:.4g} nT, held out {held[0]:.4g} -> {held[1]:.4g} nT",
-        soft_wrap=True,
-        markup=False,
+        f"{model['name']} version {model['version']}: {fields['effect']}", soft_wrap=True, markup=False
     )
+    console.print(f"  {change_text(fields['error'])}", soft_wrap=True, markup=False)
+
+
+def change_text(change: Fields) -> str:
+    """Return what a version did to the residual (`Revision.change`) in words."""
+    held, above, floor = change["held_out_nT"], change["above_floor_nT"], change["noise_floor_nT"]
+    inside = change["in_sample_nT"]
+    text = f"residual {held[0]:.4g} -> {held[1]:.4g} nT on days not used in the fit"
+    text += f" ({inside[0]:.4g} -> {inside[1]:.4g} nT on all days)"
+    if floor is None:
+        return text
+    return f"{text}; above the noise floor of {floor:.4g} nT: {above[0]:.2g} -> {above[1]:.2g} nT"
 
 
 def _number(value: float | None, digits: int) -> str:

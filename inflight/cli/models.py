@@ -92,11 +92,16 @@ def model_history(command: Command, *, comparison: ComparisonOption = None) -> N
         if not items:
             console.print("No model has been used yet. Next: inflight reprocess")
             return
-        columns = ("", "name", "version", "parent", "message", "created", "sha256")
+        columns = ("", "name", "version", "parent", "message", "residual, nT", "above floor, nT", "created")
         rows = []
         for item in items:
-            shown = item | {"": "*" if item["used"] else "", "sha256": item["sha256"][:12]}
+            change = item["change"] or {}
+            shown = item | {"": "*" if item["used"] else "", "created": item["created"][:16]}
             shown["parent"] = "" if item["parent"] is None else item["parent"]
+            # On days not used in the fit.
+            for head, key in (("residual, nT", "held_out_nT"), ("above floor, nT", "above_floor_nT")):
+                both = change.get(key)
+                shown[head] = f"{both[0]:.4g} -> {both[1]:.4g}" if both else ""
             rows.append([str(shown[name]) for name in columns])
         console.print(text_table(columns, rows))
 

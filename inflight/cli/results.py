@@ -34,12 +34,23 @@ def compare(
     start: StartOption = None,
     end: EndOption = None,
     comparison: ComparisonOption = "main",
+    against: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="VERSION",
+            help="Version of the model to set beside the present one (default: the one before)",
+            show_default=False,
+        ),
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="Where the page goes (default: reports/)")] = None,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Tell how well the calibrated instrument agrees with its reference, before and after."""
     workspace = command.open_workspace()
-    report = compare_span(command, workspace, start=start, end=end, comparison=comparison, output=output)
+    report = compare_span(
+        command, workspace, start=start, end=end, comparison=comparison, output=output, against=against
+    )
     fields = report.as_json()
     command.emit(fields, lambda console: print_comparison(console, report))
     if show and fields["path"]:
@@ -56,6 +67,7 @@ def compare_span(
     end: str | None = None,
     comparison: str = "main",
     output: Path | None = None,
+    against: int | None = None,
 ) -> Report:
     """Compare and write the page, into the workspace's reports unless `output` is given.
 
@@ -82,7 +94,14 @@ def compare_span(
     catalog = command.open_catalog()
     with command.progress() as progress, lazy_client() as client:
         return measure(
-            catalog, mission, *span, comparison=comparison, output=page, progress=progress, client=client
+            catalog,
+            mission,
+            *span,
+            comparison=comparison,
+            output=page,
+            progress=progress,
+            client=client,
+            against=against,
         )
 
 

@@ -27,9 +27,9 @@ from .figure_data import (
     trials,
 )
 from .refine import LagProfile
-from .requests import addition_of_entry, best_lag, find_request
+from .requests import Request, addition_of_entry, best_lag, find_request, held_already
 from .residual import DiagnosisData
-from .result import MEANING, Diagnosis, Signature
+from .result import MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -42,7 +42,7 @@ from .scoring import (
     score,
     sign_flip_ratios,
 )
-from .search import Rules, Search, row_variance
+from .search import VISIBILITY_SETTINGS, Rules, Search, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
 from .stepwise import Estimate, estimate
@@ -61,6 +61,7 @@ from .verdict import lag_profile, run_search
 __all__ = [
     "DRIFTS",
     "MEANING",
+    "VISIBILITY_SETTINGS",
     "Addition",
     "AdditionMaker",
     "BeforeAfter",
@@ -77,6 +78,7 @@ __all__ = [
     "JointFit",
     "LagProfile",
     "ModelColumns",
+    "Request",
     "Rules",
     "Search",
     "Series",
@@ -103,12 +105,14 @@ __all__ = [
     "find_request",
     "group_by_size",
     "heat_maps",
+    "held_already",
     "lag_profile",
     "make_folds",
     "make_library",
     "neutral_changes",
     "pack_blocks",
     "periods_of",
+    "plain_json",
     "project_out",
     "residual_lines",
     "responses",

@@ -21,13 +21,13 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.design import SENSOR_EQUATIONS, Candidate, Library, Term, sensor_matrices
 from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
-from inflight.diagnosis.scoring import ModelColumns, make_folds, score
+from inflight.diagnosis.scoring import ModelColumns, make_folds, project_out_of, score
 from inflight.diagnosis.search import Option, prior_precision
 from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, lines_between_windows, time_text
 from inflight.effects import ANGLES, did_you_mean
 from inflight.errors import ModelError
-from inflight.lsq import GramBlocks, solve_scaled
+from inflight.lsq import GramBlocks, inverse_square_root, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, TimeDependence, make_effect
 from inflight.samples import parse_channel
@@ -145,6 +145,27 @@ class FitSetup:
         Those of `columns` come last.
         """
         return self._marginalised(*self._model_grams(columns, fixed))
+
+    def retained(
+        self, columns: Sequence[Column], added: Sequence[Column], fixed: Mapping[str, float]
+    ) -> float:
+        """Return the largest part of any combination of added columns that calibration and model leave.
+
+        Parameters
+        ----------
+        columns : sequence of Column
+            What the model holds beside its own.
+        fixed : mapping of str to float
+            As `fit` takes it.
+        """
+        whole, names, sigma = self._model_grams([*columns, *added], fixed)
+        grams, present = self._marginalised(whole, names, sigma)
+        count = len(present.columns) - len(added)
+        model = ModelColumns(present.columns[:count], present.precision[:count])
+        remaining = project_out_of(grams, model, present.columns[count:])
+        own = whole.centred(whole.index(names[count:]), whole.index(self._base_names))
+        half = inverse_square_root(own)
+        return float(np.linalg.eigvalsh(half.T @ remaining @ half).max(initial=0.0))
 
     def _model_grams(
         self, columns: Sequence[Column], fixed: Mapping[str, float]

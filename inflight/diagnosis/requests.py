@@ -18,7 +18,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from inflight.design import Candidate, term_of
+from inflight.design import SENSOR_EQUATIONS, Candidate, term_of
 from inflight.diagnosis.additions import (
     Addition,
     AdditionMaker,
@@ -35,7 +35,7 @@ from inflight.effects import channels_of, did_you_mean, known_effects
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.mission import sensors_of
-from inflight.model import ModelEffect, make_effect
+from inflight.model import Model, ModelEffect, TimedValue, make_effect
 from inflight.samples import base_channels, parse_channel
 from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
 
@@ -300,6 +300,37 @@ def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
             given["channel"] = str(given["channel"]).partition("@lag=")[0]
     options = tuple(sorted((key, str(value)) for key, value in given.items()))
     return (entry.effect.label(), entry.sensor.name, options), lag
+
+
+def held_already(model: Model, request: Request) -> ModelEffect | None:
+    """Return the effect of a model that a request would add once more, though its numbers are fitted already.
+
+    Another lag of the same channel is another response, where it is stated. Numbers that the model holds
+    without a sigma can only be corrected by the same effect beside them.
+    """
+    for entry in request.addition.entries:
+        if isinstance(entry.effect, SENSOR_EQUATIONS) or not _is_constant(entry):
+            continue
+        identity, lag = _identity(entry)
+        for own in model.effects:
+            own_identity, own_lag = _identity(own)
+            same = own_identity == identity and (bool(request.bank) or own_lag == lag)
+            if same and _is_constant(own) and all(_is_fitted(own.parameters[key]) for key in _numbers(own)):
+                return own
+    return None
+
+
+def _is_constant(entry: ModelEffect) -> bool:
+    return all(timed.time == "constant" for timed in entry.parameters.values())
+
+
+def _numbers(entry: ModelEffect) -> list[str]:
+    """Return the parameters of an effect that can be fitted."""
+    return [key for key, kind in type(entry.effect).parameters().items() if np.isfinite(kind.sigma)]
+
+
+def _is_fitted(timed: TimedValue) -> bool:
+    return bool(timed.free and np.any((timed.sigma > 0) & np.isfinite(timed.sigma)))
 
 
 def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:

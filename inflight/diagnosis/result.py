@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from inflight.residual import format_period
+from inflight.residual import above_floor, format_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
 
@@ -496,8 +496,7 @@ def _size_left(residual: Mapping[str, Any], signature: Signature | None) -> floa
 
 def _above_noise(residual: Mapping[str, Any]) -> float:
     """Return the rms that is left above the noise floor, nT; all that is left where there is no floor."""
-    floor, after = float(residual["noise_floor_nT"]), float(residual["held_out_after_nT"])
-    return sqrt(max(after**2 - floor**2, 0.0)) if isfinite(floor) else after
+    return above_floor(float(residual["held_out_after_nT"]), float(residual["noise_floor_nT"]))
 
 
 def _substitute_text(facts: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ from inflight.figures.page import render
 from inflight.figures.style import (
     AFTER,
     BEFORE,
+    BETWEEN,
     COMPONENTS,
     HIGHLIGHT,
     REFERENCE,
@@ -35,8 +36,10 @@ if TYPE_CHECKING:
     from inflight.diagnosis import LagProfile
 
 
-def dependence_figure(found: Dependence) -> figure:
+def dependence_figure(found: Dependence, earlier: Dependence | None = None, name: str = "") -> figure:
     """Draw the mean residual in bins of a coordinate, its band of one sigma between blocks, its branches.
+
+    `earlier` is what another version of the model, called `name`, left: drawn behind it.
 
     Branches (while the coordinate rises, while it falls) are drawn where they differ by five sigma
     or more; elsewhere they would only be noise.
@@ -46,6 +49,15 @@ def dependence_figure(found: Dependence) -> figure:
         _axis(found.coordinate, found.unit),
         "nT",
     )
+    if earlier is not None:
+        known = np.isfinite(earlier.mean)
+        plot.line(
+            earlier.centre[known],
+            earlier.mean[known],
+            color=BETWEEN,
+            line_dash="dashed",
+            legend_label=f"{name}: rms {earlier.amplitude:.3f}",
+        )
     loop = found.loop
     if loop is not None and loop.is_open:
         apart = f"falling; apart by {loop.opening:.3f} +- {loop.sigma_opening:.3f}"
@@ -57,6 +69,8 @@ def dependence_figure(found: Dependence) -> figure:
         return plot
     met = np.isfinite(found.mean)
     curve_with_errors(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
+    if earlier is not None:
+        legend_below(plot)
     return plot
 
 

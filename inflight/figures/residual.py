@@ -15,7 +15,7 @@ from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, REFERENCE, log_ticks, place_legend, plain_figure
+from inflight.figures.style import AFTER, BEFORE, BETWEEN, REFERENCE, log_ticks, place_legend, plain_figure
 from inflight.time import to_utc
 
 if TYPE_CHECKING:
@@ -30,13 +30,22 @@ _HALF_DAY = np.timedelta64(12, "h")
 
 
 def daily_figure(
-    day: Days, before: Floats, after: Floats, floor: float, labels: tuple[str, str] = STATES
+    day: Days,
+    before: Floats,
+    after: Floats,
+    floor: float,
+    labels: tuple[str, str] = STATES,
+    earlier: tuple[Floats, str] | None = None,
 ) -> figure:
-    """Draw each day's rms residual before and after, and the noise floor; nT, logarithmic."""
+    """Draw each day's rms residual before and after, and the noise floor; nT, logarithmic.
+
+    `earlier` is a third residual between the two, and what it is called.
+    """
     plot = plain_figure(
         "Residual |B_vector| - F, each day", "", "rms (nT)", x_axis_type="datetime", y_axis_type="log"
     )
-    for values, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
+    middle = [] if earlier is None else [(earlier[0], BETWEEN, earlier[1])]
+    for values, colour, label in ((before, BEFORE, labels[0]), *middle, (after, AFTER, labels[1])):
         plot.line(day, values, color=colour, alpha=0.6)
         plot.scatter(day, values, color=colour, size=5, legend_label=label)
     # Half a day to either side: of a single day the axis would show microseconds.

@@ -20,6 +20,8 @@ from inflight.residual import format_period
 
 #: Before calibration, after it, and a reference line.
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
+#: A residual between the two: that of the model before the last change.
+BETWEEN = "#d79a2b"
 
 #: What nothing explains yet.
 HIGHLIGHT = "#c21f3a"

@@ -287,6 +287,11 @@ NO_STATISTICS = ResidualStatistics(
 )
 
 
+def above_floor(rms: float, floor: float) -> float:
+    """Return the rms of what is in a residual beside its noise, nT; all of it where there is no floor."""
+    return math.sqrt(max(rms**2 - floor**2, 0.0)) if math.isfinite(floor) else rms
+
+
 def residual_statistics(residual: Floats) -> ResidualStatistics:
     """Return the size of a residual (time,) in nT; NaN are left out."""
     finite = residual[np.isfinite(residual)]

@@ -26,6 +26,7 @@ def compare(
     output: Path | None = None,
     progress: Progress | None = None,
     client: Any = None,
+    against: int | None = None,
 ) -> Report:
     """Measure the residual of published products before and after calibration, and draw it.
 
@@ -41,6 +42,9 @@ def compare(
         Where to write the static page; none is written when absent.
     client : dask Client, optional
         On whose processes many days are read.
+    against : int, optional
+        Version of the model whose products are set beside the present ones; that of the products published
+        before these when absent.
 
     Returns
     -------
@@ -51,8 +55,10 @@ def compare(
     ------
     CatalogError
         When no product of the comparison is published in the span.
+    SettingsError
+        When no product was made with the version `against`.
     """
-    found = measure_comparison(cat, mission, start, end, comparison, progress, client)
+    found = measure_comparison(cat, mission, start, end, comparison, progress, client, against)
     # A workspace of products alone has no archive to ask.
     with suppress(InflightError):
         found.report.plumbing = check_plumbing(cat, mission, start, end, comparison)
@@ -73,11 +79,14 @@ def measure_comparison(
     comparison: str = "main",
     progress: Progress | None = None,
     client: Any = None,
+    against: int | None = None,
 ) -> CompareResult[Any]:
     """Measure as `compare` does; return with the report what its figures are drawn from."""
-    from inflight.tasks.pipelines import pipeline_of, published_products
+    from inflight.tasks.pipelines import earlier_products, pipeline_of, published_products
 
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = published_products(cat, comparison, span)
     tell = progress or (lambda stage, done, total: None)
-    return pipeline_of(mission, comparison).compare(cat, mission, comparison, days, span, tell, client)
+    earlier = earlier_products(cat, comparison, days, against)
+    pipeline = pipeline_of(mission, comparison)
+    return pipeline.compare(cat, mission, comparison, days, span, tell, client, earlier)

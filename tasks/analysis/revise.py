@@ -17,22 +17,28 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from inflight.catalog import Catalog, Workspace
 from inflight.design import SENSOR_EQUATIONS, Library, Term
 from inflight.diagnosis import (
     DRIFTS,
+    VISIBILITY_SETTINGS,
     Addition,
     AdditionMaker,
     Diagnosis,
     FitSetup,
     JointFit,
+    Request,
+    Rules,
     Search,
     addition_of,
     addition_of_entry,
     best_lag,
     find_request,
+    held_already,
     neutral_changes,
+    plain_json,
     row_variance,
     run_search,
     time_variable_columns,
@@ -43,6 +49,7 @@ from inflight.errors import ModelError
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
+from inflight.residual import above_floor
 from inflight.tasks.analysis.diagnosis import (
     PassResult,
     begin_search,
@@ -68,6 +75,8 @@ from inflight.time import DayLike
 
 #: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
+#: Records in which values of an effect that is not there are further from nothing; stated.
+_CHANCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,10 +93,16 @@ class Revision:
         The version before.
     in_sample, held_out : tuple of float
         Residual before and after, nT rms at the cadence of the comparison.
+    floor : float
+        Noise floor of the residual, nT; NaN where there is none.
+    days : int
+        Days of the record all of it is told from.
     moved : list of dict
         Other parameters that moved, or whose uncertainty did.
     values : list of dict
         The effect's own numbers, when one was added.
+    not_justified : str
+        Why these data do not speak for what was added; empty when they do.
     """
 
     command: str
@@ -97,7 +112,10 @@ class Revision:
     in_sample: tuple[float, float]
     held_out: tuple[float, float]
     moved: list[dict[str, Any]]
+    floor: float = float("nan")
+    days: int = 0
     values: list[dict[str, Any]] = field(default_factory=list)
+    not_justified: str = ""
     run: str = ""
     context: str = ""
 
@@ -109,10 +127,22 @@ class Revision:
             "context": self.context,
             "effect": self.effect,
             "model": {"name": self.model.model.name, "version": self.model.version, "parent": self.parent},
-            "error": {"in_sample_nT": list(self.in_sample), "held_out_nT": list(self.held_out)},
+            "error": plain_json(self.change),
+            "not_justified": self.not_justified,
             "moved": self.moved,
             "coefficients": self.values,
             "empirical": self.model.model.empirical,
+        }
+
+    @property
+    def change(self) -> dict[str, Any]:
+        """What the change did to the residual, as the catalog keeps it with the version."""
+        return {
+            "in_sample_nT": list(self.in_sample),
+            "held_out_nT": list(self.held_out),
+            "noise_floor_nT": self.floor,
+            "above_floor_nT": [above_floor(one, self.floor) for one in self.held_out],
+            "days": self.days,
         }
 
 
@@ -159,6 +189,23 @@ def _why_moved(by: float, was: float, now: float) -> str:
     if was > _CROSS_TALK * now:
         return "cross-talk removed"
     return "moved" if abs(by) > min(was, now) else ""
+
+
+def why_not_justified(addition: Addition, before: JointFit, after: JointFit) -> str:
+    """Return why data do not speak for an addition; empty when they do.
+
+    They do not when its values are nothing within their errors (chi-squared, one record in twenty), and what
+    is left of days not used in the fit is no smaller with it (`Rules.keep_gain`).
+    """
+    gain = 1.0 - after.held_out / before.held_out if before.held_out > 0 else 0.0
+    known = [one.name for one in addition.columns if after.sigma.get(one.name, 0.0) > 0]
+    square = sum((after.value[name] / after.sigma[name]) ** 2 for name in known)
+    if gain >= Rules().keep_gain or square > scipy.special.chdtri(max(len(known), 1), _CHANCE):
+        return ""
+    return (
+        f"its {len(known)} numbers are nothing within their errors, and it takes "
+        f"{100.0 * max(gain, 0.0):.1f} % off of days not used in the fit"
+    )
 
 
 def fitted_values(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
@@ -302,6 +349,7 @@ class Workbench:
         """
         self._rebase_refitted()
         request = find_request(self.maker, effect)
+        self._require_new(request)
         addition = request.addition
         if request.bank:
             setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
@@ -309,7 +357,45 @@ class Workbench:
             addition = request.at_lag(lag)
         addition = addition.as_empirical() if empirical else addition
         more = [*self.additions, addition]
+        self._require_separable(addition)
         return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
+
+    def _require_new(self, request: Request) -> None:
+        """Raise ModelError for an effect whose numbers the model holds already, and fits."""
+        own = held_already(self.current.model, request)
+        if own is None:
+            return
+        numbers = [f"{own.name}.{key}" for key, timed in own.parameters.items() if timed.free]
+        raise ModelError(
+            f"the model has {request.addition.name} already, as '{own.name}': twice, its numbers would be "
+            "shared out between the two at random",
+            remedy=f"'inflight refit {' '.join(numbers)}' fits its numbers anew; another response of its "
+            "channel is added by its lag or width, such as channel_field(NAME)@lag=240s",
+        )
+
+    def _require_separable(self, addition: Addition) -> None:
+        """Raise ModelError for an effect of which calibration and model leave next to nothing."""
+        setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
+        columns = [column for one in self.additions for column in one.columns]
+        retained = setup.retained(columns, addition.columns, fixed)
+        if retained >= VISIBILITY_SETTINGS.least_retained:
+            return
+        # Of the calibration alone, or of what was added since?
+        alone = setup.retained([], addition.columns, fixed)
+        twin = next(
+            (
+                one.name
+                for one in self.additions
+                if setup.retained(one.columns, addition.columns, fixed) < VISIBILITY_SETTINGS.least_retained
+            ),
+            "",
+        )
+        what = "the calibration's own parameters" if alone < VISIBILITY_SETTINGS.least_retained else twin
+        raise ModelError(
+            f"these data cannot tell {addition.name} from {what or 'what the model has'}: that leaves "
+            f"{retained:.1g} of it, too little for numbers of its own",
+            remedy="drop what stands in its place first, or take a span in which the two differ",
+        )
 
     def drop(self, name: str) -> Revision:
         """Take an effect out of the model and fit everything anew.
@@ -367,7 +453,7 @@ class Workbench:
         after = free.fit(columns, fixed, interleaved=apart)
         message = f"{REFIT} {', '.join(numbers) or 'all numbers'}"
         model, parent = self._model(free, self.additions, self.dropped, after), self.current.version
-        self.current = self._saved(model, message, model.text)
+        self.current = self._saved(model, message, model.text, before, after)
         self._last, self._refitted = None, True
         return self._revision("refit", message, parent, before, after)
 
@@ -396,10 +482,13 @@ class Workbench:
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         before, first = self._fit(setup, fixed, self.additions), self.current
         message = f"undo version {first.version}: back to version {found.version}"
-        self.current = self._saved(found.model, message, found.text)
+        # Fitted as the version it is, before it is saved with what that leaves.
+        self.current = found
         self._restore()
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         after = self._fit(setup, fixed, self.additions)
+        self.current = first
+        self.current = self._saved(found.model, message, found.text, before, after)
         return self._revision("undo", message, first.version, before, after)
 
     def _revise(
@@ -417,13 +506,22 @@ class Workbench:
         before = self._fit(*old, self.additions, interleaved)
         after = self._fit(setup, fixed, additions, interleaved)
         model, parent = self._model(setup, additions, dropped, after), self.current.version
-        self.current = self._saved(model, message, model.text)
+        self.current = self._saved(model, message, model.text, before, after)
         self.additions, self.dropped = additions, dropped
-        values = fitted_values(model, addition.entries) if addition else []
-        return replace(self._revision(command, message, parent, before, after), values=values)
+        found = self._revision(command, message, parent, before, after)
+        if addition is None:
+            return found
+        values = fitted_values(model, addition.entries)
+        return replace(found, values=values, not_justified=why_not_justified(addition, before, after))
 
-    def _saved(self, model: Model, message: str, text: str) -> VersionedModel:
-        version = self.cat.save_model(model.name, text, self.current.version, message, new_version=True)
+    def _saved(
+        self, model: Model, message: str, text: str, before: JointFit, after: JointFit
+    ) -> VersionedModel:
+        """Save a version, with what it did to the residual."""
+        change = plain_json(self._sizes(before, after).change)
+        version = self.cat.save_model(
+            model.name, text, self.current.version, message, new_version=True, change=change
+        )
         return VersionedModel(model, version, text)
 
     # The fit.
@@ -516,19 +614,33 @@ class Workbench:
             for timed in entry.parameters.values()
             for name in timed.columns
         }
-        inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
+        return replace(
+            self._sizes(before, after),
+            command=command,
+            effect=effect,
+            model=self.current,
+            parent=parent,
+            moved=moved_parameters(before, after, units),
+        )
+
+    def _sizes(self, before: JointFit, after: JointFit) -> Revision:
+        """Return a revision that tells the residual before and after, and nothing else yet."""
+        loaded = self.made.loaded
+        inside = loaded.sums["inside"] / max(loaded.sums["count"], 1.0)
         sizes = [
             float(np.sqrt(one + inside))
             for one in (before.in_sample, after.in_sample, before.held_out, after.held_out)
         ]
         return Revision(
-            command=command,
-            effect=effect,
+            command="",
+            effect="",
             model=self.current,
-            parent=parent,
+            parent=self.current.version,
             in_sample=(sizes[0], sizes[1]),
             held_out=(sizes[2], sizes[3]),
-            moved=moved_parameters(before, after, units),
+            moved=[],
+            floor=loaded.floor.level_nT,
+            days=sum(map(len, self.made.plan.blocks)) - len(self.made.failed),
             run=self.made.run,
             context=self.made.context,
         )

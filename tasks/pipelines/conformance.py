@@ -303,7 +303,8 @@ def _is_shown(case: _Case) -> Iterator[str]:
         return
     span = slice(None, None)
     days = published_products(case.cat, case.comparison, span)
-    found = case.pipeline.compare(case.cat, case.mission, case.comparison, days, span, lambda *_: None)
+    given = (case.cat, case.mission, case.comparison, days, span, lambda *_: None, None, None)
+    found = case.pipeline.compare(*given)
     fields: dict[str, Any] = found.report.as_json()
     to_json(fields)
     for name in ("command", "comparison", "residual", "fails_where", "path"):

@@ -85,7 +85,8 @@ def test_an_added_effect_is_told_to_a_person(inflight, root, tmp_path):
     entry = tmp_path / "entry.yaml"
     entry.write_text("- {effect: channel_field, name: leak, channel: heater_current}\n", encoding="utf-8")
     told = inflight("add", entry, "-w", root).out
-    assert "tiny-ideal version 2: add channel_field(heater_current): residual" in told
+    assert "tiny-ideal version 2: add channel_field(heater_current)" in told
+    assert "on days not used in the fit" in told
     assert "leak.coefficient[x]" in told
     assert "vector_sensor.offset[x]" in told
     assert "inflight reprocess" in told

@@ -16,9 +16,9 @@ from scipy.signal import lfilter
 from tiny_mission import TINY_START, tiny_readings
 
 from inflight.catalog import Catalog, Workspace
-from inflight.errors import ModelError
+from inflight.errors import ModelError, SettingsError
 from inflight.tasks import current_model
-from inflight.tasks.analysis import Workbench
+from inflight.tasks.analysis import Workbench, compare
 from inflight.tasks.pipelines import reprocess
 
 #: What both instruments of the tiny mission read at random, as the residual shows it, nT.
@@ -418,3 +418,72 @@ def test_what_the_calibration_fits_cannot_be_dropped(bench):
 
 def test_the_hidden_field_is_what_the_heater_makes():
     assert heater_field(HEATED_DAYS[0], np.zeros((1440, 3))).max() == pytest.approx(1.0)
+
+
+def test_what_the_model_has_already_is_refused_and_its_numbers_stay(bench):
+    bench.add("channel_field(heater_current)")
+    before = bench.current
+    for again in (
+        "channel_field(heater_current)",
+        "heater_current",
+        "{effect: channel_field, channel: heater_current}",
+    ):
+        with pytest.raises(ModelError, match="already, as 'channel_field_heater_current'") as refused:
+            bench.add(again)
+        assert "inflight refit channel_field_heater_current.coefficient" in refused.value.remedy
+    assert bench.current.version == before.version
+    # Another response of the same channel is another effect, where it is asked for by its lag.
+    assert bench.add("channel_field(heater_current)@lag=400s").model.version == before.version + 1
+
+
+def test_what_these_data_cannot_tell_from_the_model_is_refused_with_the_reason(bench):
+    bench.add("offset_drift")
+    with pytest.raises(ModelError, match="cannot tell offset_drift from offset_drift"):
+        bench.add("offset_drift")
+
+
+def test_an_addition_that_data_do_not_speak_for_is_told_as_not_justified(bench):
+    assert not bench.add("channel_field(heater_current)").not_justified
+    idle = bench.add("channel_field(boom_temperature)")
+    assert "nothing within their errors" in idle.not_justified
+    assert idle.as_json()["error"]["held_out_nT"][1] == pytest.approx(NOISE, rel=0.03)
+
+
+def test_each_version_keeps_what_it_did_to_the_residual(workspace, bench):
+    added = bench.add("channel_field(heater_current)")
+    records = Catalog(workspace.root).models()
+    assert records[0].change is None
+    kept = records[-1].change
+    assert kept["held_out_nT"] == list(added.held_out)
+    assert kept["days"] == len(HEATED_DAYS)
+    before, after = kept["above_floor_nT"]
+    assert after < 0.1 * before
+
+
+def test_compare_sets_the_model_of_today_beside_the_one_before(workspace, bench):
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    first = residual_of_products(workspace)
+    alone = compare(cat, mission).as_json()
+    assert alone["against"] is None
+    assert alone["model_version"] == 1
+    bench.add("heater_current")
+    residual_of_products(workspace)
+    page = workspace.root / "compare.html"
+    told = compare(cat, mission, output=page)
+    fields = told.as_json()
+    assert fields["model_version"] == 2
+    # The row of the pre-flight model is that of the pre-flight model, whatever was added since.
+    assert fields["residual"]["before_nT"] == alone["residual"]["before_nT"]
+    assert fields["against"]["rms"] == alone["residual"]["without_outliers_nT"]
+    assert fields["against"]["rms"] == pytest.approx(first, rel=0.02)
+    assert fields["against"]["message"] == "add channel_field(heater_current)"
+    assert fields["residual"]["above_floor_nT"] < 0.2 * fields["against"]["above_floor"]
+    lines = [line.text for line in told.summary()]
+    assert any("model version 1" in line for line in lines)
+    assert any("left above the noise floor" in line and "->" in line for line in lines)
+    assert "model version 1" in page.read_text(encoding="utf-8")
+    bench.undo()
+    residual_of_products(workspace)
+    assert compare(cat, mission, against=1).as_json()["against"]["rms"] == fields["against"]["rms"]
+    with pytest.raises(SettingsError, match="no product of the span was made with version 7"):
+        compare(cat, mission, against=7)

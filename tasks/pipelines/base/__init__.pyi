@@ -2,6 +2,7 @@ from .compare_blocks import DigestPlan, iter_digests
 from .compare_report import (
     CompareReport,
     CompareResult,
+    EarlierResidual,
     Report,
     daily_residual_figure,
     day_summary,
@@ -11,10 +12,12 @@ from .compare_report import (
     tables_in_use,
 )
 from .compare_rows import (
+    EarlierProducts,
     Sources,
     Spans,
     blocks_of,
     channel_means,
+    earlier_products,
     geometry_means,
     published_products,
     rows_of_day,
@@ -51,6 +54,8 @@ __all__ = [
     "CompareReport",
     "CompareResult",
     "DigestPlan",
+    "EarlierProducts",
+    "EarlierResidual",
     "Failure",
     "Job",
     "Outcome",
@@ -74,6 +79,7 @@ __all__ = [
     "daily_residual_figure",
     "day_summary",
     "each_day",
+    "earlier_products",
     "equations_of",
     "failure_of",
     "geometry_means",

@@ -14,7 +14,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, daily_figure, html_table
 from inflight.plumbing import Finding
-from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics
+from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
 
@@ -56,6 +56,28 @@ class Report(Protocol):
 Report_co = TypeVar("Report_co", bound=Report, covariant=True)
 
 
+@dataclass(frozen=True)
+class EarlierResidual:
+    """The residual of the same days as another version of the model left it.
+
+    Attributes
+    ----------
+    version : int
+    message : str
+        What made the present version of it.
+    rms, above_floor : float
+        Without outliers, and of that what is more than the present noise floor, nT.
+    by_day : list of dict
+        ``day`` and ``after_nT``, as those of `CompareReport`.
+    """
+
+    version: int
+    message: str
+    rms: float
+    above_floor: float
+    by_day: list[dict[str, Any]]
+
+
 @dataclass
 class CompareReport:
     """What `compare` found.
@@ -64,8 +86,14 @@ class CompareReport:
     ----------
     context : str
         Id in the catalog of mission, model and version of the newest product.
-    before, after : Size
-        Of the residual, before and after calibration.
+    before, after : ResidualStatistics
+        Of the residual, with the pre-flight model and after calibration.
+    clear : float
+        Rms of the residual after calibration without outliers, nT.
+    version : int
+        Of the model.
+    earlier : EarlierResidual, optional
+        What another version of the model left.
     floor : NoiseFloor
         Of the residual after calibration.
     by_day : list of dict
@@ -106,6 +134,14 @@ class CompareReport:
     skipped: int = 0
     outliers: int = 0
     plumbing: Sequence[Finding] = ()
+    clear: float = float("nan")
+    version: int = 0
+    earlier: EarlierResidual | None = None
+
+    @property
+    def above_floor(self) -> float:
+        """Rms of what is in the residual beside its noise, outliers aside, nT."""
+        return above_floor(self.clear if isfinite(self.clear) else self.after.rms, self.floor.level_nT)
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
@@ -120,6 +156,8 @@ class CompareReport:
                 "after_nT": self.after.rms,
                 "before_less_mean_nT": self.before.std,
                 "after_less_mean_nT": self.after.std,
+                "without_outliers_nT": self.clear,
+                "above_floor_nT": self.above_floor,
                 "noise_floor_nT": self.floor.level_nT,
                 "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
                 "before": self.before.as_json(),
@@ -127,6 +165,8 @@ class CompareReport:
                 "samples_left_out": self.skipped,
                 "outliers": self.outliers,
             },
+            "model_version": self.version,
+            "against": None if self.earlier is None else vars(self.earlier),
             "by_day": self.by_day,
             "fails_where": [
                 {
@@ -150,21 +190,32 @@ class CompareReport:
     def summary(self) -> list[TextLine]:
         """Return what a person reads: residual before and after, what the data determine, where it fails."""
         out = plumbing_lines(self.plumbing)
-        out += [
-            TextLine(f"residual {name:<7} {size.rms:8.3f} nT rms, {size.std:.3f} nT about its mean", "bold")
-            for name, size in (("before", self.before), ("after", self.after))
-        ]
-        if self.outliers:
-            robust = self.after.robust
-            out.append(
-                TextLine(f"  its robust sigma {robust:8.3f} nT; the rms counts {self.outliers} outliers")
-            )
-        level = self.floor.level_nT
-        known = f"{level:8.3f} nT" if isfinite(level) else _NO_FLOOR
-        out.append(TextLine(f"noise floor      {known}"))
+        out += [TextLine(text, "bold") for text in self._sizes()]
         determined = ", ".join(name.rpartition(".")[2] for name in self.determined) or "nothing"
         out.append(TextLine(f"  determined by these data: {determined}"))
         return out + [TextLine(f"  {one.sentence}") for one in self.fails_where]
+
+    def _sizes(self) -> Iterator[str]:
+        """Yield the size of the residual with each model, and how much of it is more than noise."""
+        without = f"; its {self.outliers} outliers left out, with them {self.after.rms:.4g} nT"
+        sizes = [("pre-flight model", self.before.rms, "")]
+        if self.earlier is not None:
+            sizes.append((f"model version {self.earlier.version}", self.earlier.rms, ""))
+        made = f"  ({self.earlier.message})" if self.earlier is not None and self.earlier.message else ""
+        now = f"model version {self.version}" if self.version else "calibrated"
+        clear = self.clear if isfinite(self.clear) else self.after.rms
+        sizes.append((now, clear, made + (without if self.outliers else "")))
+        for place, (name, size, more) in enumerate(sizes):
+            yield f"{'residual' if not place else '':<9} {name:<18} {size:9.4f} nT rms{more}"
+        level = self.floor.level_nT
+        if not isfinite(level):
+            yield f"noise floor                  {_NO_FLOOR}"
+            return
+        yield f"noise floor                  {level:9.4f} nT"
+        left = f"{self.above_floor:.3g} nT"
+        if self.earlier is not None:
+            left = f"{self.earlier.above_floor:.3g} -> {left}"
+        yield f"left above the noise floor   {left}"
 
 
 @dataclass(frozen=True)
@@ -223,7 +274,13 @@ def daily_residual_figure(report: CompareReport) -> Any:
     """Draw the rms of each day before and after calibration, and the noise floor."""
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
-    return daily_figure(day, before, after, report.floor.level_nT)
+    labels = ("pre-flight model", f"model version {report.version}" if report.version else "calibrated")
+    earlier = None
+    if report.earlier is not None:
+        known = {entry["day"]: entry["after_nT"] for entry in report.earlier.by_day}
+        own = np.array([known.get(entry["day"], np.nan) for entry in report.by_day])
+        earlier = own, f"model version {report.earlier.version}"
+    return daily_figure(day, before, after, report.floor.level_nT, labels, earlier)
 
 
 def structures_html(report: CompareReport) -> list[str]:

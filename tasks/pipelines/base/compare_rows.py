@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.effects import NO_CAUSE
-from inflight.errors import CatalogError
+from inflight.errors import CatalogError, SettingsError
 from inflight.frames import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
@@ -68,6 +68,70 @@ def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
             f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
         )
     return days
+
+
+@dataclass(frozen=True)
+class EarlierProducts:
+    """Products of days that an earlier version of the model made, where there are any.
+
+    Attributes
+    ----------
+    model, version : str, int
+        Name and version of the model.
+    message : str
+        What made the version that came after it: ``add ...``; empty when the versions do not follow.
+    days : list of Day
+    """
+
+    model: str
+    version: int
+    message: str
+    days: list[Day]
+
+
+def earlier_products(
+    cat: Catalog, comparison: str, days: Sequence[Day], version: int | None = None
+) -> EarlierProducts | None:
+    """Return the products of some days as an earlier version of the model made them.
+
+    Parameters
+    ----------
+    days : sequence of Day
+        The present products.
+    version : int, optional
+        Of the model; that of the products published last before the present ones when absent.
+
+    Returns
+    -------
+    EarlierProducts or None
+        None without any such product.
+
+    Raises
+    ------
+    SettingsError
+        When no product of a version that is named was ever published.
+    """
+    product = product_of(comparison)
+    present = {day.day: day for day in days}
+    span = slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D")))
+    found = [one for one in cat.revisions(product, span) if one.day in present and one.context]
+    contexts = {name: cat.context(name) for name in {str(one.context) for one in found}}
+    own = contexts.get(str(days[-1].context))
+    versions = [contexts[str(one.context)].model_version for one in found]
+    others = [one for one in versions if own is not None and one != own.model_version]
+    if version is not None and version not in versions:
+        known = ", ".join(map(str, sorted(set(versions)))) or "none"
+        raise SettingsError(
+            f"--against {version}: no product of the span was made with version {version} of the model",
+            remedy=f"there are products of versions {known}; 'inflight model history' tells what each is",
+        )
+    chosen = version if version is not None else (others[-1] if others else None)
+    if chosen is None or own is None:
+        return None
+    newest = {one.day: one for one, made in zip(found, versions, strict=True) if made == chosen}
+    after = [one for one in cat.models() if one.name == own.model_name and one.version == own.model_version]
+    message = after[0].message if after and after[0].parent == chosen else ""
+    return EarlierProducts(own.model_name, chosen, message, [newest[day] for day in sorted(newest)])
 
 
 def blocks_of(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:

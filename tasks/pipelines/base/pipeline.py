@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from inflight.figures import Section
     from inflight.tasks.pipelines.base.compare_report import CompareResult, Report
+    from inflight.tasks.pipelines.base.compare_rows import EarlierProducts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,6 +251,7 @@ class Pipeline(ABC):
         span: slice,
         progress: Progress,
         client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[Any]:
         """Measure the residual of products, before and after calibration, and what it follows.
 
@@ -261,6 +263,8 @@ class Pipeline(ABC):
             First day and the day after the last one, as text; None for an open end.
         client : dask Client, optional
             On whose processes many days may be read.
+        earlier : EarlierProducts, optional
+            Of another version of the model, to set beside these; not every kind of comparison does.
         """
         raise NotImplementedError(f"pipeline '{self.tag}' has no products")
 

@@ -28,7 +28,7 @@ from inflight.tasks.archive import (
     replaceable_needs,
     require_days,
 )
-from inflight.tasks.models import VersionedModel, current_model
+from inflight.tasks.models import VersionedModel, current_model, preflight_model
 from inflight.time import DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
@@ -232,7 +232,10 @@ def plan_archive_days(
     """
     start, end = span
     used = current_model(cat, mission, settings.comparison)
-    named = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
+    # Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
+    preflight = preflight_model(cat, mission, settings.comparison)
+    before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
+    named = needs_of(mission, used.model, [*geometry_channels(mission), *channels, *before_flight])
     needs = tuple(replaceable_needs(mission, used.model, named))
     # A day is also made from days around it; the farthest have typical values for a missing channel.
     after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1

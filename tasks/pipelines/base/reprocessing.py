@@ -20,6 +20,7 @@ from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
 from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
+from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.tasks.pipelines.base.planning import Plan
@@ -218,6 +219,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     todo = [day for day in keys if day not in set(unchanged)]
     adopted = reuse_interrupted_days(work.run, plan.product, keys, todo)
     todo = [day for day in todo if day not in adopted]
+    preflight = preflight_model(cat, work.mission, plan.settings.comparison)
     # The days of a batch have one table in common.
     arguments = []
     for number in sorted({solved.used[day].number for day in todo}):
@@ -231,7 +233,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
                 job=replace(job, parents=parents),
                 settings=plan.settings,
                 table=solved.used[days[0]].table,
-                preflight=plan.model,
+                preflight=preflight,
             )
             arguments.append((pipeline, batch))
     done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()

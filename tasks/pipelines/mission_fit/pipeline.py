@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, Report
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
 
 
 class MissionPipeline(Pipeline):
@@ -50,7 +50,7 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=3, tables=5, products=4)
+    versions = Versions(statistics=3, tables=5, products=5)
     statistics = ALL_DAYS_STATISTICS
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
@@ -145,9 +145,10 @@ class MissionPipeline(Pipeline):
         span: slice,
         progress: Progress,
         client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[Any]:
         """Measure the residual of each sample, as for tables of days and windows."""
-        return ScalarPipeline().compare(cat, mission, comparison, days, span, progress, client)
+        return ScalarPipeline().compare(cat, mission, comparison, days, span, progress, client, earlier)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""

@@ -19,8 +19,10 @@ from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
 from inflight.residual import (
     Coordinate,
+    Dependence,
     Line,
     SpectrumSum,
+    above_floor,
     add_power,
     daily_scatter,
     find_lines,
@@ -39,6 +41,8 @@ from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
     DigestPlan,
+    EarlierProducts,
+    EarlierResidual,
     blocks_of,
     day_summary,
     equations_of,
@@ -115,6 +119,7 @@ def compare_samples(
     span: slice,
     progress: Progress,
     client: Any = None,
+    earlier: EarlierProducts | None = None,
 ) -> CompareResult[CompareReport]:
     """Measure the residual of each sample of published products, before and after calibration.
 
@@ -128,6 +133,8 @@ def compare_samples(
         Called with (stage, done, total).
     client : dask Client, optional
         On whose processes many days are read.
+    earlier : EarlierProducts, optional
+        Of another version of the model, set beside these.
     """
     digest = digest_days(cat, mission, comparison, days, progress, client)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
@@ -139,12 +146,28 @@ def compare_samples(
     determined, directions = _determined(cat, mission, comparison, span)
     daily, used = tables_in_use(cat, comparison, days[0])
     before, after = ([getattr(one, state) for one in digest.days] for state in ("before", "after"))
+    floor = join_floors([one.floor for one in digest.days])
+    other, old = None, None
+    if earlier is not None:
+        other = digest_days(cat, mission, comparison, earlier.days, progress, client, "-earlier")
+        old = EarlierResidual(
+            earlier.version,
+            earlier.message,
+            other.clear,
+            above_floor(other.clear, floor.level_nT),
+            [
+                {"day": str(day.day), "after_nT": one.after.rms}
+                for day, one in zip(earlier.days, other.days, strict=True)
+            ],
+        )
     report = CompareReport(
         comparison=comparison,
         context=days[-1].context or "",
         before=merge_statistics(before),
         after=merge_statistics(after),
-        floor=join_floors([one.floor for one in digest.days]),
+        clear=digest.clear,
+        version=cat.context(str(days[-1].context)).model_version if days[-1].context else 0,
+        floor=floor,
         by_day=[day_summary(*of_day) for of_day in zip(days, before, after, strict=True)],
         fails_where=rank_dependences(coordinates, found, rows["after"], direction, block),
         directions=directions,
@@ -154,8 +177,11 @@ def compare_samples(
         daily_scatter=daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         skipped=sum(one.skipped for one in digest.days),
         outliers=sum(one.outliers for one in digest.days),
+        earlier=old,
     )
-    data = FigureData(digest.histograms(), rows, spectra, found, (daily, used))
+    curves = {} if other is None else _dependences_of(other, found, mission)
+    spectrum = None if other is None else finest_power(other.power)
+    data = FigureData(digest.histograms(), rows, spectra, found, (daily, used), curves, spectrum)
     return CompareResult(report, page_title(report, mission), compare_parts(report, data))
 
 
@@ -194,6 +220,12 @@ class Digest:
                 add_power(sums, power)
         self.counts = block.counts if self.counts is None else self.counts + block.counts
 
+    @property
+    def clear(self) -> float:
+        """Rms after calibration without outliers, nT."""
+        count = sum(one.samples for one in self.days)
+        return float(np.sqrt(sum(one.samples * one.clear**2 for one in self.days) / count)) if count else 0.0
+
     def histograms(self) -> dict[str, Floats]:
         """Return histograms ``before`` and ``after`` over ``edges``, nT; the first day sets the range."""
         spread = next((one.after.std for one in self.days if one.after.count), 0.0)
@@ -222,14 +254,18 @@ def digest_days(
     days: Sequence[Day],
     progress: Progress,
     client: Any = None,
+    kind: str = "",
 ) -> Digest:
-    """Read the products of days, or what is kept of them, and return what is compared."""
+    """Read the products of days, or what is kept of them, and return what is compared.
+
+    Products of another version are kept in a dataset of their own, which `kind` names.
+    """
     digest = Digest(span_length(len(days)))
     plan = DigestPlan(
         cat=cat,
         mission=mission,
         comparison=comparison,
-        dataset=f"comparison/{comparison}/{digest.length:.0f}s",
+        dataset=f"comparison/{comparison}/{digest.length:.0f}s{kind}",
         version=DIGEST_VERSION,
         kind=BlockDigest,
         make=digest_block,
@@ -238,6 +274,15 @@ def digest_days(
     for block in iter_digests(plan, days, client, progress):
         digest.add(block)
     return digest
+
+
+def _dependences_of(digest: Digest, found: Sequence[Dependence], mission: Mission) -> dict[str, Dependence]:
+    """Return by coordinate what another residual of the same days follows, of coordinates that are drawn."""
+    rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
+    drawn = {one.coordinate for one in found}
+    coordinates = [one for one in _coordinates(rows, mission) if one.name in drawn]
+    block, _ = blocks_of(rows["tt2000"], len(digest.days))
+    return {one.coordinate: one for one in measure_dependences(coordinates, rows["after"], block)}
 
 
 def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) -> tuple[list[str], list[str]]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Raised by hand when the numbers of a digest change; it is part of the key of what is kept.
-DIGEST_VERSION = 1
+DIGEST_VERSION = 2
 
 #: What is read of a product.
 _VARIABLES = ("residual_preflight", "residual", "flag", "field_sensor")
@@ -52,11 +52,16 @@ Power = dict[tuple[int, float], SpectrumSum]
 
 @dataclass(frozen=True)
 class DayNumbers:
-    """Numbers of one day: sizes before and after, the noise floor, samples left out, outliers, rows."""
+    """Numbers of one day: sizes before and after, the noise floor, samples left out, outliers, rows.
+
+    `clear` is the rms after calibration without outliers, nT, and `samples` how many those are.
+    """
 
     before: ResidualStatistics
     after: ResidualStatistics
     floor: NoiseFloor
+    clear: float
+    samples: int
     skipped: int
     outliers: int
     rows: int
@@ -64,7 +69,8 @@ class DayNumbers:
     def as_list(self) -> list[float]:
         """Return all of it as numbers in one order."""
         parts = (one for part in (self.before, self.after, self.floor) for one in vars(part).values())
-        return [*map(float, parts), float(self.skipped), float(self.outliers), float(self.rows)]
+        counts = (self.samples, self.skipped, self.outliers, self.rows)
+        return [*map(float, parts), self.clear, *map(float, counts)]
 
     @classmethod
     def of_list(cls, values: Sequence[float]) -> DayNumbers:
@@ -75,9 +81,8 @@ class DayNumbers:
             ResidualStatistics(count=int(part[0]), **dict(zip(names, part[1:], strict=True)))
             for part in (values[:size], values[size : 2 * size])
         )
-        level, low, high, samples, *counts = values[2 * size :]
-        skipped, outliers, rows = map(int, counts)
-        return cls(before, after, NoiseFloor(level, low, high, int(samples)), skipped, outliers, rows)
+        level, low, high, whites, clear, *counts = values[2 * size :]
+        return cls(before, after, NoiseFloor(level, low, high, int(whites)), clear, *map(int, counts))
 
 
 @dataclass(frozen=True)
@@ -183,8 +188,10 @@ def digest_block(
         floor = _add_spectra(stamps, (before, after), direction, (power_before, power))
         spans = Spans.of(stamps, length)
         rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
-        left_out = int((~good).sum()), int((good & ~clear).sum())
-        numbers.append(DayNumbers(sizes[0], sizes[1], floor, *left_out, int(rows[-1]["tt2000"].size)))
+        kept = after[np.isfinite(after)]
+        counted = kept.size, int((~good).sum()), int((good & ~clear).sum()), int(rows[-1]["tt2000"].size)
+        rms = float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0
+        numbers.append(DayNumbers(sizes[0], sizes[1], floor, rms, *counted))
     for one in power_before.values():
         one.total = as_drawn(one.total)
     joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}

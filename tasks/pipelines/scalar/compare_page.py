@@ -5,7 +5,8 @@ In go the report and the aggregates of `compare_samples`, out come sections that
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,10 @@ class FigureData:
     found : list of Dependence
     tables : tuple of Dataset
         Of the daily fits, and the one products use.
+    earlier : dict of str to Dependence
+        By coordinate, what the residual followed with another version of the model.
+    earlier_spectrum : SpectrumSum, optional
+        Of that residual.
     """
 
     counts: dict[str, Floats]
@@ -77,6 +82,8 @@ class FigureData:
     spectra: Spectra
     found: list[Dependence]
     tables: tuple[xr.Dataset, xr.Dataset]
+    earlier: Mapping[str, Dependence] = field(default_factory=dict)
+    earlier_spectrum: SpectrumSum | None = None
 
 
 def compare_parts(report: CompareReport, data: FigureData) -> list[LazySection]:
@@ -87,7 +94,7 @@ def compare_parts(report: CompareReport, data: FigureData) -> list[LazySection]:
         ("Residual", lambda: _residual(report, data)),
         ("Where it fails", lambda: (structures_html(report), list(map(axis_figure, along_axes)))),
         ("What the residual follows", lambda: _dependences(report, data)),
-        ("Spectrum", lambda: (_lines(report), _spectrum_figures(data.spectra))),
+        ("Spectrum", lambda: (_lines(report), _spectrum_figures(report, data))),
         ("Parameters", lambda: _parameters(report, data)),
     ]
 
@@ -144,7 +151,8 @@ def _dependences(report: CompareReport, data: FigureData) -> SectionBody:
         "both are drawn."
     )
     order = sorted(data.found, key=lambda one: (not one.is_clear, -one.amplitude))
-    return [text], [dependence_figure(one) for one in order]
+    name = f"model version {report.earlier.version}" if report.earlier else ""
+    return [text], [dependence_figure(one, data.earlier.get(one.coordinate), name) for one in order]
 
 
 def _parameters(report: CompareReport, data: FigureData) -> SectionBody:
@@ -161,17 +169,27 @@ def _parameters(report: CompareReport, data: FigureData) -> SectionBody:
     return [*text, scatter_html(report)], plots
 
 
-def _spectrum_figures(spectra: Spectra) -> list[Any]:
-    """Return the spectra of days along each series, then those of weeks."""
+def _spectrum_figures(report: CompareReport, data: FigureData) -> list[Any]:
+    """Return the spectra of days along each series, then those of weeks.
+
+    Beside them stands that of the model before, where there is one, else that of the pre-flight model.
+    """
+    spectra = data.spectra
     periods, plots = drawn_periods(spectra.known), []
     fast, before, slow = spectra.fast, spectra.before, spectra.slow
+    labels = ("pre-flight model", "calibrated")
+    if report.earlier is not None and data.earlier_spectrum is not None:
+        before = data.earlier_spectrum
+        labels = (f"model version {report.earlier.version}", f"model version {report.version}")
     if fast is not None:
         if before is not None and before.frequency.size != fast.frequency.size:
             before = None
         for index, series in enumerate(SERIES):
             own = None if before is None else before.density[index]
             plots.append(
-                spectrum_figure(fast.frequency, own, fast.density[index], periods, spectra.lines, series)
+                spectrum_figure(
+                    fast.frequency, own, fast.density[index], periods, spectra.lines, series, labels
+                )
             )
     if slow is not None:
         plots.append(spectrum_figure(slow.frequency, None, slow.density[0], periods, spectra.lines))

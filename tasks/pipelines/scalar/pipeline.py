@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, Report
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
 
 
 class ScalarPipeline(Pipeline):
@@ -44,7 +44,7 @@ class ScalarPipeline(Pipeline):
     """
 
     tag = "scalar"
-    versions = Versions(statistics=3, tables=4, products=4)
+    versions = Versions(statistics=3, tables=4, products=5)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison, unless all days are to be fitted at once."""
@@ -103,11 +103,12 @@ class ScalarPipeline(Pipeline):
         span: slice,
         progress: Progress,
         client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[Any]:
         """Measure the residual of each sample; see `compare_samples`."""
         from inflight.tasks.pipelines.scalar.compare import compare_samples
 
-        return compare_samples(cat, mission, comparison, days, span, progress, client)
+        return compare_samples(cat, mission, comparison, days, span, progress, client, earlier)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, Report, TextLine
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report, TextLine
 
 #: Replaced parameters that the command line lists, the newest.
 _LISTED = 15
@@ -53,7 +53,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=3, tables=4, products=4)
+    versions = Versions(statistics=3, tables=4, products=5)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""
@@ -143,6 +143,7 @@ class SpinPipeline(Pipeline):
         span: slice,
         progress: Progress,
         client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[Any]:
         """Measure the tones of the products; see `compare_spin`."""
         from inflight.tasks.pipelines.spin.compare import compare_spin

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.figures import Section
-    from inflight.tasks.pipelines.base import CompareResult, Report
+    from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
 
 
 class StatesPipeline(Pipeline):
@@ -152,6 +152,7 @@ class StatesPipeline(Pipeline):
         span: slice,
         progress: Progress,
         client: Any = None,
+        earlier: EarlierProducts | None = None,
     ) -> CompareResult[Any]:
         """Measure the steps of the products where the spacecraft switches; see `compare_dual`."""
         from inflight.tasks.pipelines.two_sensor.compare import compare_dual
