@@ -48,6 +48,7 @@ def ingest(
     start: DateOrNone = None,
     end: DateOrNone = None,
     workers: int | None = None,
+    files: list[str] | None = None,
 ) -> dict[str, Any]:
     """Take delivered files into the archive; files already taken in cost nothing.
 
@@ -55,10 +56,12 @@ def ingest(
     ----------
     instruments : list of str, optional
         Only these; the other parameters are those of the module.
+    files : list of str, optional
+        Only these, by their paths below the folder.
     """
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with lazy_client(workers) as client:
-        return _ingest_span(place, data, instruments, span, client).as_json()
+        return _ingest_span(place, data, instruments, span, client, files).as_json()
 
 
 def reprocess(
@@ -194,13 +197,14 @@ def _ingest_if_idle(
     start: DateOrNone = None,
     end: DateOrNone = None,
     workers: int | None = None,
+    files: list[str] | None = None,
 ) -> RunReport | None:
     from inflight.tasks.archive import ingest_if_unchanged
 
     del workers
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     return ingest_if_unchanged(
-        Catalog(place.root), place.mission(), data or place.data, instruments, *span.as_text()
+        Catalog(place.root), place.mission(), data or place.data, instruments, *span.as_text(), files=files
     )
 
 
@@ -263,7 +267,12 @@ _IDLE_CHECKS: dict[str, Callable[..., RunReport | None]] = {
 
 
 def _ingest_span(
-    place: Workspace, data: Path | None, instruments: list[str] | None, span: DaySpan, client: Client
+    place: Workspace,
+    data: Path | None,
+    instruments: list[str] | None,
+    span: DaySpan,
+    client: Client,
+    files: list[str] | None = None,
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
     from inflight.tasks import ingest as ingest_files
@@ -277,6 +286,7 @@ def _ingest_span(
             *span.as_text(),
             client=client,
             progress=runner().progress,
+            files=files,
         )
 
     return runner().run("take in", take_in, client)

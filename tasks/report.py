@@ -8,7 +8,8 @@ them, what went wrong and what to do about it, where the outputs are. `exit_code
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,10 @@ DAY_COUNTS = ("planned", "done", "unchanged", "failed", "no_work")
 
 #: Problems shown to a person before the rest is only counted.
 SHOWN_PROBLEMS = 12
+
+#: Findings of days that are there, of one kind, that are told as one line from so many on; their counts.
+_ALIKE = 3
+_COUNT = re.compile(r"\b\d+(?= (?:samples|rows|readings))")
 
 SHOWN_OUTPUTS = 3
 
@@ -137,26 +142,53 @@ def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
     return problem(error.cause, message, day=error.day or day, channel=error.channel, remedy=error.remedy)
 
 
-def print_report(report: RunReport, console: Console) -> None:
-    """Print a report for a person: one line of counts, a short table of problems, the outputs."""
+def in_one_line(problems: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """Return problems, small findings of one kind (cause ``partial``) on several days as one of them all.
+
+    Its ``day`` says of how many days it is, and its message has the sum of their samples.
+    """
+    alike: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
+    for item in problems:
+        plain = _COUNT.sub("#", item.get("message", ""))
+        key = (item.get("cause", ""), item.get("instrument", ""), item.get("channel", ""), plain)
+        alike.setdefault(key, []).append(item)
+    out: list[dict[str, str]] = []
+    for (cause, *_), same in alike.items():
+        if cause != "partial" or len(same) < _ALIKE:
+            out += [dict(item) for item in same]
+            continue
+        counts = [_COUNT.findall(one["message"]) for one in same]
+        sums = [sum(map(int, each)) for each in zip(*counts, strict=True)]
+        texts = _COUNT.split(same[0]["message"])
+        message = "".join(f"{text}{count}" for text, count in zip(texts, [*sums, ""], strict=True))
+        out.append({**same[0], "day": f"{len(same)} days", "message": message})
+    return out
+
+
+def print_report(report: RunReport, console: Console, details: bool = False) -> None:
+    """Print a report for a person: one line of counts, a short table of problems, the outputs.
+
+    Small findings of one kind on many days are one line, unless `details` are asked for.
+    """
     from rich.markup import escape
     from rich.table import Table
 
     counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.days.items() if count)
     console.print(f"[bold]{report.command}[/bold]: days {counts or 'none'}", highlight=False)
-    if report.problems:
+    problems = report.problems if details else in_one_line(report.problems)
+    shown = len(problems) if details else SHOWN_PROBLEMS
+    if problems:
         table = Table(box=None, pad_edge=False)
         for name in ("day", "where", "cause", "what was found", "what to do"):
             table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
-        for item in report.problems[:SHOWN_PROBLEMS]:
+        for item in problems[:shown]:
             whole = problem("", "") | item
             where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
             row = (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])
             table.add_row(*map(escape, row))
         console.print(table)
-    hidden = len(report.problems) - SHOWN_PROBLEMS
-    if hidden > 0:
-        console.print(f"... and {hidden} more; --json lists all", highlight=False)
+    if len(problems) > shown:
+        console.print(f"... and {len(problems) - shown} more; --details lists all", highlight=False)
     if residual := report.extra.get("residual"):
         before, after = residual["before_nT"], residual["after_nT"]
         console.print(f"  residual {before:.3f} nT before, {after:.3f} nT after (rms)", highlight=False)

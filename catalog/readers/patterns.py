@@ -14,6 +14,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from functools import lru_cache
 from pathlib import Path
 
@@ -36,6 +37,8 @@ _DIRECTIVE = {
 }
 _TOKEN = re.compile(r"\{(day|start|end):([^{}]*)\}|(\*\*/|\*|\?)")
 _VERSION_MARK = re.compile(r"(?:^|[_.\-/])(?:v|r|rev|ver|version)$", re.IGNORECASE)
+#: Names that are compared with a pattern that matches nothing, at most, and how alike one must be; assumed.
+_NAMES_COMPARED, _ALIKE = 5000, 0.6
 #: What the last directive of a date leaves open: a file "of 1 May" ends when the day does.
 _LENGTH = {"H": 3600 * SECOND, "M": 60 * SECOND, "S": SECOND}
 
@@ -154,6 +157,51 @@ def find_files(data: Path, files: Files) -> tuple[list[Delivered], dict[str, str
     return newest_versions(
         found for name in sorted(_walk(data, files)) if (found := parse_name(name, files)) is not None
     )
+
+
+def folder_of_delivery(path: Path, files: Files) -> Path | None:
+    """Return the folder that a file's path below it matches a pattern from; None when no pattern does."""
+    for pattern in files.pattern or []:
+        depth = len(Path(pattern).parts)
+        folders = path.parents[:depth] if "**" not in pattern else path.parents
+        for folder in reversed(folders):
+            if parse_name(path.relative_to(folder).as_posix(), files) is not None:
+                return folder
+    return None
+
+
+def nearest_names(data: Path, files: Files, most: int = 3) -> list[str]:
+    """Return the names below a folder that are most like what no file matches: the patterns."""
+    wanted = [_TOKEN.sub("", pattern) for pattern in files.pattern or []]
+    names = [
+        (Path(folder).relative_to(data) / name).as_posix()
+        for folder, _, found in os.walk(data)
+        for name in found
+        if not name.startswith(".")
+    ]
+
+    def likeness(name: str) -> float:
+        plain = re.sub(r"\d{4,}", "", name)
+        return max(SequenceMatcher(None, plain, one).ratio() for one in wanted)
+
+    ranked = sorted(names[:_NAMES_COMPARED], key=lambda name: (-likeness(name), name)) if wanted else []
+    return [name for name in ranked[:most] if likeness(name) > _ALIKE]
+
+
+def pattern_for(name: str) -> str:
+    """Return a pattern that a file's name matches: its date by ``{day}``, its version by ``*``.
+
+    Empty when the name has no date of eight digits, with or without dashes or a day of the year.
+    """
+    for text, form in (
+        (r"(?<!\d)(?:19|20)\d{6}(?!\d)", "%Y%m%d"),
+        (r"(?<!\d)(?:19|20)\d{2}-\d{2}-\d{2}(?!\d)", "%Y-%m-%d"),
+        (r"(?<!\d)(?:19|20)\d{5}(?!\d)", "%Y%j"),
+    ):
+        if (found := re.search(text, name)) is not None:
+            dated = f"{name[: found.start()]}{{day:{form}}}{name[found.end() :]}"
+            return re.sub(r"_v[\d.]*\d", "_v*", dated)
+    return ""
 
 
 def newest_versions(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -16,27 +17,47 @@ from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, W
 #: and figures make objects by the hundred thousand, hardly any of which die.
 _OBJECTS_TO_COLLECT = 50_000
 
-#: Verbs in the order that ``--help`` shows them.
-VERBS = (
-    start.new,
-    start.simulate,
-    processing.ingest,
-    processing.reprocess,
-    processing.backfill,
-    results.compare,
-    results.release,
-    results.chain,
-    diagnose.diagnose,
-    diagnose.auto,
-    diagnose.add,
-    diagnose.drop,
-    diagnose.refit,
-    diagnose.undo,
-    results.report,
-    results.explore,
-    figures.figures,
-    start.demo,
-)
+#: Verbs by what a person wants, in the order that ``--help`` shows them, each with examples.
+VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
+    "Start": {
+        start.demo: ("inflight demo", "inflight demo --days 10 -w somewhere"),
+        start.new: ("inflight new", "inflight new template my-mission", "inflight new champ my-champ"),
+        start.simulate: ("inflight simulate -w my-champ --days 60", "inflight simulate --hide day_night"),
+    },
+    "Calibrate": {
+        processing.ingest: (
+            "inflight ingest",
+            "inflight ingest /deliveries/2005",
+            "inflight ingest fgm/champ_fgm_20050101_v01.cdf",
+        ),
+        processing.reprocess: (
+            "inflight reprocess",
+            "inflight reprocess --start 2005-01-01 --end 2005-02-01",
+            "inflight reprocess --table continuous",
+        ),
+        processing.backfill: ("inflight backfill --start 2005-01-01 --end 2005-02-01 --dry-run",),
+        results.chain: ("inflight chain --html chain.html",),
+    },
+    "Find what is missing": {
+        results.compare: ("inflight compare --open", "inflight compare --against 1"),
+        diagnose.diagnose: ("inflight diagnose", "inflight diagnose --start 2005-01-01 --end 2005-02-01"),
+        diagnose.add: (
+            'inflight add "channel_field(heater_current)"',
+            "inflight add offset_step@2005-01-12",
+            "inflight add effect.yaml",
+        ),
+        diagnose.drop: ("inflight drop channel_field_heater_current",),
+        diagnose.refit: ("inflight refit temperature.linear",),
+        diagnose.undo: ("inflight undo",),
+        diagnose.auto: ("inflight auto",),
+    },
+    "Look": {
+        results.report: ("inflight report --open",),
+        results.explore: ("inflight explore",),
+        figures.figures: ("inflight figures",),
+    },
+    "Deliver": {results.release: ('inflight release 1.0 --notes "first release"',)},
+}
 
 app = typer.Typer(
     name="inflight",
@@ -46,10 +67,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with days missing.",
 )
-app.add_typer(models.group, name="model")
-app.add_typer(catalog.group, name="catalog")
-for function in VERBS:
-    verb(app, function.__name__)(function)
+for panel, verbs in VERBS.items():
+    for function, examples in verbs.items():
+        verb(app, function.__name__, panel, examples)(function)
+app.add_typer(models.group, name="model", rich_help_panel="Look")
+app.add_typer(catalog.group, name="catalog", rich_help_panel="Look")
 
 
 def _print_version(requested: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -202,6 +202,9 @@ def gaps(
             elif day.state != "published":
                 items.append({"dataset": dataset, **_day_fields(day)})
 
+    never = [] if name else _never_delivered(command, names)
+    items = never + items
+
     def show(console: Console) -> None:
         if items:
             console.print(_table(("dataset", "day", "state", "cause", "message"), items[:SHOWN_DAYS]))
@@ -209,6 +212,16 @@ def gaps(
             console.print("no gaps")
 
     command.emit({"command": "catalog gaps", "items": items, "faults": []}, show)
+
+
+def _never_delivered(command: Command, known: Sequence[str]) -> list[dict[str, Any]]:
+    """Return an entry for each instrument of which the archive has no day at all."""
+    message = "nothing was ever taken in; next: inflight ingest"
+    return [
+        {"dataset": f"l1/{name}", "day": "all", "state": "absent", "cause": "no_work", "message": message}
+        for name in command.open_workspace().mission().instruments
+        if f"l1/{name}" not in known
+    ]
 
 
 def _day_fields(day: Day) -> dict[str, Any]:

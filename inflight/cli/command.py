@@ -140,12 +140,15 @@ class Command:
         else:
             show(self.console)
 
-    def finish(self, report: RunReport, remarks: Iterable[str] = ()) -> None:
-        """Print a run's report, and remarks on it for a person; end the command with its exit code."""
+    def finish(self, report: RunReport, remarks: Iterable[str] = (), details: bool = False) -> None:
+        """Print a run's report, and remarks on it for a person; end the command with its exit code.
+
+        With `details` every finding is listed, those of one kind, too.
+        """
         from inflight.tasks import print_report
 
         def show(console: Console) -> None:
-            print_report(report, console)
+            print_report(report, console, details)
             for remark in remarks:
                 console.print(f"  {remark}", soft_wrap=True, markup=False)
 
@@ -171,25 +174,25 @@ class Command:
 
 
 class _ProgressLines:
-    """Progress as lines, for logs: of stages that take long only, and at most four a minute."""
+    """Progress as lines, for logs: one as soon as a stage's rate is known, then at most four a minute."""
 
     def __init__(self) -> None:
-        self._stage, self._begun, self._said = "", 0.0, 0.0
+        self._stage, self._begun, self._next = "", 0.0, 0.0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.monotonic()
         if stage != self._stage:
-            self._stage, self._begun, self._said = stage, now, now
-        if now - self._said < _LINE_EVERY_S or not 0 < done < total:
+            self._stage, self._begun, self._next = stage, now, now + _FIRST_LINE_S
+        if now < self._next or not 0 < done < total:
             return
-        self._said = now
+        self._next = now + _LINE_EVERY_S
         rate = done / (now - self._begun)
         left = (total - done) / rate
         print(f"{stage}: {done} of {total}, {rate:.2g}/s, {left:.0f} s left", file=sys.stderr, flush=True)
 
 
-#: Seconds between two lines of progress where there is no terminal.
-_LINE_EVERY_S = 15.0
+#: Seconds after which a stage writes its first line where there is no terminal, and between two lines.
+_FIRST_LINE_S, _LINE_EVERY_S = 2.0, 15.0
 
 
 def text_table(
@@ -285,12 +288,15 @@ _INTERRUPTED = {
 }
 
 
-def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def verb(
+    app: typer.Typer, name: str, panel: str | None = None, examples: Sequence[str] = ()
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a function ``(command, ...)`` as a verb that also takes the common options.
 
     The options are accepted before and behind the verb; behind wins. Typer reads parameters from
-    the signature, so the common ones are appended to it here, once.
+    the signature, so the common ones are appended to it here, once. `panel` is the group the verb stands in.
     """
+    epilog = "\n\n".join(["Examples:", *examples]) if examples else None
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
@@ -307,7 +313,7 @@ def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callabl
         parameters = [item.replace(kind=inspect.Parameter.KEYWORD_ONLY) for item in parameters]
         invoke.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         invoke.__annotations__ = {item.name: item.annotation for item in parameters}
-        app.command(name)(invoke)
+        app.command(name, rich_help_panel=panel, epilog=epilog)(invoke)
         return function
 
     return register

@@ -6,7 +6,7 @@ Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_U
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,6 +18,7 @@ from inflight.errors import SettingsError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from inflight.mission import Mission
     from inflight.tasks import RunReport
 
 StartOption = Annotated[
@@ -55,6 +56,7 @@ CoverageOption = Annotated[
     typer.Option(min=0, max=1, help="Part of a day that must be usable (default: 0)", show_default=False),
 ]
 ComparisonOption = Annotated[str, typer.Option(help="What is compared with what.")]
+DetailsOption = Annotated[bool, typer.Option("--details", help="List every finding of every day.")]
 BatchOption = Annotated[
     int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
 ]
@@ -95,7 +97,10 @@ def ingest(
     command: Command,
     paths: Annotated[
         list[Path] | None,
-        typer.Argument(help="Folder of delivered files (default: data in the workspace)", show_default=False),
+        typer.Argument(
+            help="Folder of delivered files, or the files (default: data in the workspace)",
+            show_default=False,
+        ),
     ] = None,
     *,
     data: Annotated[Path | None, typer.Option(help="The same, as an option.")] = None,
@@ -106,33 +111,64 @@ def ingest(
     end: EndOption = None,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
 ) -> None:
     """Take delivered files into the archive; files already taken in cost nothing."""
-    folders = [*(paths or []), *([data] if data else [])]
-    if len(folders) > 1:
+    named = [*(paths or []), *([data] if data else [])]
+    if absent := [path for path in named if not path.exists()]:
         raise SettingsError(
-            f"{len(folders)} folders were named, one can be ingested at a time",
-            remedy="run the command once for each folder",
+            f"there is neither a folder nor a file {absent[0]}",
+            remedy="name the folder of the delivered files, or the files, or none for the workspace's own",
         )
-    if folders and not folders[0].is_dir():
-        raise SettingsError(
-            f"there is no folder {folders[0]}",
-            remedy="name the folder of the delivered files, or none for the workspace's own",
-        )
-    parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
-    report = run_flow(command, "ingest", parameters, workers=workers, prefect=not no_prefect)
     workspace = command.open_workspace()
-    mission, folder = workspace.mission(), folders[0] if folders else workspace.data
+    mission = workspace.mission()
+    folder, files = _delivery(mission, named) if named else (workspace.data, None)
+    given = {"data": folder if named else None, "instruments": instrument, "start": start, "end": end}
+    report = run_flow(
+        command, "ingest", _given(**given, files=files), workers=workers, prefect=not no_prefect
+    )
     remarks = []
     for name, dataset in report.extra.get("datasets", {}).items():
-        if not dataset["days"]:
+        missing = {f"l1/{item['instrument']}" for item in report.problems if item.get("instrument")}
+        if not dataset["days"] and name not in missing and files is None:
             patterns = " or ".join(map(repr, mission.files(name.removeprefix("l1/")).pattern or ()))
             remarks.append(f"{name}: no file of the span below {folder} matches {patterns}")
         if dataset["dropped"]:
             rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in dataset["dropped"].items())
             remarks.append(f"{name}: rows dropped: {rows}")
         remarks += [f"{name}: {note}" for note in dataset["notes"]]
-    command.finish(report, remarks)
+    command.finish(report, remarks, details)
+
+
+def _delivery(mission: Mission, named: Sequence[Path]) -> tuple[Path, list[str] | None]:
+    """Return the folder that patterns start from, and the files below it that were named; None is all."""
+    from inflight.catalog.readers import folder_of_delivery
+
+    if len(named) == 1 and named[0].is_dir():
+        return named[0], None
+    if folders := [path for path in named if path.is_dir()]:
+        raise SettingsError(
+            f"{folders[0]} is a folder, beside {len(named) - 1} others: one folder is ingested at a time",
+            remedy="run the command once for each folder, or name files only",
+        )
+    places: dict[Path, Path] = {}
+    for path in (one.resolve() for one in named):
+        every = (folder_of_delivery(path, mission.files(name)) for name in mission.instruments)
+        found = next((folder for folder in every if folder is not None), None)
+        if found is None:
+            patterns = [text for name in mission.instruments for text in mission.files(name).pattern or ()]
+            raise SettingsError(
+                f"{path}: no instrument's file pattern matches this file",
+                remedy=f"the mission's patterns are {', '.join(patterns)}",
+            )
+        places[path] = found
+    if len(set(places.values())) > 1:
+        raise SettingsError(
+            "the files lie in different folders: " + ", ".join(map(str, sorted(set(places.values())))),
+            remedy="run the command once for each folder",
+        )
+    folder = next(iter(places.values()))
+    return folder, [path.relative_to(folder).as_posix() for path in places]
 
 
 def reprocess(
@@ -157,6 +193,7 @@ def reprocess(
     ] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
     from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
@@ -175,7 +212,7 @@ def reprocess(
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
     checked = ReprocessSettings.model_validate(settings)
     pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
-    command.finish(report, pipeline.remarks(report.extra))
+    command.finish(report, pipeline.remarks(report.extra), details)
 
 
 def backfill(
@@ -188,12 +225,14 @@ def backfill(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print the plan.")] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
 ) -> None:
     """Take in and reprocess a past span: planned first, then only what is needed."""
     settings = _given(comparison=comparison, batch_days=batch_days)
     if not dry_run:
         parameters = {"start": start, "end": end, "settings": settings}
-        command.finish(run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect))
+        report = run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect)
+        command.finish(report, details=details)
         return
     from inflight.flows import plan_span
 

@@ -1,4 +1,4 @@
-"""Verbs that begin a workspace: ``new``, ``simulate`` and ``demo``, a simulated month through every step."""
+"""Verbs that begin a workspace: ``new``, ``simulate``, ``demo``: a hidden effect is found and added."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import typer
 
 from inflight.cli.command import Command
 from inflight.cli.processing import NoPrefectOption, WorkersOption, run_flow
-from inflight.cli.results import compare_span, print_comparison
+from inflight.cli.results import compare_span
 from inflight.errors import SettingsError
-from inflight.tasks import Progress, RunReport, print_report
+from inflight.tasks import Progress, RunReport
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,6 +36,13 @@ TWO_SENSOR_MISSION = "venus-express"
 #: Where the demo goes when no workspace is named.
 DEMO_FOLDER = Path("demo")
 DEMO_START = "2005-01-01"
+#: What the demo hides: a heater's cable whose field is ten times the simulator's usual one. The currents that
+#: its pre-flight model does not know either are left out, so that the story has one cause.
+DEMO_HIDDEN = {
+    "hide": ["heater"],
+    "without": ["solar_array", "battery", "star_camera"],
+    "overrides": {"heater_field": (0.5, 0.0, -1.0)},
+}
 
 
 def new(
@@ -182,7 +189,7 @@ def demo(
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
 ) -> None:
-    """Simulate a month of a CHAMP-like mission and take it through the whole chain."""
+    """Simulate a month with an effect hidden in it; find it, add it, watch the error fall to the noise."""
     from inflight.catalog import Workspace
 
     begun = time.monotonic()
@@ -190,55 +197,128 @@ def demo(
     command = Command(folder, command.json, command.debug)
     exists = Workspace(folder).mission_file.exists()
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
-
-    def announce(text: str) -> None:
-        if not command.json:
-            command.console.print(text, style="bold")
-
-    announce(f"1 of 4  simulating {days} days of day files in {workspace.data}")
-    settings = {"start": DEMO_START, "days": days, "seed": seed}
+    story = _Story(command)
+    settings = {"start": DEMO_START, "days": days, "seed": seed, **DEMO_HIDDEN}
     with command.progress() as progress:
-        write_deliveries(workspace.data, settings, workers=workers, progress=progress)
-    reports = []
-    for number, name, doing in (
-        (2, "ingest", "reading them into the archive"),
-        (3, "reprocess", "calibrating every day and writing level-2 products"),
-    ):
-        announce(f"{number} of 4  {doing}")
-        reports.append(run_flow(command, name, {}, workers=workers, prefect=not no_prefect))
-        if not command.json:
-            print_report(reports[-1], command.console)
-    announce("4 of 4  comparing the vector instrument with the scalar one")
-    compared = compare_span(command, workspace)
+        files = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
+    story.line(
+        "simulate", f"{len(files)} day files of {days} days; one cause is hidden that the model does not know"
+    )
+
+    def flow(name: str, parameters: Mapping[str, Any] | None = None) -> RunReport:
+        return run_flow(command, name, parameters or {}, workers=workers, prefect=not no_prefect)
+
+    taken = flow("ingest")
+    story.line("ingest", f"{_days_text(taken)} of {len(taken.extra['datasets'])} instruments in the archive")
+    made = flow("reprocess")
+    story.line("reprocess", f"{_days_text(made)} calibrated, level-2 products written")
+    first = compare_span(command, workspace).as_json()
+    story.line("compare", _fails_text(first))
+    found = flow("diagnose", {"settings": {"comparison": "main"}}).extra
+    story.line("diagnose", found["headline"])
+    last, added = first, ""
+    if (best := _first_addition(found)) is not None:
+        added = best["name"]
+        revision = _add(command, workspace, added, workers)
+        version = revision["model"]["version"]
+        story.line("add", f'"{added}": model version {version}, all else fitted anew')
+        made = flow("reprocess")
+        story.line("reprocess", f"{_days_text(made)} with the new model")
+        last = compare_span(command, workspace).as_json()
+        story.line("compare", _fall_text(last))
     seconds = time.monotonic() - begun
-    fields = compared.as_json()
-    page = workspace.relative(fields["path"])
-    added = {"residual": fields["residual"], "path": page, "seconds": round(seconds, 1)}
-    total = reports[0].followed_by(reports[1], "demo")
-    total = replace(total, outputs=[*total.outputs, page], extra=total.extra | added)
-
-    def show(console: Console) -> None:
-        print_comparison(console, compared)
-        _print_next(console, workspace, seconds)
-
-    command.emit(total.as_json(), show)
+    page = workspace.relative(Path(last["path"]))
+    facts = {
+        "residual": last["residual"],
+        "against": last["against"],
+        "found": [entry["name"] for entry in found["entries"]],
+        "verdict": found["verdict"],
+        "added": added,
+        "path": page,
+        "seconds": round(seconds, 1),
+    }
+    total = taken.followed_by(made, "demo")
+    total = replace(total, outputs=[*total.outputs, page], extra=total.extra | facts)
+    command.emit(total.as_json(), lambda console: _print_next(console, workspace, page, found, seconds))
     if total.exit_code:
         raise typer.Exit(total.exit_code)
 
 
-def _print_next(console: Console, workspace: Workspace, seconds: float) -> None:
-    """Print what a newcomer may type after the demo."""
+class _Story:
+    """The demo's steps as lines, one each, numbered."""
+
+    def __init__(self, command: Command) -> None:
+        self._command, self._count = command, 0
+
+    def line(self, verb: str, text: str) -> None:
+        self._count += 1
+        if not self._command.json:
+            self._command.console.print(f"{self._count}  {verb:<10} {text}", soft_wrap=True, markup=False)
+
+
+def _days_text(report: RunReport) -> str:
+    count = report.days["done"] + report.days["unchanged"]
+    return f"{count} days" + (f", {report.days['failed']} failed," if report.days["failed"] else "")
+
+
+def _fails_text(compared: Mapping[str, Any]) -> str:
+    """Return how much of the residual is more than noise, and what it follows."""
+    residual = compared["residual"]
+    text = (
+        f"residual {residual['before_nT']:.1f} nT before calibration, "
+        f"{residual['without_outliers_nT']:.3f} nT after, of it noise {residual['noise_floor_nT']:.3f} nT: "
+        f"{residual['above_floor_nT']:.2g} nT are something else"
+    )
+    names = [one["coordinate"] for one in compared["fails_where"][:2]]
+    return text + (f", which goes with {' and '.join(names)}" if names else "")
+
+
+def _fall_text(compared: Mapping[str, Any]) -> str:
+    """Return how the error fell with the effect that was added."""
+    residual, before = compared["residual"], compared["against"]
+    floor = residual["noise_floor_nT"]
+    after = f"{residual['without_outliers_nT']:.4f} nT, noise {floor:.4f} nT"
+    if before is None:
+        return f"residual {after}"
+    return (
+        f"residual {before['rms']:.4f} -> {after}: above the noise {before['above_floor']:.2g} -> "
+        f"{residual['above_floor_nT']:.2g} nT"
+    )
+
+
+def _first_addition(found: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the largest entry of a diagnosis that names its cause; None when these data name none."""
+    if found.get("plumbing"):
+        return None
+    named = [one for one in found["entries"] if one["command"].startswith("inflight add")]
+    return next((one for one in named if one["status"] in ("sure", "rivals")), None)
+
+
+def _add(command: Command, workspace: Workspace, effect: str, workers: int | None) -> dict[str, Any]:
+    from inflight.flows import lazy_client
+    from inflight.tasks.analysis import open_workbench
+
+    with command.progress() as progress, lazy_client(workers) as client:
+        return open_workbench(workspace, client=client, progress=progress).add(effect).as_json()
+
+
+def _print_next(
+    console: Console, workspace: Workspace, page: str, found: Mapping[str, Any], seconds: float
+) -> None:
+    """Print what a newcomer may look at and type after the demo."""
     root = workspace.root
     # A newcomer who came by `make demo` has not activated the environment.
     program = "inflight" if shutil.which("inflight") else sys.argv[0]
-    console.print(f"\nDone in {seconds:.0f} s. Products, tables and archive are in the catalog of {root}.")
+    console.print(
+        f"Done in {seconds:.0f} s. Before, after and noise on one page: {root / page}", soft_wrap=True
+    )
+    if found["verdict"] not in ("FOUND", "CONFOUNDED"):
+        console.print(f"These data name no cause: {found['meaning']}.", soft_wrap=True, markup=False)
     console.print("What to type next:")
-    for command, purpose in (
-        (f"{program} catalog list -w {root}", "what there is"),
-        (f"{program} catalog show l2/field -w {root}", "day by day"),
-        (f"{program} compare -w {root} --open", "the page with the plots"),
-        (f"{program} diagnose -w {root}", "which physical effect is missing"),
-        (f"{program} reprocess -w {root}", "again: finds nothing to do"),
+    for line, purpose in (
+        (f"{program} diagnose -w {root}", "what is left, and how sure that is"),
+        (f"{program} model history -w {root}", "what each version of the model took off"),
+        (f"{program} explore -w {root}", "the same in the browser"),
         (f"{program} new template my-mission", "begin with measurements of your own"),
     ):
-        console.print(f"  {command:<56} {purpose}", soft_wrap=True)
+        console.print(f"  {line:<56} {purpose}", soft_wrap=True, markup=False)

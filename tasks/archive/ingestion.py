@@ -28,8 +28,10 @@ from inflight.catalog.readers import (
     RawTable,
     assemble_day,
     find_files,
+    nearest_names,
     newest_versions,
     parse_name,
+    pattern_for,
     read_file,
     read_times,
     split_days,
@@ -38,7 +40,7 @@ from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
 from inflight.tasks.batches import iter_results
-from inflight.tasks.report import Progress, RunReport, problem_of
+from inflight.tasks.report import Progress, RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
 
 #: Bumped when the same files would give other archive days.
@@ -104,7 +106,8 @@ class FileIndex:
 class Delivery:
     """All files of one instrument, in order of time; old name -> new name of superseded versions.
 
-    `unread` new files were left out: `survey` was told not to read any.
+    `unread` new files were left out: `survey` was told not to read any. `missing` says that no file was ever
+    delivered: none is here, and none was taken in before.
     """
 
     instrument: str
@@ -112,6 +115,7 @@ class Delivery:
     files: tuple[FileIndex, ...]
     superseded: dict[str, str]
     unread: int = 0
+    missing: Problem | None = None
 
     def by_day(self) -> dict[str, list[FileIndex]]:
         """Return the files of each day: by their rows, or by their name where they cannot be read."""
@@ -146,6 +150,7 @@ def survey(
     span: tuple[int | None, int | None] = (None, None),
     client: Any = None,
     read_new: bool = True,
+    only: Sequence[str] | None = None,
 ) -> Delivery:
     """Find and index an instrument's files.
 
@@ -165,11 +170,15 @@ def survey(
         Reads files in parallel.
     read_new : bool
         Read files that are not on record; they are only counted otherwise.
+    only : sequence of str, optional
+        Of the files below the folder these alone, by their paths below it.
     """
     files, instrument = mission.files(name), mission.instruments[name]
     key = content_key(files, instrument)
     records = cat.files(name)
     present, superseded = find_files(data, files)
+    if only is not None:
+        present = [delivered for delivered in present if delivered.name in set(only)]
     absent = (parse_name(path, files) for path in records if not (data / path).exists())
     gone = [delivered for delivered in absent if delivered is not None]
     # A delivery that was taken in and removed since still holds for its days.
@@ -179,7 +188,22 @@ def survey(
     jobs = [(data / file.name, file, files, instrument) for file in (new if read_new else [])]
     found = {index.name: index for index in iter_results(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
-    return Delivery(name, key, tuple(indexed), superseded | also, len(new) - len(jobs))
+    missing = None if listed or only is not None else _nothing_delivered(name, data, files)
+    return Delivery(name, key, tuple(indexed), superseded | also, len(new) - len(jobs), missing)
+
+
+def _nothing_delivered(name: str, data: Path, files: Files) -> Problem:
+    """Return the problem that no file matches an instrument's patterns, with the names nearest to them."""
+    patterns = " or ".join(map(repr, files.pattern or ()))
+    near = nearest_names(data, files)
+    there = f"; the nearest names are {', '.join(near)}" if near else "; no file there is called alike"
+    fitting = pattern_for(near[0]) if near else ""
+    remedy = (
+        f"mission.yaml, instruments.{name}.files.pattern: {fitting!r} would match"
+        if fitting
+        else (f"put the files there, or mend instruments.{name}.files.pattern in mission.yaml")
+    )
+    return problem("repeatable", f"no file below {data} matches {patterns}{there}", remedy=remedy)
 
 
 def _recorded_index(file: Delivered, data: Path, record: FileRecord | None, key: str) -> FileIndex | None:
@@ -417,6 +441,7 @@ def ingest(
     client: Any = None,
     progress: Progress | None = None,
     batch_days: int | None = None,
+    files: Sequence[str] | None = None,
 ) -> RunReport:
     """Take delivered files into the archive.
 
@@ -438,6 +463,8 @@ def ingest(
         Called with (stage, done, total).
     batch_days : int, optional
         Days of one segment; chosen from the cadence when absent.
+    files : sequence of str, optional
+        These files alone, by their paths below the folder.
 
     Returns
     -------
@@ -458,7 +485,8 @@ def ingest(
     plans = []
     for count, name in enumerate(names):
         report_progress("index", count, len(names))
-        plans.append(_plan(cat, survey(cat, mission, name, folder, span=span, client=client), span))
+        delivery = survey(cat, mission, name, folder, span=span, client=client, only=files)
+        plans.append(_plan(cat, delivery, span))
     report_progress("index", len(names), len(names))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
@@ -487,6 +515,7 @@ def ingest_if_unchanged(
     instruments: Sequence[str] | None = None,
     start: str | np.datetime64 | None = None,
     end: str | np.datetime64 | None = None,
+    files: Sequence[str] | None = None,
 ) -> RunReport | None:
     """Return the report of an ingest that has nothing to do; None when there is work. No file is opened.
 
@@ -494,7 +523,8 @@ def ingest_if_unchanged(
     """
     span, plans = (_bound(start), _bound(end)), []
     for name in _named_instruments(mission, instruments):
-        delivery = survey(cat, mission, name, Path(data).resolve(), span=span, read_new=False)
+        folder = Path(data).resolve()
+        delivery = survey(cat, mission, name, folder, span=span, read_new=False, only=files)
         plans.append(_plan(cat, delivery, span))
         if delivery.unread or plans[-1].has_work:
             return None
@@ -576,14 +606,14 @@ def _jobs(
 
 def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
     """Record failures, empty days and files; files count as taken in when the run publishes."""
-    for day, problem in plan.new_failures.items():
+    for day, found in plan.new_failures.items():
         run.record(
             plan.dataset,
             day,
             "failed",
-            problem.get("cause") or "repeatable",
-            problem.get("message", ""),
-            {"problem": problem},
+            found.get("cause") or "repeatable",
+            found.get("message", ""),
+            {"problem": found},
             plan.keys[day],
         )
     run.record_no_work(
@@ -620,6 +650,7 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     for plan in plans:
         name = plan.delivery.instrument
         failures = plan.failed | plan.new_failures
+        problems += [{"instrument": name, **plan.delivery.missing}] if plan.delivery.missing else []
         problems += [{"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())]
         problems += [
             {"instrument": name, **file.problem}

@@ -1,9 +1,14 @@
 """What somebody meets who tries the command line for the first time: slips of the hand, told in full."""
 
+import io
+
 import pytest
+from rich.console import Console
 from tiny_mission import make_tiny_workspace
 
 from inflight.cli.command import PIPED_WIDTH, Command
+from inflight.tasks import RunReport, print_report
+from inflight.tasks.report import problem
 
 PLAIN = ("--no-prefect", "--workers", 1)
 
@@ -16,13 +21,60 @@ def root(tmp_path):
 def test_a_pattern_that_matches_nothing_is_named_with_its_folder(inflight, root):
     yaml = root / "mission.yaml"
     yaml.write_text(yaml.read_text(encoding="utf-8").replace("absolute_{", "absolut_{"), encoding="utf-8")
-    told = inflight("ingest", *PLAIN, "-w", root)
+    told = inflight("ingest", *PLAIN, "--json", "-w", root)
+    assert told.code == 3  # one instrument of two is there
+    (only,) = told.json["problems"]
+    assert f"no file below {root / 'data'} matches 'absolut_{{day:%Y%m%d}}.csv'" in only["message"]
+    assert "the nearest names are absolute_2024" in only["message"]
+    assert "'absolute_{day:%Y%m%d}.csv' would match" in only["remedy"]
+    assert only["instrument"] == "absolute"
+    gaps = inflight("catalog", "gaps", "-w", root).out
+    assert "l1/absolute" in gaps
+    assert "nothing was ever taken in" in gaps
+    again = inflight("ingest", "-w", root)
+    assert again.code == 3  # and without a server, for there is nothing to do
+
+
+def test_where_no_pattern_matches_anything_the_ingest_fails(inflight, root):
+    yaml = root / "mission.yaml"
+    text = yaml.read_text(encoding="utf-8").replace("absolute_{", "a_{").replace("turning_{", "t_{")
+    yaml.write_text(text, encoding="utf-8")
+    assert inflight("ingest", *PLAIN, "-w", root).code == 1
+
+
+def test_files_are_taken_in_by_their_names(inflight, root):
+    first = sorted((root / "data").glob("*_20240301.csv"))
+    told = inflight("ingest", *first, *PLAIN, "--json", "-w", root)
     assert told.code == 0
-    assert (
-        f"l1/absolute: no file of the span below {root / 'data'} matches 'absolut_{{day:%Y%m%d}}.csv'"
-        in told.out
-    )
-    assert "l1/turning: no file" not in told.out
+    assert told.json["files"]["read"] == len(first) == 2
+    listed = inflight("catalog", "show", "l1/absolute", "--json", "-w", root).json["items"]
+    assert [item["day"] for item in listed] == ["2024-03-01"]
+    strange = root / "strange.csv"
+    strange.write_text("1,2\n", encoding="utf-8")
+    refused = inflight("ingest", strange, "--json", "-w", root)
+    assert refused.code == 2
+    assert "no instrument's file pattern matches" in refused.json["error"]["message"]
+    assert "absolute_{day:%Y%m%d}.csv" in refused.json["error"]["remedy"]
+    assert inflight("ingest", "nowhere.csv", "-w", root).code == 2
+
+
+def test_small_findings_of_one_kind_are_one_line_and_details_lists_them():
+    console = Console(file=io.StringIO(), width=200)
+    items = [
+        problem(
+            "partial", f"temperature: {count} samples without coil", day=f"2024-03-0{count}", channel="coil"
+        )
+        for count in (1, 2, 3)
+    ]
+    report = RunReport("reprocess", days={"done": 3}, problems=[*items, problem("bug", "broken", day="x")])
+    print_report(report, console)
+    text = console.file.getvalue()
+    assert "3 days" in text
+    assert "temperature: 6 samples without coil" in text
+    assert "2024-03-02" not in text
+    assert "broken" in text
+    print_report(report, console, details=True)
+    assert "2024-03-02" in console.file.getvalue()
 
 
 def test_rows_that_were_dropped_and_gaps_are_told(inflight, root):

@@ -19,7 +19,7 @@ def test_a_log_gets_rate_and_remaining_time_of_a_long_stage(clock, capsys):
         for done in range(11):
             show("pass", done, 10)
             clock[0] += 10.0
-    assert capsys.readouterr().err.splitlines()[0] == "pass: 2 of 10, 0.1/s, 80 s left"
+    assert capsys.readouterr().err.splitlines()[0] == "pass: 1 of 10, 0.1/s, 90 s left"
 
 
 def test_a_short_stage_writes_no_line(clock, capsys):
