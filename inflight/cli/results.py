@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -52,7 +52,7 @@ def compare(
         command, workspace, start=start, end=end, comparison=comparison, output=output, against=against
     )
     fields = report.as_json()
-    command.emit(fields, lambda console: print_comparison(console, report))
+    command.emit(fields, lambda console: print_comparison(console, report, workspace))
     if show and fields["path"]:
         import webbrowser
 
@@ -133,11 +133,35 @@ def _print_summary(console: Console, report: Report) -> None:
         console.print(line.text, style=line.style or None, soft_wrap=True, markup=False)
 
 
-def print_comparison(console: Console, report: Report) -> None:
-    """Print how well products agree before and after, where they still fail, and the page."""
+def print_comparison(console: Console, report: Report, workspace: Workspace | None = None) -> None:
+    """Print how well products agree before and after, where they still fail, the page, and the next step."""
     _print_summary(console, report)
     page = report.path or "none, because the workspace cannot be written; --output names another place"
     console.print(f"  page: {page}", soft_wrap=True)
+    if workspace is not None:
+        for text in _next_after_compare(workspace, report.as_json()):
+            console.print(text, soft_wrap=True, markup=False)
+
+
+def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the last diagnosis found, as far as it is of the same model, and what to type next."""
+    from inflight.tasks.analysis import last_diagnosis
+
+    version = fields.get("model_version")
+    if fields["command"] != "compare" or not version:
+        return
+    found = last_diagnosis(workspace, fields["comparison"])
+    model = (found or {}).get("model", {})
+    if found is not None and model.get("version") == version:
+        yield f"the diagnosis of model version {version}: {found['headline']}"
+        if found["entries"]:
+            yield f"next: {found['entries'][0]['command']}"
+            return
+    if fields["at_noise_floor"]:
+        yield "next: inflight release VERSION, or inflight diagnose for effects below a tenth of the noise"
+    else:
+        older = f" (the last one is of model version {model['version']})" if model else ""
+        yield f"next: inflight diagnose    (which effect makes this, and how sure that is){older}"
 
 
 def release(

@@ -65,6 +65,9 @@ class DependenceSettings:
     moving : float
         A coordinate rises or falls where it changes by more than this part of its standard deviation.
         Assumed.
+    window_preference : float
+        A structure that repeats in each window of a table is told as that where it is so many times smaller
+        than one in time at most. Assumed.
     turning : float
         A coordinate has two branches when each holds more than this part of the samples. Assumed.
     """
@@ -83,6 +86,7 @@ class DependenceSettings:
     least_part: float = 0.01
     shifts: tuple[float, ...] = (0.362, 0.422, 0.458, 0.566, 0.644, 0.698)
     moving: float = 0.02
+    window_preference: float = 1.25
     turning: float = 0.1
 
 
@@ -764,6 +768,8 @@ def select_successively(
 #: What a structure in a coordinate could come from, by the coordinate's kind.
 _MEANING = {
     "time": "something changed in time: an ageing scale factor, or a step at an event",
+    "window": "parameters that move within the windows they are fitted in: 'inflight reprocess --table "
+    "continuous' follows them",
     "time_of_day": "something with a daily course: a temperature, or the sensor's surroundings",
     "orbit_phase": "something fixed to the orbit: the field's own strength and direction, or a time lag",
     "sun_phase": "something that light and shadow drive: temperatures, solar array, battery",
@@ -859,6 +865,14 @@ class RankedDependence:
         )
 
 
+def _preference(kind: str) -> float:
+    """Return how much a coordinate is preferred: what repeats in every window of a table is no other course.
+
+    Time itself can follow any course, the repeated one, too, and is a little larger for its noise.
+    """
+    return DEPENDENCE_SETTINGS.window_preference if kind == "window" else 1.0
+
+
 def measure_dependences(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) -> list[Dependence]:
     """Return how the residual (sample,) depends on each coordinate that varies, in their order."""
     found = (_dependence_on(one, residual, block) for one in coordinates)
@@ -940,7 +954,7 @@ def rank_dependences(
     structures = select_successively(
         residual,
         measured,
-        size=lambda one: one.amplitude,
+        size=lambda one: one.amplitude * _preference(coordinates[one.coordinate].kind),
         is_clear=lambda one: one.is_clear,
         remove=removed,
         chance=chance,

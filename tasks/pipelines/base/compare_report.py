@@ -18,6 +18,11 @@ from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatis
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
 
+#: Structures below this part of the noise are not told, but listed on the page; assumed.
+_MATTERS = 0.1
+#: What is left above the noise, in parts of it, where the rms is within five percent of it: stated.
+_NEAR = (1.05**2 - 1.0) ** 0.5
+
 _NO_FLOOR = "unknown: every stretch of the residual has missing samples"
 
 
@@ -168,6 +173,7 @@ class CompareReport:
             "model_version": self.version,
             "against": None if self.earlier is None else vars(self.earlier),
             "by_day": self.by_day,
+            "at_noise_floor": self.is_at_floor,
             "fails_where": [
                 {
                     "coordinate": one.coordinate,
@@ -193,7 +199,25 @@ class CompareReport:
         out += [TextLine(text, "bold") for text in self._sizes()]
         determined = ", ".join(name.rpartition(".")[2] for name in self.determined) or "nothing"
         out.append(TextLine(f"  determined by these data: {determined}"))
-        return out + [TextLine(f"  {one.sentence}") for one in self.fails_where]
+        told = [one for one in self.fails_where if self.matters(one)]
+        if self.is_at_floor:
+            out.append(
+                TextLine(
+                    "  The residual is at its noise floor: nothing that it follows reaches a tenth of it."
+                )
+            )
+        return out + [TextLine(f"  {one.sentence}") for one in told]
+
+    def matters(self, structure: Structure) -> bool:
+        """Return True for a structure of at least a tenth of the noise: half a percent of the rms."""
+        floor = self.floor.level_nT
+        return not isfinite(floor) or structure.amplitude >= _MATTERS * floor
+
+    @property
+    def is_at_floor(self) -> bool:
+        """True when the rms is within five percent of the noise floor and no structure beside it matters."""
+        near = self.above_floor <= _NEAR * self.floor.level_nT
+        return near and not any(map(self.matters, self.fails_where))
 
     def _sizes(self) -> Iterator[str]:
         """Yield the size of the residual with each model, and how much of it is more than noise."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,6 +61,9 @@ from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, co
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,13 +141,15 @@ def compare_samples(
     """
     digest = digest_days(cat, mission, comparison, days, progress, client)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
+    daily, used = tables_in_use(cat, comparison, days[0])
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
+    if (window := _within_windows(used, rows["tt2000"])) is not None:
+        coordinates[window.name] = window
     block, block_name = blocks_of(rows["tt2000"], len(days))
     found = measure_dependences(coordinates.values(), rows["after"], block)
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
-    daily, used = tables_in_use(cat, comparison, days[0])
     before, after = ([getattr(one, state) for one in digest.days] for state in ("before", "after"))
     floor = join_floors([one.floor for one in digest.days])
     other, old = None, None
@@ -309,6 +314,16 @@ def _spectra(digest: Digest, rows: dict[str, Floats], direction: Floats, mission
     lines += slow_lines
     lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
     return Spectra(fast, before, slow, lines, known)
+
+
+def _within_windows(table: xr.Dataset, tt2000: Floats) -> Coordinate | None:
+    """Return the time since each calibration window began; None unless there are several of several days."""
+    start = np.sort(np.asarray(table["start"].values, dtype=np.int64))
+    inside = np.searchsorted(start, tt2000, side="right") - 1
+    if np.unique(inside).size < 2 or np.median(np.diff(start)) < 2 * DAY:
+        return None
+    passed = (tt2000 - start[np.clip(inside, 0, None)]) / DAY
+    return Coordinate("time in the calibration window", "d", "window", np.where(inside < 0, np.nan, passed))
 
 
 def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordinate]:
