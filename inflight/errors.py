@@ -6,7 +6,17 @@ channel and day wherever they are known.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` with the known name most like a wrong one, else nothing."""
+    import difflib
+
+    by_plain = {one.lower(): one for one in known}
+    alike = difflib.get_close_matches(name.lower(), list(by_plain), n=1, cutoff=0.6)
+    return f"; did you mean '{by_plain[alike[0]]}'?" if alike else ""
 
 
 class InflightError(Exception):

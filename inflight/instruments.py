@@ -7,7 +7,15 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from inflight.expression import Expression
 from inflight.time import parse_duration, parse_utc, to_tt2000
@@ -132,6 +140,14 @@ class Channel(Strict):
     #: Frame of an attitude, a spin axis or a position: itrf, gcrf, gei, nec, gse, gsm.
     frame: str | None = None
     description: str = ""
+
+    @field_validator("variable", mode="before")
+    @classmethod
+    def _one_name(cls, value: Any) -> Any:
+        if isinstance(value, list):
+            names = ", ".join(map(str, value))
+            raise ValueError(f"one name is expected; several are written as variables: [{names}]")
+        return value
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

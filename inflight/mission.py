@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, Valida
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
-from inflight.errors import MissionError
+from inflight.errors import MissionError, did_you_mean
 from inflight.instruments import (
     Channel,
     ClockStep,
@@ -359,6 +359,9 @@ def _describe(tree: Any, item: Any) -> str:
     if not path and named:
         path, message = named[1].split("."), named[2]
     line, walked = _line_of(tree, path)
+    if item["type"] == "extra_forbidden":
+        known = {key for kind in Strict.__subclasses__() for key in kind.model_fields}
+        message = f"there is no key {path[-1]!r} here{did_you_mean(str(path[-1]), known - {path[-1]})}"
     found = item.get("input")
     shown = f" (found {found!r})" if isinstance(found, str | int | float | bool) else ""
     return f"line {line}: {'.'.join(walked) or 'mission'}: {message}{shown}"

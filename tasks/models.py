@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog, ModelRecord
-from inflight.effects import EffectSource, SpinningSensor, did_you_mean
-from inflight.errors import CatalogError, MissionError, ModelError, SettingsError
+from inflight.effects import EffectSource, SpinningSensor
+from inflight.errors import CatalogError, MissionError, ModelError, SettingsError, did_you_mean
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ResidualDefinition, make_effect
 

@@ -16,7 +16,7 @@ from typing import Any, TextIO, cast
 import numpy as np
 import numpy.typing as npt
 
-from inflight.errors import ContentError, InflightError, ReadError
+from inflight.errors import ContentError, InflightError, ReadError, did_you_mean
 from inflight.time import Int64
 
 Array = npt.NDArray[Any]
@@ -80,7 +80,8 @@ class Source:
         if name not in held:
             why = "is listed under 'drop'" if name in self.dropped else "is not in the file"
             raise ContentError(
-                f"variable {name!r} {why}, which holds {', '.join(held[:40]) or 'no variables'}",
+                f"variable {name!r} {why}, which holds {', '.join(held[:40]) or 'no variables'}"
+                f"{did_you_mean(name, held)}",
                 remedy="correct the variable's name in the mission YAML",
                 file=str(self.path),
                 channel=channel,

@@ -25,8 +25,8 @@ from inflight.diagnosis.scoring import ModelColumns, make_folds, project_out_of,
 from inflight.diagnosis.search import Option, prior_precision
 from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, lines_between_windows, time_text
-from inflight.effects import ANGLES, did_you_mean
-from inflight.errors import ModelError
+from inflight.effects import ANGLES
+from inflight.errors import ModelError, did_you_mean
 from inflight.lsq import GramBlocks, inverse_square_root, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, TimeDependence, make_effect

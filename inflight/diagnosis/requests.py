@@ -31,8 +31,8 @@ from inflight.diagnosis.additions import (
 from inflight.diagnosis.refine import profile_lag
 from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.time_changes import DRIFTS, block_length, lines_between_windows
-from inflight.effects import channels_of, did_you_mean, known_effects
-from inflight.errors import ModelError
+from inflight.effects import channels_of, known_effects
+from inflight.errors import ModelError, did_you_mean
 from inflight.frames import GEOMETRY
 from inflight.mission import sensors_of
 from inflight.model import Model, ModelEffect, TimedValue, make_effect

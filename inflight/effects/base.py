@@ -8,8 +8,7 @@ field's direction. Where the field is made from the reading itself (`follows_fie
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.errors import ModelError, SamplesError
+from inflight.errors import ModelError, SamplesError, did_you_mean
 from inflight.frames import direction_of
 from inflight.mission import Sensor
 from inflight.samples import parse_channel
@@ -35,12 +34,6 @@ if TYPE_CHECKING:
 def snake_case(name: str) -> str:
     """Return ``ScalarBias`` as ``scalar_bias``."""
     return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).lstrip("_")
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``": did you mean 'x'?"`` with the known name most like a wrong one, else nothing."""
-    alike = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return f"; did you mean '{alike[0]}'?" if alike else ""
 
 
 def response_name(channel: str, lag: Any = None, width: Any = None) -> str:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from importlib.metadata import entry_points
 
 from inflight.effects import channels, environment, events, sensors, spacecraft, wander
-from inflight.effects.base import Effect, did_you_mean
+from inflight.effects.base import Effect
 from inflight.effects.sensors import (
     Affine,
     Heading,
@@ -25,7 +25,7 @@ from inflight.effects.sensors import (
 )
 from inflight.effects.spinning_sensor import SpinningSensor
 from inflight.effects.user_effects import EffectSource, own_effects
-from inflight.errors import ModelError
+from inflight.errors import ModelError, did_you_mean
 
 _LIBRARY: tuple[type[Effect], ...] = (
     VectorSensor,

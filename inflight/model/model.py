@@ -23,11 +23,10 @@ from inflight.effects import (
     VectorSensor,
     channel_unit,
     coefficient_unit,
-    did_you_mean,
     effect_class,
     family_of,
 )
-from inflight.errors import InflightError, ModelError
+from inflight.errors import InflightError, ModelError, did_you_mean
 from inflight.mission import Sensor, sensors_of
 from inflight.model.apply import ModelEffect, correct, correct_plain, correction_terms, disturb
 from inflight.model.diff import changes, parse_tree

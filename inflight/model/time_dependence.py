@@ -22,8 +22,8 @@ import numpy.typing as npt
 import scipy
 
 from inflight.arrays import Floats
-from inflight.effects import Parameter, did_you_mean
-from inflight.errors import ModelError
+from inflight.effects import Parameter
+from inflight.errors import ModelError, did_you_mean
 from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
 
 if TYPE_CHECKING:

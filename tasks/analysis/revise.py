@@ -44,8 +44,7 @@ from inflight.diagnosis import (
     time_variable_columns,
     values_of,
 )
-from inflight.effects import did_you_mean
-from inflight.errors import ModelError
+from inflight.errors import ModelError, did_you_mean
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from inflight.effects import did_you_mean
-from inflight.errors import SettingsError
+from inflight.errors import SettingsError, did_you_mean
 from inflight.mission import Mission
 from inflight.model import folding_of
 
