@@ -18,6 +18,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
+from inflight.diagnosis.choices import turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
 from inflight.diagnosis.residual import (
@@ -38,6 +39,7 @@ from inflight.diagnosis.result import (
     FoundEffect,
     Signature,
     Status,
+    Turn,
     Verdict,
     ranked_entries,
     sentence,
@@ -151,6 +153,9 @@ def run_search(
         describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
         for one in checks
     )
+    told = {one.name: np.array([number.sigma for number in one.coefficients]) for one in effects}
+    turns = turned_over(search, data, checks, told, (at_native, cadence_s) if at_native else None)
+    effects = tuple(_turned(one, turns[one.name]) for one in effects)
     fast_numbers = at_native if is_fast else None
     effects = tuple(_in_words(one, in_time) for one in effects)
     known = with_correctable_rows(search, data)
@@ -229,6 +234,14 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
     """Return True when more than noise is left, and it is faster than the samples of the search."""
     more = native_rms(data, search) ** 2 - data.floor.high_nT**2
     return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
+
+
+def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:
+    """Return an effect with the choices of numbers that turn it over: it is not sure then."""
+    if not turns:
+        return effect
+    status = "fragile" if effect.status in ("sure", "weak") else effect.status
+    return replace(effect, turned_over_by=tuple(turns), status=status)
 
 
 def _in_words(effect: FoundEffect, in_time: Sequence[InTime]) -> FoundEffect:
