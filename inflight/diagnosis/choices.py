@@ -6,9 +6,8 @@ wide the bins are. Where one of these choices gives another answer, neither is s
 
 The same scores are made again (`inflight.diagnosis.scoring`) of few columns: those of the model, of what was
 taken, and of what came nearest to it. Blocks are merged in pairs, from the first and from the second one;
-folds are runs or every so-many-th block; the series is averaged to means of three and of ten of its rows,
-from which all columns are made anew, rates and lags among them; and the data's own cadence is that of the
-estimates.
+folds are runs or every so-many-th block; rows of the series are averaged, three and ten of them; and the
+data's own cadence, at which all columns are made anew, rates and lags among them, is that of the estimates.
 
 Longer blocks and wider bins know less: an effect that is merely less clear there does not turn over. It does
 in two cases only. Another effect leaves clearly less in its place, by what the rounds themselves exchange
@@ -24,14 +23,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import Term
-from inflight.diagnosis.residual import DiagnosisData, model_columns
+from inflight.design import BIN_SETTINGS, Term, design_matrix
+from inflight.diagnosis.refine import can_add_columns
+from inflight.diagnosis.residual import DiagnosisData, derived_channels
 from inflight.diagnosis.result import Turn
 from inflight.diagnosis.scoring import SCORING_SETTINGS, Index, make_folds, project_out_of, score
 from inflight.diagnosis.search import Option, ScoreTable, Search
+from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import Estimate, RivalCheck, better_option, estimate, estimate_in
+from inflight.diagnosis.time_changes import Stretches
 from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten
 from inflight.samples import parse_channel
+from inflight.time import SECOND
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +44,7 @@ class ChoiceSettings:
     Attributes
     ----------
     times : tuple of int
-        Rows of the series in a mean: three and ten times the cadence of the search.
+        Rows of the series in a mean: of three and ten times the cadence of the search.
     merged : int
         Blocks that become one.
     folds : int
@@ -50,6 +53,8 @@ class ChoiceSettings:
         A value has moved when it is so many of its sigmas away.
     rows : int
         Rows for every column at least: fewer means say nothing; assumed.
+    native : int
+        Rivals of each effect that get columns at the samples' own cadence; a bound on time, assumed.
     """
 
     times: tuple[int, ...] = (3, 10)
@@ -57,6 +62,7 @@ class ChoiceSettings:
     folds: int = 6
     sigmas: float = 3.0
     rows: int = 20
+    native: int = 2
 
 
 CHOICE_SETTINGS = ChoiceSettings()
@@ -97,16 +103,19 @@ def turned_over(
     if native is not None:
         for check in some:
             out[check.option.name] += _at_native(*native, check, search)
-    for times in CHOICE_SETTINGS.times if some else ():
-        for check, trial, form in _at_cadence(search, data, some, times):
-            found = _overtaken(search, check, trial)
-            if not found:
-                there = estimate_in(search, check.option, trial.grams)
-                here = estimate(search, check.option, form)
-                error = told[check.option.name]
-                found = _moved(search, check.option, trial.choice, there, here, error, form)
-            out[check.option.name] += found
+    for check, trial, form in _at_cadence(search, data, some) if some else ():
+        found = _overtaken(search, check, trial)
+        if not found:
+            there = estimate_in(search, check.option, trial.grams)
+            here = estimate(search, check.option, form)
+            found = _moved(search, check.option, trial.choice, there, here, told[check.option.name], form)
+        out[check.option.name] += found
     return out
+
+
+def nearest_rivals(checks: Sequence[RivalCheck]) -> list[Option]:
+    """Return the options that effects are held against at the samples' own cadence."""
+    return [option for check in checks for option in check.near[: CHOICE_SETTINGS.native]]
 
 
 def _overtaken(search: Search, check: RivalCheck, trial: _Trial) -> list[Turn]:
@@ -221,71 +230,127 @@ def _there(search: Search, options: Sequence[Option]) -> list[Option]:
     return [one for one in options if one.sources <= set(search.raw.names)]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Means:
+    """Rows of the series in means of so many: residual, weights, and columns as they are made.
+
+    Attributes
+    ----------
+    times : int
+        Rows of a mean.
+    starts : ndarray of int, shape (mean,)
+        First row of each, on one even grid of time; one that has some of two blocks belongs to the first.
+    own : ndarray, shape (sample,)
+        Weights of the rows.
+    weight : ndarray, shape (mean,)
+        Each weighs as much as its rows: a row's variance is then what it was. 0 where too little is there.
+    """
+
+    times: int
+    starts: Index
+    own: Floats
+    weight: Floats
+
+    @classmethod
+    def of(cls, series: Series, times: int) -> _Means:
+        """Return the means of a series."""
+        step = series.step_s * SECOND
+        place = np.rint((series.tt2000 - series.tt2000[0]) / step).astype(np.int64) // times
+        starts, own = np.flatnonzero(np.diff(place, prepend=-1)), series["weight"]
+        total = np.add.reduceat(own, starts)
+        weight = np.where(total >= BIN_SETTINGS.fewest * times, total, 0.0)
+        return cls(times=times, starts=starts, own=own, weight=weight)
+
+    def __call__(self, values: Floats) -> Floats:
+        """Return the means of rows (sample, row, column)."""
+        flat = np.where(self.own > 0, np.moveaxis(values, 0, -1), 0.0) * self.own
+        total = np.maximum(np.add.reduceat(self.own, self.starts), 1e-300)
+        return np.moveaxis(np.add.reduceat(flat, self.starts, axis=-1) / total, -1, 0)
+
+
 def _at_cadence(
-    search: Search, data: DiagnosisData, checks: Sequence[RivalCheck], times: int
+    search: Search, data: DiagnosisData, checks: Sequence[RivalCheck]
 ) -> Iterator[tuple[RivalCheck, _Trial, str]]:
-    """Yield each effect with Gram blocks of wider bins, and the form they have."""
+    """Yield each effect with Gram blocks of wider bins, and the form they have.
+
+    Their columns are means of those of the search, of which the mean residual is the same function: what
+    differs is not how well a wide bin shows a rate or a lag.
+    """
     series = data.series
-    if series.row_filter is not None:
-        # A filter has mixed the rows: means of them are no rows of another cadence.
+    mixed = series.row_filter is not None and not isinstance(series.row_filter, Stretches)
+    # A filter has mixed the rows: means of them are no rows of another cadence.
+    if mixed or not can_add_columns(search, data):
+        return
+    if not all(_is_on_series(search, data, one) for one in search.accepted):
         return
     near = {one.name: one for check in checks for one in check.near if _is_on_series(search, data, one)}
     options = list((near | {one.name: one for one in search.accepted}).values())
-    if not all(_is_on_series(search, data, one) for one in search.accepted):
-        return
-    channels = {
-        part.channel
-        for term in _terms_of(search, options)
-        for name in term.entry.effect.channels
-        if name
-        for part in parse_channel(name).parts
-    }
-    wide = series.coarsened(times, channels)
-    rows, names, columns = model_columns(search, wide, data.sensor_matrices, options)
-    if int((wide["weight"] > 0).sum()) < CHOICE_SETTINGS.rows * len(names):
-        return
-    # Columns that are others times a function of the block.
-    sources = {
-        name: column
+    means = [_Means.of(series, times) for times in CHOICE_SETTINGS.times]
+    names, columns = _mean_columns(search, data, options, means)
+    for some, mean in zip(columns, means, strict=True):
+        if int((mean.weight > 0).sum()) < CHOICE_SETTINGS.rows * len(names):
+            continue
+        made: dict[str, GramArrays] = {}
+        for check in checks:
+            form = check.form if search.raw.fits == 1 else "raw"
+            if form not in made:
+                made[form] = _gram_of_means(search, data, form, mean, names, some)
+            choice = f"in means of {mean.times * series.step_s:.3g} s"
+            folds = make_folds(len(made[form]), check.option.interleaved)
+            yield check, _Trial(choice, made[form], folds), form
+
+
+def _mean_columns(
+    search: Search, data: DiagnosisData, options: Sequence[Option], means: Sequence[_Means]
+) -> tuple[dict[str, float], list[Floats]]:
+    """Return the names and scales of calibration, model and options, and their columns in each of the means.
+
+    Columns are (mean, row, column), the residual last.
+    """
+    series, terms = data.series, _terms_of(search, options)
+    functions = {
+        name: source
         for one in options
         if one.change is not None
-        for name, (column, _) in one.change.functions.items()
+        for name, source in one.change.functions.items()
     }
-    made: dict[str, GramArrays] = {}
-    for check in checks:
-        form = check.form if search.raw.fits == 1 else "raw"
-        if form not in made:
-            # Each row weighs as much as the rows it is a mean of: a row's variance is then what it was.
-            weight = wide["weight"] * times
-            both = columns, rows.residual[:, :, None]
-            if form == "white":
-                of = prewhiten(both[0], weight, wide.tt2000, data.correlation_time_s)
-                both = of, prewhiten(both[1], weight, wide.tt2000, data.correlation_time_s)
-            made[form] = _marginalised(search, form, wide.block, names, both, weight, sources)
-        grams = made[form]
-        choice = f"at a cadence of {times * series.step_s:.3g} s"
-        folds = make_folds(len(grams), check.option.interleaved)
-        yield check, _Trial(choice, grams, folds), form
+    channels = {name for term in terms for name in term.entry.effect.channels if name}
+    rows = series.rows(data.sensor_matrices, derived_channels(series, channels))
+    scales: dict[str, float] = {}
+    pieces: list[list[Floats]] = [[] for _ in means]
+    for term in terms:
+        # One term at a time: all columns of all rows together would be hundreds of megabytes.
+        fine = design_matrix([term], rows)
+        scales |= dict(zip(term.columns, term.scale, strict=True))
+        for name, (column, factor) in functions.items():
+            if column in term.columns:
+                own = fine[:, :, [term.columns.index(column)]]
+                fine = np.concatenate([fine, own * np.asarray(factor)[series.block][:, None, None]], axis=2)
+                scales[name] = term.scale[term.columns.index(column)]
+        for piece, mean in zip(pieces, means, strict=True):
+            piece.append(mean(fine))
+    for piece, mean in zip(pieces, means, strict=True):
+        piece.append(mean(rows.residual[:, :, None]))
+    return scales, [np.concatenate(piece, axis=2) for piece in pieces]
 
 
-def _marginalised(
+def _gram_of_means(
     search: Search,
+    data: DiagnosisData,
     form: str,
-    block: np.ndarray,
-    names: Sequence[str],
-    rows: tuple[Floats, Floats],
-    weight: Floats,
-    sources: Mapping[str, str],
+    mean: _Means,
+    scales: Mapping[str, float],
+    columns: Floats,
 ) -> GramArrays:
-    """Return Gram blocks of columns and residual (sample, row, column), the calibration marginalised."""
-    raw = search.raw
-    parts = parts_of(block, [*range(len(raw)), len(raw)])
-    count = np.array([weight[part].sum() * rows[0].shape[1] for part in parts])
-    every = search.library.all_terms
-    scale = {name: one for term in every for name, one in zip(term.columns, term.scale, strict=True)}
-    each = np.array([*(scale[sources.get(name, name)] for name in names), 1.0])
-    gram = gram_of(*rows, weight, parts)
-    made = GramArrays((*names, "residual"), gram, raw.start, raw.end, count, each)
+    """Return Gram blocks of columns (mean, row, column), the residual last, the calibration marginalised."""
+    raw, weight = search.raw, mean.weight
+    if form == "white":
+        columns = prewhiten(columns, weight, data.series.tt2000[mean.starts], data.correlation_time_s)
+    parts = parts_of(data.series.block[mean.starts], [*range(len(raw)), len(raw)])
+    count = np.array([weight[part].sum() * columns.shape[1] for part in parts])
+    gram = gram_of(columns[:, :, :-1], columns[:, :, -1:], weight, parts)
+    scale = np.array([*scales.values(), 1.0])
+    made = GramArrays((*scales, "residual"), gram, raw.start, raw.end, count, scale)
     base, sigma = search.base()
     groups = search.shared.days if form == "within" else search.intervals
     return made.marginalise(base, groups, search.precision(made, base, sigma))

@@ -8,7 +8,7 @@ where.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, cast
@@ -18,7 +18,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import BIN_SETTINGS, DesignRows
+from inflight.design import DesignRows
 from inflight.frames import direction_of
 from inflight.model import RowFilter
 from inflight.samples import Folding, PlainSamples
@@ -197,58 +197,6 @@ class Series:
             values=self.values[rows],
             block=self.block[rows],
             missing={name: lost[rows] for name, lost in self.missing.items()},
-        )
-
-    def coarsened(self, times: int, channels: Collection[str]) -> Series:
-        """Return means of so many rows, as a search at a coarser cadence would read them.
-
-        Rows lie on one even grid of time. Readings are means by weight, channels plain ones; a row with less
-        than the part of its weight that a bin needs has none. A row that has some of two blocks belongs to
-        the first.
-
-        Parameters
-        ----------
-        channels : collection of str
-            Channels that are kept; all else is.
-        """
-        step = self.step_s * SECOND
-        place = np.rint((self.tt2000 - self.tt2000[0]) / step).astype(np.int64) // times
-        starts = np.flatnonzero(np.diff(place, prepend=-1))
-        own = self["weight"]
-        total = np.add.reduceat(own, starts)
-        by_weight = np.where(total > 0, 1.0 / np.maximum(total, 1e-12), 0.0)
-        plain = 1.0 / np.diff(np.append(starts, place.size))
-        known, kept = set(self.channels), set(channels)
-        names = [name for name in self.features.names if name not in known or name in kept]
-        places = [self.features.names.index(name) for name in names]
-        widths, units = self.features.widths, self.features.units
-        features = replace(
-            self.features,
-            names=tuple(names),
-            widths=tuple(widths[one] for one in places),
-            units=tuple(units[one] for one in places),
-        )
-        values = np.empty((starts.size, sum(features.widths)), dtype=self.values.dtype, order="F")
-        at = 0
-        for name in names:
-            stored = self.values[:, self.features.place(name)]
-            for column in stored.T:
-                part = column.astype(np.float64)
-                if name not in known:
-                    part = np.where(own > 0, part * own, 0.0)
-                factor = plain if name in known else by_weight
-                values[:, at] = np.add.reduceat(part, starts) * factor
-                at += 1
-        share = total / times
-        values[:, features.place("weight").start] = np.where(share >= BIN_SETTINGS.fewest, share, 0.0)
-        middle = (place[starts] * times + 0.5 * (times - 1)) * step
-        return replace(
-            self,
-            tt2000=self.tt2000[0] + np.rint(middle).astype(np.int64),
-            values=values,
-            block=self.block[starts],
-            features=features,
-            missing={},
         )
 
     def __getitem__(self, name: str) -> Floats:

@@ -18,7 +18,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.choices import turned_over
+from inflight.diagnosis.choices import nearest_rivals, turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
 from inflight.diagnosis.residual import (
@@ -119,9 +119,9 @@ REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
 
-#: Returns what a search took at the data's own cadence (s), for estimates; None where there is nothing to
-#: estimate. The model's own numbers are something when asked for.
-AtNativeCadence = Callable[[Search, bool], tuple[Search, float] | None]
+#: Returns what a search took, and columns of other options, at the data's own cadence (s), for estimates;
+#: None where there is nothing to estimate. The model's own numbers are something when asked for.
+AtNativeCadence = Callable[[Search, bool, Sequence[Option]], tuple[Search, float] | None]
 
 
 def run_search(
@@ -148,7 +148,8 @@ def run_search(
         search, last = other, other.table()
     is_fast = is_left_within_bins(search, data)
     search.shared.forget_products()
-    at_native, cadence_s = (native(search, is_fast) if native else None) or (None, data.cadence_s)
+    nearest = nearest_rivals(checks)
+    at_native, cadence_s = (native(search, is_fast, nearest) if native else None) or (None, data.cadence_s)
     effects = tuple(
         describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
         for one in checks
