@@ -24,6 +24,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.design import BIN_SETTINGS, Term, design_matrix
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed
 from inflight.diagnosis.refine import can_add_columns
 from inflight.diagnosis.residual import DiagnosisData, derived_channels
 from inflight.diagnosis.result import Turn
@@ -83,6 +84,7 @@ def turned_over(
     checks: Sequence[RivalCheck],
     told: Mapping[str, Floats],
     native: tuple[Search, float] | None = None,
+    freed: Mapping[str, Freed] | None = None,
 ) -> dict[str, list[Turn]]:
     """Return what turns each effect over, by its name; those that nothing turns over have an empty list.
 
@@ -92,6 +94,9 @@ def turned_over(
         Errors of an effect's values as they are told, by its name; physical units.
     native : (Search, float), optional
         What was taken at the samples' own cadence, s.
+    freed : mapping of str to Freed, optional
+        Values without what noise takes off them: it takes less off those of wider bins, and more off those
+        of the samples, which is no other answer.
     """
     # What has a value in each window of some blocks has none in longer ones.
     some = [one for one in checks if one.option.change is None or not one.option.change.windows]
@@ -102,12 +107,16 @@ def turned_over(
             out[check.option.name] += _overtaken(search, check, trial)
     if native is not None:
         for check in some:
-            out[check.option.name] += _at_native(*native, check, search)
+            name = check.option.name
+            if freed is None or name not in freed or freed[name].at_native <= ATTENUATION_SETTINGS.native:
+                out[name] += _at_native(*native, check, search)
     for check, trial, form in _at_cadence(search, data, some) if some else ():
         found = _overtaken(search, check, trial)
         if not found:
             there = estimate_in(search, check.option, trial.grams)
             here = estimate(search, check.option, form)
+            if freed is not None and check.option.name in freed:
+                there = there.between(here, freed[check.option.name].estimate)
             found = _moved(search, check.option, trial.choice, there, here, told[check.option.name], form)
         out[check.option.name] += found
     return out
@@ -295,7 +304,7 @@ def _at_cadence(
             form = check.form if search.raw.fits == 1 else "raw"
             if form not in made:
                 made[form] = _gram_of_means(search, data, form, mean, names, some)
-            choice = f"in means of {mean.times * series.step_s:.3g} s"
+            choice = f"in means of {mean.times * series.step_s:.4g} s"
             folds = make_folds(len(made[form]), check.option.interleaved)
             yield check, _Trial(choice, made[form], folds), form
 

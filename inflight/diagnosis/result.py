@@ -75,6 +75,8 @@ class FoundEffect:
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
     related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
     what a clock error may be instead. `turned_over_by` are choices of numbers that give another answer.
+    Noise of `noise_of`, a channel or the field, made the values smaller by `noise_part` at most; it is in
+    them no more.
     """
 
     name: str
@@ -104,6 +106,8 @@ class FoundEffect:
     left_follows: str = ""
     stamp_readings: tuple[str, ...] = ()
     turned_over_by: tuple[Turn, ...] = ()
+    noise_of: str | None = None
+    noise_part: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""

@@ -138,6 +138,11 @@ class Estimate:
         wider = np.divide(sigma, self.sigma, out=np.ones_like(sigma), where=self.sigma > 0)
         return replace(self, sigma=sigma, covariance=self.covariance * np.outer(wider, wider))
 
+    def between(self, one: Estimate, other: Estimate) -> Estimate:
+        """Return the estimate as far from one as it lies beyond the values between that and another."""
+        low, high = np.minimum(one.value, other.value), np.maximum(one.value, other.value)
+        return replace(self, value=one.value + self.value - np.clip(self.value, low, high))
+
     def covering(self, other: Estimate) -> Estimate:
         """Return the estimate with sigmas that reach as far as another estimate of the same data."""
         sigma = np.maximum(self.sigma, np.abs(self.value - other.value))

@@ -18,6 +18,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, without_attenuation
 from inflight.diagnosis.choices import nearest_rivals, turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
@@ -150,12 +151,20 @@ def run_search(
     search.shared.forget_products()
     nearest = nearest_rivals(checks)
     at_native, cadence_s = (native(search, is_fast, nearest) if native else None) or (None, data.cadence_s)
+    freed = without_attenuation(search, data, (at_native, cadence_s) if at_native else None)
     effects = tuple(
-        describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
+        describe_effect(
+            search,
+            data,
+            one,
+            estimate(at_native, one.option) if at_native else None,
+            cadence_s,
+            freed.get(one.option.name),
+        )
         for one in checks
     )
     told = {one.name: np.array([number.sigma for number in one.coefficients]) for one in effects}
-    turns = turned_over(search, data, checks, told, (at_native, cadence_s) if at_native else None)
+    turns = turned_over(search, data, checks, told, (at_native, cadence_s) if at_native else None, freed)
     effects = tuple(_turned(one, turns[one.name]) for one in effects)
     fast_numbers = at_native if is_fast else None
     effects = tuple(_in_words(one, in_time) for one in effects)
@@ -304,6 +313,7 @@ def describe_effect(
     check: RivalCheck,
     native: Estimate | None = None,
     native_s: float = 0.0,
+    freed: Freed | None = None,
 ) -> FoundEffect:
     """Return an effect of the model with its values and errors, and how it stands against rivals.
 
@@ -311,9 +321,14 @@ def describe_effect(
     ----------
     native : Estimate, optional
         Its values from samples of the cadence `native_s` (s); those of the search when absent.
+    freed : Freed, optional
+        Its values without what noise of the readings takes off them. Where it takes more off those of the
+        samples, these are not told.
     """
     option = check.option
-    found = estimate(search, option)
+    found = estimate(search, option) if freed is None else freed.estimate
+    if freed is not None and freed.at_native > ATTENUATION_SETTINGS.native:
+        native = None
     terms = [search.library.by_key[key] for key in option.terms]
     # What depends on the cadence of the samples is known no better than that.
     told = native.covering(found) if native else found
@@ -354,6 +369,8 @@ def describe_effect(
         status=_status(search, check, rivals),
         model_effects=_sharing(data.model, option),
         stamp_readings=_stamp_readings(data, option, coefficients),
+        noise_of=freed.source if freed else None,
+        noise_part=freed.part if freed else None,
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
 
