@@ -45,7 +45,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.design import Term, design_matrix
-from inflight.diagnosis.refine import can_add_columns
+from inflight.diagnosis.refine import LAG_SETTINGS, FormTrials, can_add_columns, peak_of, term_at_lag
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, remaining_residual
 from inflight.diagnosis.scoring import Index
 from inflight.diagnosis.search import Option, Search
@@ -53,13 +53,16 @@ from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import Estimate, estimate
 from inflight.frames import GEOMETRY
 from inflight.lsq import MAD_TO_SIGMA, solve_scaled
-from inflight.samples import parse_channel
+from inflight.samples import parse_channel, slow_response
 from inflight.time import SECOND
 
 #: Weights of a fourth difference, and the sum of their squares: what white noise becomes in it.
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 _GAIN = float(_FOURTH @ _FOURTH)
 _FIELD = "field"
+
+#: Lags that are compared.
+_LAGS = 9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +74,7 @@ class AttenuationSettings:
     least : float
         A value moves when it does so by this part of its sigma; assumed.
     most : float
-        Part of a column's square that may be noise: of more, moments cannot free a value; assumed.
+        Part of a column's square that may be noise: of more, what is taken off is but a bound; assumed.
     native : float
         An estimate from the samples themselves stands where noise moves it by no more of its sigmas; assumed.
     known : float
@@ -111,12 +114,15 @@ class Freed:
     at_native : float
         By how many of its sigmas noise moves a value of the estimate from the samples themselves, were it
         white among them: the faster they are, the more noise a rate has.
+    lag_error_s : float
+        By how much noise moves the lag that leaves least, s: a slower response has less of it.
     """
 
     estimate: Estimate
     part: float
     source: str
     at_native: float = 0.0
+    lag_error_s: float = 0.0
 
 
 def without_attenuation(
@@ -146,6 +152,8 @@ def without_attenuation(
         residual = remaining_residual(search, data) if residual is None else residual
         variance = drawn.of_field(residual) if source == _FIELD else drawn.of_channel(source, bound, residual)
         for name, freed in _freed(drawn, source, variance, native).items():
+            option = next(one for one in search.accepted if one.name == name)
+            freed = replace(freed, lag_error_s=_lag_error(drawn, option, source, variance))  # noqa: PLW2901
             # Of two noisy factors the one that takes more is told.
             if name not in out or freed.part > out[name].part:
                 out[name] = freed
@@ -171,17 +179,13 @@ def _freed(
             continue
         found = estimate(search, option)
         at_native = 0.0
-        if native is not None:
+        if native is not None and there is not None:
             told = estimate(native[0], option)
-            off = np.inf if there is None else np.abs(there.of(option).value - told.value)
+            off = np.abs(there.of(option).value - told.value)
             at_native = float(np.max(off / np.maximum(told.sigma, 1e-300)))
-        if here is None:
-            # More noise than moments can take off: a value is known to be larger, not by how much.
-            wide = found.with_error(np.abs(found.value))
-            out[option.name] = Freed(estimate=wide, part=1.0, source=source, at_native=at_native)
-            continue
         freed = here.of(option)
         change = np.abs(freed.value - found.value)
+        freed = freed.with_error(change) if here.is_bound else freed
         if np.any(change > settings.least * found.sigma) or at_native > settings.least:
             part = float(np.max(change / np.maximum(np.abs(freed.value), 1e-300)))
             out[option.name] = Freed(estimate=freed, part=part, source=source, at_native=at_native)
@@ -198,6 +202,8 @@ class _Moments:
         And their change with the variance.
     gain : ndarray, shape (column, column)
         What frees them.
+    is_bound : bool
+        There is more noise than moments can take off: what they take off is no more than a part of it.
     """
 
     search: Search
@@ -205,6 +211,7 @@ class _Moments:
     value: Floats
     slope: Floats
     gain: Floats
+    is_bound: bool = False
 
     def of(self, option: Option) -> Estimate:
         """Return the estimate of an effect."""
@@ -219,8 +226,8 @@ class _Moments:
         return made.with_error(np.abs(self.slope[own] * scale) * self.variance.sigma)
 
 
-def _moments(search: Search, drawn: _Columns, square: Floats, variance: Variance) -> _Moments | None:
-    """Return the model's values without the attenuation; None when moments cannot take off so much noise.
+def _moments(search: Search, drawn: _Columns, square: Floats, variance: Variance) -> _Moments:
+    """Return the model's values without the attenuation.
 
     Parameters
     ----------
@@ -236,11 +243,45 @@ def _moments(search: Search, drawn: _Columns, square: Floats, variance: Variance
     noise = np.zeros_like(gram)
     noise[np.ix_(own, own)] = square[np.ix_(at, at)]
     part = solve_scaled(gram, noise)
-    if np.max(np.linalg.eigvals(part).real, initial=0.0) * variance.value > ATTENUATION_SETTINGS.most:
-        return None
-    gain = np.asarray(np.linalg.inv(np.eye(len(part)) - variance.value * part), dtype=np.float64)
+    largest = float(np.max(np.linalg.eigvals(part).real, initial=0.0)) * variance.value
+    too_much = largest > ATTENUATION_SETTINGS.most
+    taken = variance.value * (ATTENUATION_SETTINGS.most / largest if too_much else 1.0)
+    gain = np.asarray(np.linalg.inv(np.eye(len(part)) - taken * part), dtype=np.float64)
     value = gain @ -solve_scaled(gram, total[:, -1])
-    return _Moments(search=search, variance=variance, value=value, slope=gain @ part @ value, gain=gain)
+    return _Moments(
+        search=search,
+        variance=variance,
+        value=value,
+        slope=gain @ part @ value,
+        gain=gain,
+        is_bound=too_much,
+    )
+
+
+def _lag_error(drawn: _Columns, option: Option, source: str, variance: Variance) -> float:
+    """Return by how much noise moves the lag that explains most, s; 0 of an effect without a lag of its own.
+
+    Of a response the noise is less the slower it is. What each lag explains is taken without it.
+    """
+    search, data = drawn.search, drawn.data
+    plain = len(option.terms) == 1 and option.change is None and option.lag_s > 0
+    if not plain or source == _FIELD or option.channels != (source,):
+        return 0.0
+    term = search.library.by_key[option.terms[0]]
+    trials = FormTrials(search, data, option)
+    own = drawn.places(option.columns)
+    square = drawn.products(source)[np.ix_(own, own)] * variance.value
+    noise, step = drawn.noise(source, 1.0, data.series)[:, 0], data.series.step_s
+    usual = float(np.var(slow_response(noise, step, option.lag_s)))
+    lags = option.lag_s * np.geomspace(1.0 / LAG_SETTINGS.around, LAG_SETTINGS.around, _LAGS)
+    found = []
+    for place, lag in enumerate(lags):
+        columns = trials.columns(term_at_lag(data, term, f"noise {place}", float(lag)))
+        part = float(np.var(slow_response(noise, step, float(lag)))) / usual
+        gram, right = columns @ columns.T, columns @ trials.rest
+        found.append([float(right @ solve_scaled(gram - some, right)) for some in (0.0, square * part)])
+    plain_best, best = (peak_of(np.log(lags), one) for one in np.array(found).T)
+    return float(option.lag_s * abs(np.exp(best - plain_best) - 1.0))
 
 
 class _Columns:
@@ -281,7 +322,7 @@ class _Columns:
         values[:, series.features.place(source)] += added.astype(values.dtype)
         return self._made(replace(series, values=values)) - plain
 
-    def _noise(self, source: str, size: float, series: Series) -> Floats:
+    def noise(self, source: str, size: float, series: Series) -> Floats:
         """Return noise of a source; straight between the readings of a slow channel."""
         shape = series[source].reshape(len(series.tt2000), -1).shape
         rng = np.random.default_rng(ATTENUATION_SETTINGS.seed)
@@ -313,7 +354,7 @@ class _Columns:
                 begin = series.tt2000[0]
                 since = (series.tt2000 - begin) * (cadence_s / series.step_s)
                 series = replace(series, tt2000=begin + np.rint(since).astype(np.int64))
-            noise = self._with(source, self._noise(source, size, series), series) / size
+            noise = self._with(source, self.noise(source, size, series), series) / size
             self._products[source, cadence_s] = (noise * self._row_weight[:, None]).T @ noise
         return self._products[source, cadence_s]
 
@@ -350,7 +391,7 @@ class _Columns:
         """Return the variance of a channel's noise, by what its quick part has left in the residual."""
         series, every = self.data.series, self._spacing(source)
         size = np.sqrt(bound)
-        drawn = self._noise(source, size, series)
+        drawn = self.noise(source, size, series)
         values = series[source].reshape(drawn.shape)
         quick = self._with(source, _quick(values, every), series)
         of_noise = self._with(source, drawn, series)
@@ -359,7 +400,6 @@ class _Columns:
         at = [place for place, name in enumerate(names) if name in self.names]
         used = self.places([names[place] for place in at])
         plain = _moments(self.search, self, self.products(source), Variance(0.0, 0.0))
-        assert plain is not None
         # By how much unit variance moves the values.
         value, lost, weight = plain.value[at], plain.slope[at], self._row_weight
         contribution = quick[:, used] @ value * weight

@@ -336,6 +336,8 @@ def describe_effect(
     if lag_sigma is None and option.lag_s:
         profile = lag_profile(search, option)
         lag_sigma = None if profile is None else profile.sigma
+    if lag_sigma and freed is not None:
+        lag_sigma = float(np.hypot(lag_sigma, freed.lag_error_s))
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
         told = told.with_error(by_lag)
