@@ -185,7 +185,7 @@ def _freed(
             at_native = float(np.max(off / np.maximum(told.sigma, 1e-300)))
         freed = here.of(option)
         change = np.abs(freed.value - found.value)
-        freed = freed.with_error(change) if here.is_bound else freed
+        freed = found.with_error(change) if here.is_bound else freed
         if np.any(change > settings.least * found.sigma) or at_native > settings.least:
             part = float(np.max(change / np.maximum(np.abs(freed.value), 1e-300)))
             out[option.name] = Freed(estimate=freed, part=part, source=source, at_native=at_native)
@@ -316,7 +316,9 @@ class _Columns:
         """Return by how much the columns change when something is added to a source; (row, column)."""
         plain = self.plain if series is self.data.series else self._made(series)
         if source == _FIELD:
-            field = xr.Variable(("time", "axis"), series[_FIELD] + added, {"units": "nT"})
+            # A missing reading is stored as 0: its rate would be enormous.
+            there = np.where((series["weight"] > 0)[:, None], series[_FIELD], np.nan)
+            field = xr.Variable(("time", "axis"), there + added, {"units": "nT"})
             return self._made(series, {_FIELD: field}) - plain
         values = series.values.copy(order="K")
         values[:, series.features.place(source)] += added.astype(values.dtype)
