@@ -121,7 +121,10 @@ class FoundEffect:
 #: What each verdict means to somebody who reads it for the first time.
 MEANING: dict[Verdict, str] = {
     "FOUND": "the largest effect is beyond doubt, and nothing else explains it as well",
-    "CONFOUNDED": "the largest effect is there, but causes look alike: these data cannot tell them apart",
+    "CONFOUNDED": (
+        "the largest effect is there, but causes look alike, or change with blocks and cadence: these data "
+        "cannot tell them apart"
+    ),
     "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
     "UNKNOWN_EFFECT": "most of what is there no effect of the library explains",
     "NOTHING_LEFT": "only noise remains",
