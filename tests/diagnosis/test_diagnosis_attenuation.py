@@ -53,6 +53,20 @@ def test_what_noise_takes_is_told():
         assert one.lag_sigma_s < 0.5 * one.lag_s
 
 
+def test_a_lagged_temperature_in_coarse_steps_is_recovered_within_its_errors():
+    true, pulls = flight_of(POLAR, 15)["boom_temperature"], []
+    for seed in range(3):
+        # Steps of 3 K, of a temperature whose standard deviation is 4.4 K.
+        rounded = 3.0 * np.round((true + 0.7 * seed) / 3.0)
+        effect = recorded(rounded, slow_response(true, STEP_S, LAG_S), seed).diagnose().effects[0]
+        assert effect.name.startswith("channel_field(boom_temperature)@lag=")
+        pulls += [
+            (number.value - size) / number.sigma
+            for number, size in zip(effect.coefficients, SIZE, strict=True)
+        ]
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.7
+
+
 def test_a_channel_that_really_steps_is_not_taken_for_a_noisy_one():
     """Its steps look like noise in fourth differences; the residual says that the effect follows them."""
     steps = 5.0 * flight_of(POLAR, 15)["heater_current"]
