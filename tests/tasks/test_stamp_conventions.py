@@ -128,7 +128,7 @@ def test_noise_of_the_field_takes_nothing_off_a_clock_that_is_off(tmp_path):
 
 
 def test_what_is_no_white_noise_is_not_taken_off_a_clock(tmp_path):
-    """One instrument alone sees what changes from sample to sample: as noise, a rate would have much of it."""
+    """One instrument alone sees what changes from sample to sample: as noise it would fill a rate."""
     deliver(tmp_path / "data", 0.0, 0.03, 1_500, jitter=0.5)
     found = said(tmp_path / "data", tmp_path / "w")
     clock = next(one for one in found.effects if one.name == "time_shift")
