@@ -1,4 +1,5 @@
 from .columns import (
+    BIN_SETTINGS,
     BURST_SETTINGS,
     SENSOR_EQUATIONS,
     DesignRows,
@@ -15,6 +16,7 @@ from .columns import (
 from .terms import Candidate, ChannelSummary, Library, Term, term_of, within_span
 
 __all__ = [
+    "BIN_SETTINGS",
     "BURST_SETTINGS",
     "SENSOR_EQUATIONS",
     "Candidate",

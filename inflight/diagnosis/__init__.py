@@ -26,6 +26,8 @@ The walk, step by step, with the file of each:
    channel acts on and how it is followed is tried, and products of two channels last.
 7. **Rivals** (``stepwise.py``). Whatever does as well in an effect's place is its rival; what does better
    is exchanged for it.
+   **Other choices** (``choices.py``, ``wide_bins.py``). The nearest of them once more, with other blocks,
+   folds and cadences. **Noise of what is followed** (``attenuation.py``) is taken off values.
 8. **Verdict** (``verdict.py``, ``residual.py``, ``signature.py``, ``result.py``). Values with errors, sizes
    of the residual before and after, what remains (a line, a band, structure), and the sentence.
 

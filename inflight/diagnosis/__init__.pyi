@@ -42,7 +42,7 @@ from .scoring import (
     score,
     sign_flip_ratios,
 )
-from .search import VISIBILITY_SETTINGS, Rules, Search, row_variance
+from .search import VISIBILITY_SETTINGS, Option, Rules, Search, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
 from .stepwise import Estimate, estimate
@@ -78,6 +78,7 @@ __all__ = [
     "JointFit",
     "LagProfile",
     "ModelColumns",
+    "Option",
     "Request",
     "Rules",
     "Search",

@@ -240,17 +240,22 @@ def error_by_lag(search: Search, data: DiagnosisData, option: Option, lag_sigma:
     if not plain or not can_add_columns(search, data):
         return None
     source = search.library.by_key[option.terms[0]]
-    parts = _channel_of(source).parts
-    if len(parts) > 1:
+    if len(_channel_of(source).parts) > 1:
         return None
     trials, ends = FormTrials(search, data, option), []
     for place, lag in enumerate((option.lag_s - lag_sigma, option.lag_s + lag_sigma)):
-        given: dict[str, Any] = {"lag": f"{lag:g} s"}
-        if parts and parts[0].lag_s:
-            given = {"channel": replace(parts[0], lag_s=lag, text="").name}
-        columns = trials.columns(similar_term(data, source, f"end {place}", given, source.parameters))
+        columns = trials.columns(term_at_lag(data, source, f"end {place}", lag))
         ends.append(solve_scaled(columns @ columns.T, columns @ trials.rest))
     return np.asarray(np.abs(ends[1] - ends[0]) / 2.0 * np.array(source.scale))
+
+
+def term_at_lag(data: DiagnosisData, source: Term, key: str, lag: float) -> Term:
+    """Return the term of a lagged effect of one channel with another lag, s."""
+    parts = _channel_of(source).parts
+    given: dict[str, Any] = {"lag": f"{lag:g} s"}
+    if parts and parts[0].lag_s:
+        given = {"channel": replace(parts[0], lag_s=lag, text="").name}
+    return similar_term(data, source, key, given, source.parameters)
 
 
 def bank_of(search: Search, option: Option) -> dict[float, Index]:
@@ -278,7 +283,7 @@ def _lag_of_bank(search: Search, option: Option) -> float | None:
     bank = bank_of(search, option)
     form, present = search.forms["raw"], search.present("raw", option)
     blocks, own, places, y = _of_lags(form, present, bank, search.y())
-    return _peak(*scan_lags(blocks.sum(axis=0), own, places, y))
+    return peak_of(*scan_lags(blocks.sum(axis=0), own, places, y))
 
 
 def _best_lag(
@@ -1050,14 +1055,14 @@ def profile_lag(
     blocks, own, places, y = _of_lags(grams, present, bank, y)
     total = blocks.sum(axis=0)
     grid, whole = scan_lags(total, own, places, y)
-    others = [_peak(*scan_lags(total - blocks[fold].sum(axis=0), own, places, y)) for fold in folds]
-    best = _peak(grid, whole)
+    others = [peak_of(*scan_lags(total - blocks[fold].sum(axis=0), own, places, y)) for fold in folds]
+    best = peak_of(grid, whole)
     sigma = float(jackknife(np.array(others)))
     base = float(project_out(total, own)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
 
 
-def _peak(grid: Floats, explained: Floats) -> float:
+def peak_of(grid: Floats, explained: Floats) -> float:
     """Return the lag of the largest sum explained, by a parabola through its neighbours."""
     at = int(np.argmax(explained))
     if at == 0 or at == grid.size - 1:

@@ -35,6 +35,36 @@ class Coefficient:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Turn:
+    """A choice that turns an effect over.
+
+    Attributes
+    ----------
+    choice : str
+        In words that follow "fragile:", such as ``with blocks of twice the length``.
+    rival : str
+        What explains more then; empty when the values move.
+    t : float
+        By which the rival leaves less, or the largest movement of a value, in sigmas.
+    """
+
+    choice: str
+    rival: str = ""
+    t: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """What happens, in words."""
+        if self.rival:
+            return f"{self.choice} {self.rival} explains more (t = {self.t:.1f})"
+        return f"{self.choice} its values are {self.t:.1f} sigma away"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True, kw_only=True)
 class FoundEffect:
     """An effect the search took: values with errors, significance, and rivals.
 
@@ -44,7 +74,9 @@ class FoundEffect:
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
     related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
-    what a clock error may be instead.
+    what a clock error may be instead. `turned_over_by` are choices of numbers that give another answer.
+    Noise of `noise_of`, a channel or the field, made the values smaller by `noise_part` at most; it is in
+    them no more.
     """
 
     name: str
@@ -73,11 +105,15 @@ class FoundEffect:
     said: str = ""
     left_follows: str = ""
     stamp_readings: tuple[str, ...] = ()
+    turned_over_by: tuple[Turn, ...] = ()
+    noise_of: str | None = None
+    noise_part: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
         facts = dict(vars(self))
         facts["coefficients"] = [dict(vars(one)) for one in self.coefficients]
+        facts["turned_over_by"] = [one.as_json() for one in self.turned_over_by]
         facts["beats_placebo"] = bool(self.placebo_t > 3.0)
         return facts
 
@@ -85,15 +121,18 @@ class FoundEffect:
 #: What each verdict means to somebody who reads it for the first time.
 MEANING: dict[Verdict, str] = {
     "FOUND": "the largest effect is beyond doubt, and nothing else explains it as well",
-    "CONFOUNDED": "the largest effect is there, but causes look alike: these data cannot tell them apart",
+    "CONFOUNDED": (
+        "the largest effect is there, but causes look alike, or change with blocks and cadence: these data "
+        "cannot tell them apart"
+    ),
     "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
     "UNKNOWN_EFFECT": "most of what is there no effect of the library explains",
     "NOTHING_LEFT": "only noise remains",
 }
 
 #: How sure an entry is: of its cause; that something is there, with rivals named, or with as much left that
-#: no effect explains; hardly; without a cause.
-Status = Literal["sure", "rivals", "stand-in", "weak", "unknown"]
+#: no effect explains, or with another answer where numbers are chosen otherwise; hardly; without a cause.
+Status = Literal["sure", "rivals", "stand-in", "fragile", "weak", "unknown"]
 
 
 #: The same in words.
@@ -101,6 +140,7 @@ HOW_SURE: dict[Status, str] = {
     "sure": "sure",
     "rivals": "something is there; causes look alike",
     "stand-in": "something is there; it may stand in for a part of what is left",
+    "fragile": "something is there; another choice of numbers turns it over",
     "weak": "weak: hardly more than chance",
     "unknown": "sure; no cause in the library",
 }
@@ -119,8 +159,10 @@ class Entry:
     status : str
         ``sure``: this cause, and nothing else explains it as well. ``rivals``: something is there, and these
         data cannot tell which of several causes. ``stand-in``: what is left is as large and has no shape of
-        its own: both may be one cause, which the library lacks. ``weak``: were its gain one sigma smaller, it
-        would not have been taken. ``unknown``: something is there, and no effect of the library is its cause.
+        its own: both may be one cause, which the library lacks. ``fragile``: with other blocks, folds or
+        another cadence another cause explains more, or its values are elsewhere. ``weak``: were its gain one
+        sigma smaller, it would not have been taken. ``unknown``: something is there, and no effect of the
+        library is its cause.
     takes_off_nT : float
         Rms of what it alone explains when all others are in the model, or of the structure that is left; nT.
     first_in_nT : float or None
@@ -149,6 +191,7 @@ class Entry:
             "sure": "FOUND",
             "rivals": "CONFOUNDED",
             "stand-in": "CONFOUNDED",
+            "fragile": "CONFOUNDED",
             "weak": "NOT_IDENTIFIABLE",
             "unknown": "UNKNOWN_EFFECT",
         }
@@ -623,6 +666,8 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.stamp_readings:
         number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
         text += f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
+    if effect.turned_over_by:
+        text += f"; fragile: {effect.turned_over_by[0].words}"
     return text + _rivals_text(effect.rivals)
 
 

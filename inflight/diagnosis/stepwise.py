@@ -56,6 +56,9 @@ class SelectionSettings:
         known; assumed (MISSING_EFFECT 2.4 warns below 0.01).
     large_gain : float
         Held-out gain from which an addition may make others weakly known; assumed.
+    near : int
+        Other mechanisms, those that lose by least, that an effect is held against again with other choices of
+        numbers; a bound on time, assumed.
     exchanges : int
         Exchanges of an effect for a better one at most, so that a search ends; assumed.
     most_sigmas : float
@@ -72,6 +75,7 @@ class SelectionSettings:
     contained: float = 0.9999
     weak: float = 0.02
     large_gain: float = 0.1
+    near: int = 6
     exchanges: int = 3
     most_sigmas: float = 30.0
     few_columns: int = 12
@@ -134,6 +138,11 @@ class Estimate:
         wider = np.divide(sigma, self.sigma, out=np.ones_like(sigma), where=self.sigma > 0)
         return replace(self, sigma=sigma, covariance=self.covariance * np.outer(wider, wider))
 
+    def between(self, one: Estimate, other: Estimate) -> Estimate:
+        """Return the estimate as far from one as it lies beyond the values between that and another."""
+        low, high = np.minimum(one.value, other.value), np.maximum(one.value, other.value)
+        return replace(self, value=one.value + self.value - np.clip(self.value, low, high))
+
     def covering(self, other: Estimate) -> Estimate:
         """Return the estimate with sigmas that reach as far as another estimate of the same data."""
         sigma = np.maximum(self.sigma, np.abs(self.value - other.value))
@@ -163,13 +172,18 @@ def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats,
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
-    grams, present, y = search.forms[form], search.present(form), search.y(form)
+    return estimate_in(search, option, search.forms[form])
+
+
+def estimate_in(search: Search, option: Option, grams: GramBlocks) -> Estimate:
+    """Return the values of an accepted option's columns from Gram blocks that have the model's columns."""
+    present, y = search.present_in(grams), grams.residuals[search.residual]
     value, covariance = joint_fit(grams, present, y)
     columns = grams.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = grams.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
-    kept = float(own @ project_out_of(grams, search.present(form, option), columns) @ own)
+    kept = float(own @ project_out_of(grams, search.present_in(grams, option), columns) @ own)
     # Its own variance is that about a constant channel: a temperature of 293 K that moves by one kelvin
     # moves by one kelvin.
     whole = float(own @ centred(search, option) @ own)
@@ -262,6 +276,8 @@ class RivalCheck:
         The form these were found in.
     rivals : tuple of (Option, float)
         Options of other mechanisms that do as well, with the t by which they lose.
+    near : tuple of Option
+        Those that lose, but by least: what another choice of numbers might prefer.
     """
 
     option: Option
@@ -271,6 +287,7 @@ class RivalCheck:
     placebo_t: float
     form: str
     rivals: tuple[tuple[Option, float], ...]
+    near: tuple[Option, ...] = ()
 
 
 def _explained_after(last: ScoreTable, rival: Option, form: str) -> float:
@@ -340,7 +357,7 @@ def check_rivals(
     best: dict[str, int] = {}
     for other in np.argsort(scores.loss.sum(axis=0), kind="stable").tolist():
         best.setdefault(table.options[other].mechanism, other)
-    rivals: dict[str, tuple[Option, float]] = {}
+    found: dict[str, tuple[Option, float]] = {}
     for other, rival in enumerate(table.options):
         if same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
             continue
@@ -358,9 +375,12 @@ def check_rivals(
         ):
             continue
         behind = scores.t_worse_than(other, place)
-        near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
-        if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
-            rivals[rival.mechanism] = (rival, behind)
+        nearer = behind < found.get(rival.mechanism, (rival, np.inf))[1]
+        if nearer and not (behind < search.rules.rival_t and _contains(search, rival, option, form)):
+            found[rival.mechanism] = (rival, behind)
+    ordered = sorted(found.values(), key=lambda pair: pair[1])
+    rivals = tuple(pair for pair in ordered if pair[1] < search.rules.rival_t)
+    others = ordered[len(rivals) : len(rivals) + SELECTION_SETTINGS.near]
     p = [table.p[one][place] for one in table.p]
     p += [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
     return RivalCheck(
@@ -370,7 +390,8 @@ def check_rivals(
         p=float(min(p)),
         placebo_t=float(table.t_over_placebo[form][place]),
         form=form,
-        rivals=tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
+        rivals=rivals,
+        near=tuple(rival for rival, _ in others),
     )
 
 
@@ -653,7 +674,7 @@ def exchange_and_check(
         for option in search.accepted:
             tables[option.name] = search.table(without=option)
             table = tables[option.name]
-            better = _better_option(search, option, table) or _simpler_form(option, table, search.rules)
+            better = better_option(search, option, table) or _simpler_form(option, table, search.rules)
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)
                 search = search.with_round("exchange", better)
@@ -671,8 +692,8 @@ def exchange_and_check(
     return search, checks, None if last is None else last.without_fits()
 
 
-def _better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:
-    """Return an option that leaves significantly less than an accepted one in its place."""
+def better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:
+    """Return an option that leaves significantly less than an accepted one in its place; None without."""
     place = place_in(table, option)
     if place is None:
         return None

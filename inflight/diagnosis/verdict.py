@@ -18,6 +18,8 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, without_attenuation
+from inflight.diagnosis.choices import nearest_rivals, turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
 from inflight.diagnosis.residual import (
@@ -38,6 +40,7 @@ from inflight.diagnosis.result import (
     FoundEffect,
     Signature,
     Status,
+    Turn,
     Verdict,
     ranked_entries,
     sentence,
@@ -117,9 +120,9 @@ REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
 
-#: Returns what a search took at the data's own cadence (s), for estimates; None where there is nothing to
-#: estimate. The model's own numbers are something when asked for.
-AtNativeCadence = Callable[[Search, bool], tuple[Search, float] | None]
+#: Returns what a search took, and columns of other options, at the data's own cadence (s), for estimates;
+#: None where there is nothing to estimate. The model's own numbers are something when asked for.
+AtNativeCadence = Callable[[Search, bool, Sequence[Option]], tuple[Search, float] | None]
 
 
 def run_search(
@@ -146,11 +149,23 @@ def run_search(
         search, last = other, other.table()
     is_fast = is_left_within_bins(search, data)
     search.shared.forget_products()
-    at_native, cadence_s = (native(search, is_fast) if native else None) or (None, data.cadence_s)
+    nearest = nearest_rivals(checks)
+    at_native, cadence_s = (native(search, is_fast, nearest) if native else None) or (None, data.cadence_s)
+    freed = without_attenuation(search, data, (at_native, cadence_s) if at_native else None)
     effects = tuple(
-        describe_effect(search, data, one, estimate(at_native, one.option) if at_native else None, cadence_s)
+        describe_effect(
+            search,
+            data,
+            one,
+            estimate(at_native, one.option) if at_native else None,
+            cadence_s,
+            freed.get(one.option.name),
+        )
         for one in checks
     )
+    told = {one.name: np.array([number.sigma for number in one.coefficients]) for one in effects}
+    turns = turned_over(search, data, checks, told, (at_native, cadence_s) if at_native else None, freed)
+    effects = tuple(_turned(one, turns[one.name]) for one in effects)
     fast_numbers = at_native if is_fast else None
     effects = tuple(_in_words(one, in_time) for one in effects)
     known = with_correctable_rows(search, data)
@@ -231,6 +246,14 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
     return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
 
 
+def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:
+    """Return an effect with the choices of numbers that turn it over: it is not sure then."""
+    if not turns:
+        return effect
+    status = "fragile" if effect.status in ("sure", "weak") else effect.status
+    return replace(effect, turned_over_by=tuple(turns), status=status)
+
+
 def _in_words(effect: FoundEffect, in_time: Sequence[InTime]) -> FoundEffect:
     """Return an effect with the words for a parameter that wanders, if it is one."""
     for one in in_time:
@@ -290,6 +313,7 @@ def describe_effect(
     check: RivalCheck,
     native: Estimate | None = None,
     native_s: float = 0.0,
+    freed: Freed | None = None,
 ) -> FoundEffect:
     """Return an effect of the model with its values and errors, and how it stands against rivals.
 
@@ -297,9 +321,14 @@ def describe_effect(
     ----------
     native : Estimate, optional
         Its values from samples of the cadence `native_s` (s); those of the search when absent.
+    freed : Freed, optional
+        Its values without what noise of the readings takes off them. Where it takes more off those of the
+        samples, these are not told.
     """
     option = check.option
-    found = estimate(search, option)
+    found = estimate(search, option) if freed is None else freed.estimate
+    if freed is not None and freed.at_native > ATTENUATION_SETTINGS.native:
+        native = None
     terms = [search.library.by_key[key] for key in option.terms]
     # What depends on the cadence of the samples is known no better than that.
     told = native.covering(found) if native else found
@@ -307,6 +336,8 @@ def describe_effect(
     if lag_sigma is None and option.lag_s:
         profile = lag_profile(search, option)
         lag_sigma = None if profile is None else profile.sigma
+    if lag_sigma and freed is not None:
+        lag_sigma = float(np.hypot(lag_sigma, freed.lag_error_s))
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
         told = told.with_error(by_lag)
@@ -340,6 +371,8 @@ def describe_effect(
         status=_status(search, check, rivals),
         model_effects=_sharing(data.model, option),
         stamp_readings=_stamp_readings(data, option, coefficients),
+        noise_of=freed.source if freed else None,
+        noise_part=freed.part if freed else None,
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
 

@@ -8,6 +8,7 @@ in a joint fit of everything. Blocks are kept like those of the search: the same
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.design import Library
-from inflight.diagnosis import Search
+from inflight.diagnosis import Option, Search
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.samples import parse_channel
@@ -57,7 +58,9 @@ class NativeEstimator:
         """The slower of the cadences of the instruments that are compared."""
         return max(need.cadence_ns for need in self.plan.needs if need.channel == "field")
 
-    def __call__(self, search: Search, numbers: bool = False) -> tuple[Search, float] | None:
+    def __call__(
+        self, search: Search, numbers: bool = False, near: Sequence[Option] = ()
+    ) -> tuple[Search, float] | None:
         """Return what a search took on Gram blocks at the native cadence, and that cadence, s.
 
         There is none where the search itself was at the native cadence, where a block of the search could not
@@ -68,12 +71,14 @@ class NativeEstimator:
         ----------
         numbers : bool
             The model's own numbers are estimated, too, and where nothing was taken they alone.
+        near : sequence of Option
+            What else is to have columns: what was taken is held against it.
         """
         same = self.plan.folding is not None or self.cadence_ns >= self.plan.cadence_ns
         nothing = not search.accepted and not (numbers and search.library.refined)
         if same or nothing or learns_states(self.mission, self.settings.comparison):
             return None
-        plan = self._plan_for(search)
+        plan = self._plan_for(search, near)
         give_back_memory()
         _, blocks, _ = make_blocks(
             self.cat,
@@ -93,10 +98,10 @@ class NativeEstimator:
             return None
         return search.with_grams(raw, plan.library), self.cadence_ns / SECOND
 
-    def _plan_for(self, search: Search) -> PassPlan:
-        """Return the plan of a pass over what the search took, with the channels that it needs."""
+    def _plan_for(self, search: Search, near: Sequence[Option]) -> PassPlan:
+        """Return the plan of a pass over what the search took and others, with the channels that it needs."""
         own = search.library
-        sources = {source for option in search.accepted for source in option.sources}
+        sources = {source for option in (*search.accepted, *near) for source in option.sources}
         there = {name for term in (*own.base, *own.refined) for name in term.columns}
         needed = {term.key: term for term in own.all_terms if set(term.columns) & (sources - there)}
         library = Library(own.base, own.refined, needed)

@@ -288,6 +288,12 @@ def flight_of(orbit: Orbit, days: int, seed: int = 0, start: str = "2024-03-01")
     return Flight(orbit, tt2000, samples.assign(channels_of_flight(orbit, samples, generator)))
 
 
+def with_channels(flight: Flight, **channels: np.ndarray) -> Flight:
+    """Return a flight some of whose channels have other values."""
+    made = {name: ("time", values, flight.samples[name].attrs) for name, values in channels.items()}
+    return replace(flight, samples=flight.samples.assign(made))
+
+
 @dataclass(frozen=True)
 class Readings:
     """What the two sensors read; nT.
