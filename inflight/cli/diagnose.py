@@ -335,7 +335,7 @@ def _next_step(fields: Fields) -> str:
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]
     what = ""
-    if first.startswith("inflight refit"):
+    if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
     elif fields["effects"]:
         what = f'inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'

@@ -12,7 +12,7 @@ from .columns import (
     design_matrix,
     sensor_matrices,
 )
-from .terms import Candidate, ChannelSummary, Library, Term, term_of, within_span
+from .terms import Candidate, ChannelSummary, Difference, HeldNumber, Library, Term, term_of, within_span
 
 __all__ = [
     "BURST_SETTINGS",
@@ -20,6 +20,8 @@ __all__ = [
     "Candidate",
     "ChannelSummary",
     "DesignRows",
+    "Difference",
+    "HeldNumber",
     "Library",
     "OutlierReport",
     "Term",

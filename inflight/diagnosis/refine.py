@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import Term, design_matrix, within_span
+from inflight.design import HeldNumber, Term, design_matrix, within_span
 from inflight.diagnosis.candidates import SLOW
+from inflight.diagnosis.held_numbers import difference_of
 from inflight.diagnosis.residual import (
     DiagnosisData,
     correlation_s,
@@ -175,9 +176,38 @@ class DesignSettings:
     most_rows: int = 450_000
 
 
+@dataclass(frozen=True, kw_only=True)
+class NumberSettings:
+    """How the value of a number that the model holds is found.
+
+    Attributes
+    ----------
+    tried : int
+        Values of a lag or a width to begin with; assumed.
+    narrowest : float
+        The smallest width tried, as a part of the largest.
+    steps : int
+        Gauss and Newton's steps at most.
+    parts : tuple of float
+        Parts of a step that are tried until one leaves less.
+    settled : float
+        It has settled when a step is below this part of what its derivative is made over.
+    near : float
+        A value that is off by no more than this part of its error stays as it is; assumed.
+    """
+
+    tried: int = 9
+    narrowest: float = 0.02
+    steps: int = 8
+    parts: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)
+    settled: float = 0.01
+    near: float = 0.3
+
+
 LAG_SETTINGS = LagSettings()
 WIDTH_SETTINGS = WidthSettings()
 CHANGE_TIME_SETTINGS = ChangeTimeSettings()
+NUMBER_SETTINGS = NumberSettings()
 DESIGN_SETTINGS = DesignSettings()
 
 #: Angles: a field may follow them, but no product with them means anything.
@@ -195,6 +225,8 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """
     if not can_add_columns(search, data):
         return _with_lag(search, data, option) if _has_bank(search, option) else (search, option)
+    if option.number:
+        return with_value(search, data, option)
     if option.change is not None:
         return refine_change_time(search, data, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
@@ -204,6 +236,99 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
         return _with_lag(search, data, option)
     return _with_response(search, data, option) if len(option.terms) == 1 else (search, option)
+
+
+# Numbers that the model holds.
+
+
+def with_value(search: Search, data: DiagnosisData, option: Option) -> Refined:
+    """Return the option of a held number with its best value; its column is all that this value changes.
+
+    What moves the number out of its plausible range is no explanation: its options are gone then, unless
+    the model has it already.
+    """
+    term = search.library.by_key[option.terms[0]]
+    assert term.difference is not None
+    number = term.difference.number
+    found = _best_value(FormTrials(search, data, option), data, number)
+    if found is None:
+        return (search, option) if option in search.accepted else (search.without_options(option.name), option)
+    value, sigma = found
+    known = term.difference.between[1] if option.number_sigma else None
+    if known is not None and abs(value - known) < NUMBER_SETTINGS.near * sigma:
+        return search, option
+    made = difference_of(number, data.linearised, data.mission, value, f"{number.name}@{value:.6g}{number.unit}")
+    exact = replace(
+        option, name=made.key, terms=(made.key,), columns=tuple(made.columns), number_sigma=sigma
+    )
+    if made.key not in search.library.terms:
+        search = join_terms(search, data, [made])
+    return search.without_options(option.mechanism).with_options([exact]), exact
+
+
+def _best_value(trials: FormTrials, data: DiagnosisData, number: HeldNumber) -> tuple[float, float] | None:
+    """Return the value of a number that leaves least, and its error by leaving out folds of blocks.
+
+    A number changes what the model makes by a known amount: no column is scaled. Values of a grid are tried
+    for the one to begin with, then Gauss and Newton's steps. None when it is out of its plausible range.
+    """
+    low, high = number.bounds
+
+    def remaining(value: float) -> Floats:
+        if value == number.value:
+            return trials.rest
+        term = difference_of(number, data.linearised, data.mission, value, "trial")
+        return np.asarray(trials.rest + trials.columns(term)[0])
+
+    def slope(value: float) -> Floats:
+        term = difference_of(number, data.linearised, data.mission, key="slope", around=value)
+        assert term.difference is not None
+        return np.asarray(trials.columns(term)[0] / term.difference.apart)
+
+    def square(rest: Floats) -> float:
+        return float(rest @ rest)
+
+    value, rest = number.value, remaining(number.value)
+    begun = square(rest)
+    for tried in _values_to_try(number):
+        other = remaining(tried)
+        if square(other) < square(rest):
+            value, rest = tried, other
+    for _ in range(NUMBER_SETTINGS.steps):
+        tangent = slope(value)
+        power = square(tangent)
+        if not power > 0:
+            return None
+        step, taken = -float(tangent @ rest) / power, False
+        for part in NUMBER_SETTINGS.parts:
+            at = float(np.clip(value + part * step, low, high))
+            other = remaining(at)
+            if square(other) < square(rest):
+                done = abs(at - value) < NUMBER_SETTINGS.settled * number.step
+                value, rest, taken = at, other, True
+                break
+        if not taken or done:
+            break
+    if not low < value < high or not square(rest) < begun:
+        return None
+    tangent = slope(value)
+    each = [
+        np.bincount(trials.block, weights=tangent * one, minlength=trials.blocks) for one in (rest, tangent)
+    ]
+    total = [float(one.sum()) for one in each]
+    others = [
+        value - (total[0] - each[0][fold].sum()) / (total[1] - each[1][fold].sum())
+        for fold in make_folds(trials.blocks)
+    ]
+    return float(f"{value:.6g}"), float(jackknife(np.array(others)))
+
+
+def _values_to_try(number: HeldNumber) -> list[float]:
+    """Return values a number may have far from the one that is held: lags and widths, by factors."""
+    if number.key not in ("lag", "width"):
+        return []
+    low = number.step if number.key == "lag" else NUMBER_SETTINGS.narrowest * number.bounds[1]
+    return np.geomspace(low, 0.9 * number.bounds[1], NUMBER_SETTINGS.tried).tolist()
 
 
 # Lags and widths.
@@ -820,7 +945,7 @@ def _days_of(series: Series) -> list[slice]:
 
 
 def _channels_of(terms: Sequence[Term]) -> set[str]:
-    return {name for term in terms for name in term.entry.effect.channels if name}
+    return {name for term in terms for name in term.channels}
 
 
 def _columns_of_part(search: Search, data: DiagnosisData, terms: Sequence[Term], part: slice) -> Floats:

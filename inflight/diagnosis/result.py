@@ -44,7 +44,7 @@ class FoundEffect:
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
     related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
-    what a clock error may be instead.
+    what a clock error may be instead. `command` is what mends a number that the model holds.
     """
 
     name: str
@@ -73,6 +73,7 @@ class FoundEffect:
     said: str = ""
     left_follows: str = ""
     stamp_readings: tuple[str, ...] = ()
+    command: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -399,7 +400,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
             last_in_gain=one.gain,
             last_in_t=one.t,
             rivals=one.rivals,
-            command=f'inflight add "{one.name}"',
+            command=one.command or f'inflight add "{one.name}"',
         )
         for one in facts["effects"]
     ]
@@ -605,7 +606,8 @@ def _percent(share: float) -> str:
 
 def _effect_text(effect: FoundEffect) -> str:
     if effect.said:
-        return f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
+        text = f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
+        return text + _rivals_text(effect.rivals) if effect.command else text
     family = effect.family.replace("_", " ")
     what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""

@@ -64,7 +64,8 @@ from inflight.diagnosis.stepwise import (
     uses_channel_of,
 )
 from inflight.diagnosis.wander import InTime, with_wander
-from inflight.effects import coefficient_unit
+from inflight.diagnosis.held_numbers import line_of, words_of
+from inflight.effects import channel_unit, coefficient_unit
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.residual import NoiseFloor
@@ -310,7 +311,10 @@ def describe_effect(
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
         told = told.with_error(by_lag)
+    if option.number_sigma:
+        told = told.with_least_error(option.number_sigma)
     coefficients = _coefficients(search, data, option, terms, told)
+    said, command = _of_number(terms, coefficients)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -334,14 +338,27 @@ def describe_effect(
         rivals=rivals,
         at=tuple(utc_text(when) for when in option.change.at) if option.change else (),
         at_sigma_s=option.change.sharpness / SECOND if option.change and option.change.at else None,
-        entries=tuple(term.entry.as_yaml() for term in terms if not term.span),
+        entries=tuple(
+            term.entry.as_yaml() for term in terms if not term.span and term.difference is None
+        ),
         cadence_s=native_s if native else data.cadence_s,
         cadence_shift=native.shift_in_sigmas(found) if native else None,
         status=_status(search, check, rivals),
-        model_effects=_sharing(data.model, option),
+        model_effects=() if option.number else _sharing(data.model, option),
+        said=said,
+        command=command,
         stamp_readings=_stamp_readings(data, option, coefficients),
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def _of_number(terms: Sequence[Term], coefficients: Sequence[Coefficient]) -> tuple[str, str]:
+    """Return what the data say of a number that the model holds, and what mends it; nothing of an effect."""
+    if len(terms) != 1 or terms[0].difference is None:
+        return "", ""
+    number, only = terms[0].difference.number, coefficients[0]
+    value = number.value + only.value
+    return words_of(number, value, only.sigma, only.unit), line_of(number, value)
 
 
 def _stamp_readings(
@@ -399,6 +416,9 @@ def _coefficients(
 
 def column_unit(mission: Mission, term: Term, column: str) -> str:
     """Return the unit of the coefficient of a term's column."""
+    if term.difference is not None:
+        number = term.difference.number
+        return number.unit or (channel_unit(mission, number.channel) or "" if number.channel else "")
     kind = term.entry.effect.parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
     channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
     return coefficient_unit(kind, mission, channel) if channel else kind.unit
