@@ -31,6 +31,7 @@ VERBS = (
     diagnose.add,
     diagnose.drop,
     diagnose.refit,
+    diagnose.set_,
     diagnose.undo,
     results.report,
     results.explore,
@@ -49,7 +50,7 @@ app = typer.Typer(
 app.add_typer(models.group, name="model")
 app.add_typer(catalog.group, name="catalog")
 for function in VERBS:
-    verb(app, function.__name__)(function)
+    verb(app, function.__name__.rstrip("_"))(function)
 
 
 def _print_version(requested: bool) -> None:

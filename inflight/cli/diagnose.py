@@ -162,6 +162,23 @@ def refit(
     _revise(command, comparison, workers, lambda bench: bench.refit(*(numbers or ())))
 
 
+def set_(
+    command: Command,
+    settings: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="NUMBER=VALUE...",
+            help="Numbers of the model and their new values: stray.lag=410s, temperature.reference=21.",
+        ),
+    ],
+    *,
+    comparison: ComparisonOption = None,
+    workers: WorkersOption = None,
+) -> None:
+    """Give numbers of the model other values, fit everything else anew, and save a new version."""
+    _revise(command, comparison, workers, lambda bench: bench.set_numbers(*settings))
+
+
 def undo(command: Command, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
     """Go back to the model before the last change; history keeps both."""
     _revise(command, comparison, workers, lambda bench: bench.undo())

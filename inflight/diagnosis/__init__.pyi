@@ -26,6 +26,7 @@ from .figure_data import (
     superposed_epoch,
     trials,
 )
+from .held_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import addition_of_entry, best_lag, find_request
 from .residual import DiagnosisData
@@ -95,6 +96,7 @@ __all__ = [
     "cross_talk",
     "draw_signs",
     "drifts",
+    "effects_at",
     "episodes",
     "error_waterfall",
     "estimate",
@@ -103,7 +105,9 @@ __all__ = [
     "find_request",
     "group_by_size",
     "heat_maps",
+    "held_numbers",
     "lag_profile",
+    "line_of",
     "make_folds",
     "make_library",
     "neutral_changes",
