@@ -25,7 +25,7 @@ class HeldNumber:
     name : str
         ``temperature.lag`` of an effect of the model, ``coil_temperature.lag`` of a channel of the mission.
     key : str
-        What it is: ``lag``, ``delay``, ``width``, ``about``, ``period``, ``cycle``, or a parameter.
+        What it is: ``lag``, ``delay``, ``width``, ``about``, ``turn_x`` (of panels), or a parameter.
     effects : tuple of (str, int)
         Effects of the model that it is in, and which factor of their channel it belongs to.
     channel : str

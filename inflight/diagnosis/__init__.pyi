@@ -26,7 +26,7 @@ from .figure_data import (
     superposed_epoch,
     trials,
 )
-from .held_numbers import effects_at, held_numbers, line_of
+from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import addition_of_entry, best_lag, find_request
 from .residual import DiagnosisData

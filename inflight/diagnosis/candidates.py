@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from inflight.design import Candidate, ChannelSummary, Library, Term, term_of
-from inflight.diagnosis.held_numbers import difference_of, held_numbers
+from inflight.diagnosis.model_numbers import difference_of, held_numbers
 from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of

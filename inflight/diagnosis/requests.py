@@ -174,7 +174,7 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
     if any(one.number == own for one in maker.library.candidates if one.number):
         raise ModelError(
             f"{own!r} is a number that is held already, and no effect",
-            remedy="give it another value: 'inflight set NAME=VALUE', or the mission file, as 'diagnose' says",
+            remedy="give it another value by 'inflight set' or in the mission file, as 'diagnose' says",
         )
     real = [one for one in maker.library.candidates if not one.placebo]
     found = [one for one in real if name in (one.name, one.mechanism)]

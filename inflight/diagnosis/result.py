@@ -607,7 +607,7 @@ def _percent(share: float) -> str:
 def _effect_text(effect: FoundEffect) -> str:
     if effect.said:
         text = f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
-        return text + _rivals_text(effect.rivals) if effect.command else text
+        return text + _stamp_text(effect) + _rivals_text(effect.rivals) if effect.command else text
     family = effect.family.replace("_", " ")
     what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
@@ -623,10 +623,15 @@ def _effect_text(effect: FoundEffect) -> str:
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.left_follows:
         text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
-    if effect.stamp_readings:
-        number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
-        text += f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
-    return text + _rivals_text(effect.rivals)
+    return text + _stamp_text(effect) + _rivals_text(effect.rivals)
+
+
+def _stamp_text(effect: FoundEffect) -> str:
+    """Return what a clock that is off may be instead."""
+    if not effect.stamp_readings:
+        return ""
+    number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
+    return f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
 
 
 def _rivals_text(rivals: Sequence[str]) -> str:

@@ -284,7 +284,9 @@ class Workbench:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
         columns = self.maker.time_variable
         kinds = [kind for kind in DRIFTS if getattr(columns, kind.removesuffix("_drift"))]
-        return [one.name for one in self.made.plan.library.candidates if not (one.placebo or one.number)] + kinds
+        return [
+            one.name for one in self.made.plan.library.candidates if not (one.placebo or one.number)
+        ] + kinds
 
     # Changes of the model.
 
@@ -390,7 +392,7 @@ class Workbench:
             When the model has no such number, or it cannot have that value.
         """
         self._rebase_refitted()
-        return self._set({name: text for name, text in map(_setting, settings)})
+        return self._set(dict(map(_setting, settings)))
 
     def _set(self, settings: Mapping[str, str], verb: str = "set") -> Revision:
         plan, model = self.made.plan, self.current.model
@@ -420,7 +422,10 @@ class Workbench:
         after = setup.fit([], {})
         value, sigma = _fitted_of(setup.refined, after)
         model = model.with_values(value, sigma)
-        message, parent = f"{SET} {', '.join('='.join(one) for one in settings.items())}", self.current.version
+        message, parent = (
+            f"{SET} {', '.join('='.join(one) for one in settings.items())}",
+            self.current.version,
+        )
         self.current = self._saved(model, message, model.text)
         self._last, self._refitted = None, True
         return self._revision(verb, message, parent, before, after)
@@ -631,7 +636,7 @@ class Workbench:
         return found, steps
 
     def _set_found(self, terms: Sequence[Term]) -> list[Revision]:
-        """Set the numbers of the model that a search found; those of the mission file are a person's to mend."""
+        """Set the numbers of the model that a search found; those of the mission file are a person's."""
         fitted = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
         self.additions = [one for one in self.additions if one.entries]
         settings = {}
@@ -640,7 +645,7 @@ class Workbench:
             number = term.difference.number
             if not number.path:
                 value = number.value + fitted.value[term.columns[0]]
-                settings[number.name] = f"{value:.6g}{number.unit}"
+                settings[number.name] = f"{value:.6g}{'s' if number.unit == 's' else ''}"
         return [self._set(settings, "auto")] if settings else []
 
 

@@ -1,9 +1,9 @@
-"""Effects the model knows by a wrong number that is no coefficient: a lag, a width, a delay, a reference value."""
+"""Effects the model knows by a wrong number that is no coefficient: a lag, a width, a delay, a reference."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from .rivals import retained
 
 #: Rms of the whole contribution, nT.
 SIZE = (0.5, 3.0)
-#: Fractions of the way from the true number to one twice or half as large that are tried, until enough is left.
+#: Parts of the way from the true number to the farthest one that are tried, until enough is left.
 PARTS = np.geomspace(0.01, 1.0, 60)
 
 
@@ -22,8 +22,8 @@ PARTS = np.geomspace(0.01, 1.0, 60)
 class HeldCause:
     """A cause with a number in its form.
 
-    `of` returns the contribution's factor of `vector` for a value of the number, (time,); `entry` the effect of
-    the model with it. `number` is the name by which a diagnosis calls it, `farthest` a value of it that is
+    `of` returns what multiplies a vector, for a value of the number, (time,); `entry` the effect of the
+    model with it. `number` is the name by which a diagnosis calls it, `farthest` a value of it that is
     as wrong as it may be.
     """
 
@@ -34,7 +34,7 @@ class HeldCause:
     true: float
     farthest: float
     of: Callable[[float], np.ndarray]
-    entry: Callable[[float], dict[str, Any]]
+    entry: Callable[[float], dict[str, Any]] = lambda _: {}
     gain: bool = False
 
     def cause(self, world: World, value: float, vector: np.ndarray) -> Cause:
@@ -47,9 +47,7 @@ class HeldCause:
         )
 
 
-def wrong_value(
-    held: HeldCause, world: World, vector: np.ndarray, wanted: float
-) -> tuple[float, Cause]:
+def wrong_value(held: HeldCause, world: World, vector: np.ndarray, wanted: float) -> tuple[float, Cause]:
     """Return a value so wrong that the calibration leaves an rms of what it misses, nT, and what that is."""
     for part in PARTS:
         value = held.true + part * (held.farthest - held.true)
@@ -72,7 +70,13 @@ def _family(world: World, name: str) -> str:
 def _field(sensor: str, vector: np.ndarray, **options: Any) -> dict[str, Any]:
     size = float(np.abs(vector).max())
     coefficient = {"value": vector.tolist(), "unit": "nT", "sigma": [0.02 * size] * 3}
-    return {"effect": "channel_field", "name": "stray", "sensor": sensor, **options, "coefficient": coefficient}
+    return {
+        "effect": "channel_field",
+        "name": "stray",
+        "sensor": sensor,
+        **options,
+        "coefficient": coefficient,
+    }
 
 
 def draw_held(
@@ -83,90 +87,103 @@ def draw_held(
     names: dict[str, str],
     about: np.ndarray,
 ) -> tuple[HeldCause, np.ndarray]:
-    """Return a held cause and the vector its factor multiplies, of a usual size."""
-    vector = rng.normal(size=3)
-    vector /= np.linalg.norm(vector)
-    step, far = world.track.step, float(rng.choice([0.3, 3.0]))
+    """Return a held cause and the vector its factor multiplies, of a usual size.
 
-    def made(channel: str, key: str, true: float, of: Callable[[float], np.ndarray], farthest: float, **more: Any):
-        unit = "s" if key in ("lag", "delay") else world.house[channel].unit
-        size = rng.uniform(*SIZE) / np.sqrt(np.mean(_centred(of(true)) ** 2))
-        scaled = vector * size
-        named = names[channel]
-
-        def entry(value: float) -> dict[str, Any]:
-            if key == "lag":
-                return _field(sensor, scaled, channel=named, lag=f"{value:.6g} s")
-            if key == "width":
-                return _field(sensor, scaled, channel=named, width=float(f"{value:.6g}"))
-            return _field(sensor, scaled, channel=named)
-
-        number = f"{named}.lag" if key == "delay" else f"stray.{key}"
-        family = more.get("family", _family(world, channel))
-        return HeldCause(family, (channel,), number, unit, true, farthest, of, entry), scaled
-
-    if name == "lag":
-        series, true = world.house["payload_current"].values, float(np.exp(rng.uniform(*np.log([200.0, 1200.0]))))
-        return made("payload_current", "lag", true, lambda tau: low_pass(series, tau, step), far * true)
-    if name == "delay":
-        series, seconds = world.house["transmitter_current"].values, world.track.seconds
-        true = float(rng.uniform(20.0, 120.0))
-
-        def late(delay: float) -> np.ndarray:
-            return np.interp(seconds - delay, seconds, series)
-
-        return made("transmitter_current", "delay", true, late, 0.0)
-    if name == "width":
-        series = world.house["boom_temperature"].values
-        true = float(rng.uniform(0.8, 1.6) * series.std())
-        return made(
-            "boom_temperature", "width", true, lambda w: play(series, w), far * true, family="hysteresis"
-        )
-    if name == "reference":
-        current, warm = world.house["payload_current"], world.house["coil_temperature"]
-        true = float(warm.values.mean())
-        # As a laboratory has it: a coefficient of a current's field that grows with temperature from there on.
-        scaled = vector * rng.uniform(*SIZE) / np.sqrt(np.mean(_centred(current.values * (warm.values - true)) ** 2))
-        product = f"{names['payload_current']}*{names['coil_temperature']}"
-        return (
-            HeldCause(
-                _family(world, "payload_current"),
-                ("payload_current", "coil_temperature"),
-                f"stray.about[{names['coil_temperature']}]",
-                warm.unit,
-                true,
-                true + 20.0 * rng.choice([-1.0, 1.0]),
-                lambda zero: current.values * (warm.values - zero),
-                lambda zero: _field(sensor, scaled, channel=f"{product}@about={zero:.6g}"),
-            ),
-            scaled,
-        )
+    Parameters
+    ----------
+    names : dict of str
+        Telling name of a channel -> the name it is delivered under.
+    about : ndarray, shape (3,)
+        Offsets of the vector sensor, nT.
+    """
     if name == "scale_lag":
-        warm = world.house["coil_temperature"]
-        true, zero = float(np.exp(rng.uniform(*np.log([300.0, 1500.0])))), float(warm.values.mean())
-
-        def gain(tau: float) -> np.ndarray:
-            return low_pass(warm.values, tau, step) - zero
-
-        unit = rng.choice([-1, 1], 3) * rng.uniform(0.5, 1.5, 3)
-        size = rng.uniform(*SIZE) / np.sqrt(np.mean((gain(true) * world.strength) ** 2))
-
-        def entry(tau: float) -> dict[str, Any]:
-            linear = (unit * size).tolist()
-            return {
-                "effect": "temperature", "name": "warmth", "sensor": sensor,
-                "channel": names["coil_temperature"], "lag": f"{tau:.6g} s",
-                "linear": {"unit": "1/K", "value": linear, "sigma": [0.02 * float(np.abs(linear).max())] * 3},
-                "quadratic": {"unit": "1/K^2", "value": [0.0] * 3, "free": False},
-                "reference": {"unit": "degC", "value": zero, "free": False},
-                "about": {"value": about.tolist(), "unit": "nT", "free": False},
-            }  # fmt: skip
-
-        return HeldCause(
-            "temperature", ("coil_temperature",), "warmth.lag", "s", true, far * true, gain, entry, gain=True
-        ), unit * size
-    raise ValueError(f"no held cause {name!r}")
+        return _slow_scale(world, rng, sensor, names, about)
+    maker = {"lag": _slow_field, "delay": _late_field, "width": _play_field, "reference": _product_field}[
+        name
+    ]
+    held, options = maker(world, rng, names)
+    vector = rng.normal(size=3)
+    series = held.of(held.true)
+    vector *= rng.uniform(*SIZE) / np.linalg.norm(vector) / series.std()
+    return replace(held, entry=lambda value: _field(sensor, vector, **options(value))), vector
 
 
-def _centred(series: np.ndarray) -> np.ndarray:
-    return series - series.mean()
+Options = Callable[[float], dict[str, Any]]
+
+
+def _slow_field(world: World, rng: np.random.Generator, names: dict[str, str]) -> tuple[HeldCause, Options]:
+    """Return a field that follows a current through a slow response."""
+    name, step, far = "payload_current", world.track.step, float(rng.choice([0.3, 3.0]))
+    series, true = world.house[name].values, float(np.exp(rng.uniform(*np.log([200.0, 1200.0]))))
+    held = HeldCause(
+        _family(world, name), (name,), "stray.lag", "s", true, far * true,
+        lambda tau: low_pass(series, tau, step),
+    )  # fmt: skip
+    return held, lambda tau: {"channel": names[name], "lag": f"{tau:.6g} s"}
+
+
+def _late_field(world: World, rng: np.random.Generator, names: dict[str, str]) -> tuple[HeldCause, Options]:
+    """Return the field of a current whose stamps are wrong, which the mission file does not say."""
+    name, seconds = "transmitter_current", world.track.seconds
+    series = world.house[name].values
+    held = HeldCause(
+        _family(world, name), (name,), f"{names[name]}.lag", "s", float(rng.uniform(20.0, 120.0)), 0.0,
+        lambda delay: np.interp(seconds - delay, seconds, series),
+    )  # fmt: skip
+    return held, lambda delay: {"channel": names[name]}
+
+
+def _play_field(world: World, rng: np.random.Generator, names: dict[str, str]) -> tuple[HeldCause, Options]:
+    """Return a field that follows a temperature with play."""
+    name, far = "boom_temperature", float(rng.choice([0.3, 3.0]))
+    series = world.house[name].values
+    true = float(rng.uniform(0.8, 1.6) * series.std())
+    held = HeldCause(
+        "hysteresis", (name,), "stray.width", world.house[name].unit, true, far * true,
+        lambda width: play(series, width),
+    )  # fmt: skip
+    return held, lambda width: {"channel": names[name], "width": float(f"{width:.6g}")}
+
+
+def _product_field(
+    world: World, rng: np.random.Generator, names: dict[str, str]
+) -> tuple[HeldCause, Options]:
+    """Return the field of a current that grows with a temperature above a reference value."""
+    pair = ("payload_current", "coil_temperature")
+    current, warm = (world.house[name] for name in pair)
+    true, product = float(warm.values.mean()), "*".join(names[name] for name in pair)
+    held = HeldCause(
+        _family(world, pair[0]), pair, f"stray.about[{names[pair[1]]}]", warm.unit, true,
+        true + 20.0 * float(rng.choice([-1.0, 1.0])),
+        lambda zero: current.values * (warm.values - zero),
+    )  # fmt: skip
+    return held, lambda zero: {"channel": f"{product}@about={zero:.6g}"}
+
+
+def _slow_scale(
+    world: World, rng: np.random.Generator, sensor: str, names: dict[str, str], about: np.ndarray
+) -> tuple[HeldCause, np.ndarray]:
+    """Return scale factors that follow the coil's temperature slowly."""
+    warm, step, far = world.house["coil_temperature"], world.track.step, float(rng.choice([0.3, 3.0]))
+    true, zero = float(np.exp(rng.uniform(*np.log([300.0, 1500.0])))), float(warm.values.mean())
+    held = HeldCause(
+        "temperature", ("coil_temperature",), "warmth.lag", "s", true, far * true,
+        lambda tau: low_pass(warm.values, tau, step) - zero, gain=True,
+    )  # fmt: skip
+    linear = rng.choice([-1, 1], 3) * rng.uniform(0.5, 1.5, 3)
+    linear *= rng.uniform(*SIZE) / np.sqrt(np.mean((held.of(true) * world.strength) ** 2))
+    tree = {
+        "effect": "temperature",
+        "name": "warmth",
+        "sensor": sensor,
+        "channel": names["coil_temperature"],
+        "linear": {
+            "unit": "1/K",
+            "value": linear.tolist(),
+            "sigma": [0.02 * float(np.abs(linear).max())] * 3,
+        },
+        "quadratic": {"unit": "1/K^2", "value": [0.0] * 3, "free": False},
+        "reference": {"unit": "degC", "value": zero, "free": False},
+        "about": {"value": about.tolist(), "unit": "nT", "free": False},
+    }
+    return replace(held, entry=lambda tau: tree | {"lag": f"{tau:.6g} s"}), linear

@@ -12,8 +12,8 @@ class Scenario:
     `hidden` names causes of `causes.CAUSE_SETTINGS`; `orbit` is one of `case.ORBITS`; `attitude`
     one of `orbit.ATTITUDES` or empty for any; `size` is the range of the contribution the nine
     parameters leave, in tenths of the noise (a gain of 1 % is what is called detectable). `wrong` names a
-    cause that the model knows by wrong numbers, off by that size; where `held`, it states no sigma of them. `number`
-    is one of `held.draw_held`: an effect the model knows by a wrong lag, width, delay or reference value.
+    cause that the model knows by wrong numbers, off by that size; where `held`, it states no sigma of them.
+    `number` is one of `held.draw_held`: an effect the model knows by a wrong lag, width, delay or reference.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Numbers that the model holds and no fit may move: lags, widths, reference values, periods, delays.
+"""Numbers that the model holds and no fit may move: lags, widths, reference values, turns, delays.
 
 Takes the mission and a model; makes a `HeldNumber` of everything that is written in an option of an effect,
 in its channel's name, or in the mission file, and that its field depends on otherwise than in proportion
@@ -6,8 +6,8 @@ in its channel's name, or in the mission file, and that its field depends on oth
 what the number does (`difference_of`): between values close to it a derivative, between the value that is
 held and another one the whole change. `line_of` says which command, or which line of which file, mends it.
 
-A delay of a magnetometer itself is the clock's (`time_shift`; `inflight.diagnosis.stamps` says how else it may
-be read).
+A delay of a magnetometer itself is the clock's (`time_shift`; `inflight.diagnosis.stamps` says how else it
+may be read). Periods are no such numbers: what a wrong one leaves is seen in a phase that runs away.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from inflight.design import SENSOR_EQUATIONS, ChannelSummary, Difference, HeldNumber, Term
 from inflight.effects import NO_CAUSE
@@ -24,7 +25,7 @@ from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import ChannelFactor, DerivedChannel, parse_channel
-from inflight.time import SECOND, parse_duration
+from inflight.time import SECOND
 
 #: Longest lag and delay that are plausible, s (assumed: a body that warms for some hours).
 LONGEST_S = 8000.0
@@ -32,17 +33,14 @@ LONGEST_S = 8000.0
 #: Parts of themselves that the derivatives of lags, widths and reference values are made over (assumed).
 STEP_PART = 0.05
 
-#: Parts of themselves that a period may be off (assumed: two periods are two causes beyond it).
-PERIOD_PART = 0.05
-
-#: Phase that the derivative by a period is made over, rad, a quarter of a century after its origin.
-_PHASE, _SINCE_S = 0.02, 8e8
+#: Degrees that panels are turned by for a derivative, and that they may plausibly be turned by (assumed).
+TURN_DEG, FARTHEST_DEG = 0.5, 45.0
 
 #: Numbers of a factor of a channel's name: option, field of `ChannelFactor`, unit.
 _OF_FACTOR = {"lag": "lag_s", "delay": "delay_s", "width": "width", "about": "about"}
 
-#: Options that are durations.
-_DURATIONS = ("period", "cycle")
+#: How a panel's normals may be turned: about the axes of their vectors.
+_TURNS = {"turn_x": (1.0, 0.0, 0.0), "turn_y": (0.0, 1.0, 0.0), "turn_z": (0.0, 0.0, 1.0)}
 
 
 def held_numbers(
@@ -118,23 +116,21 @@ def _of_channel(
 
 
 def _of_options(entry: ModelEffect, channels: Mapping[str, ChannelSummary]) -> Iterator[HeldNumber]:
-    """Yield periods, and reference values: parameters of one number that no fit ever moves."""
+    """Yield turns of panels, and reference values: parameters of one number that no fit ever moves."""
     common: dict[str, Any] = {"effects": ((entry.name, 0),), "channel": ""}
-    for key in _DURATIONS:
-        if key in entry.effect.given:
-            value = parse_duration(str(entry.effect.given[key])) / SECOND
-            off = PERIOD_PART * value
-            step = _PHASE * value**2 / (2.0 * np.pi * _SINCE_S)
-            yield HeldNumber(
-                name=f"{entry.name}.{key}",
-                key=key,
-                value=value,
-                unit="s",
-                step=step,
-                bounds=(value - off, value + off),
-                **common,
-            )
-    spread = max((channels[one.channel].spread for one in _factors(entry) if one.channel in channels), default=0)
+    for key in _TURNS if "normals" in entry.effect.given else ():
+        yield HeldNumber(
+            name=f"{entry.name}.{key}",
+            key=key,
+            value=0.0,
+            unit="deg",
+            step=TURN_DEG,
+            bounds=(-FARTHEST_DEG, FARTHEST_DEG),
+            **common,
+        )
+    spread = max(
+        (channels[one.channel].spread for one in _factors(entry) if one.channel in channels), default=0
+    )
     for key, timed in entry.parameters.items():
         kind = entry.effect.parameters()[key]
         held = timed.time == "constant" and kind.axes is None and not np.isfinite(kind.sigma)
@@ -203,20 +199,23 @@ def effects_at(number: HeldNumber, value: float, model: Model, mission: Mission)
     return tuple(make_effect(tree, sensors, model.own, mission) for tree in entries.values())
 
 
-def _write(
-    tree: dict[str, Any], entry: ModelEffect, number: HeldNumber, value: float, place: int
-) -> None:
+def _write(tree: dict[str, Any], entry: ModelEffect, number: HeldNumber, value: float, place: int) -> None:
     """Write a number into an effect's entry of the model."""
     key = number.key
     if key in entry.parameters:
         tree[key] = {**tree[key], "value": value}
-    elif key in _DURATIONS or (key in ("lag", "width") and tree.get(key) is not None):
+    elif key in _TURNS:
+        turn = Rotation.from_rotvec(np.deg2rad(value) * np.array(_TURNS[key]))
+        tree["normals"] = turn.apply(np.asarray(tree["normals"], dtype=np.float64)).tolist()
+    elif key in ("lag", "width") and tree.get(key) is not None:
         tree[key] = value if key == "width" else f"{value:.12g} s"
     else:
         text = str(tree.get("channel") or type(entry.effect).channels[0])
         parts = list(parse_channel(text).parts)
+        field = _OF_FACTOR[key]
         before = parts[place].delay_s if number.path else 0.0
-        parts[place] = replace(parts[place], **{_OF_FACTOR[key]: before + value}, text="")
+        changed: dict[str, Any] = {field: before + value, "text": ""}
+        parts[place] = replace(parts[place], **changed)
         tree["channel"] = DerivedChannel(tuple(parts)).name
 
 
@@ -247,9 +246,16 @@ def difference_of(
     return Term(key or number.name, made[1][0], (), (np.inf,), difference=difference)
 
 
-def line_of(number: HeldNumber, value: float) -> str:
+def rounded(value: float, sigma: float) -> str:
+    """Return a value to a tenth of its error, as text."""
+    if not 0.0 < sigma < abs(value):
+        return f"{value:.3g}"
+    return f"{value:.{int(np.clip(np.ceil(np.log10(abs(value) / sigma)) + 1, 3, 12))}g}"
+
+
+def line_of(number: HeldNumber, value: float, sigma: float = 0.0) -> str:
     """Return the command that gives a number of the model another value, or the line of the mission file."""
-    text = f"{value:.6g}{' s' if number.unit == 's' else ''}"
+    text = f"{rounded(value, sigma)}{' s' if number.unit == 's' else ''}"
     if number.path:
         return f"mission.yaml: {number.path}: {text}"
     return f'inflight set "{number.name}={text.replace(" ", "")}"'
@@ -265,4 +271,7 @@ def words_of(number: HeldNumber, value: float, sigma: float, unit: str) -> str:
     else:
         text, where = f"the {what}{whose} in {effects}", f" ({number.name})"
     unit = f" {unit}" if unit else ""
-    return f"{text} is {number.value:.6g}{unit}, the data say {value:.6g} +- {sigma:.2g}{unit}{where}"
+    says = f"the data say {rounded(value, sigma)} +- {sigma:.2g}{unit}"
+    if number.key in _TURNS:
+        return f"the panels of {effects} are turned about {number.key[-1]}, {says} more{where}"
+    return f"{text} is {number.value:.6g}{unit}, {says}{where}"
