@@ -272,7 +272,7 @@ def with_value(search: Search, data: DiagnosisData, option: Option) -> Refined:
 
 @dataclass(frozen=True)
 class _NumberTrials:
-    """What other values of a number leave of the residual: each changes a known amount, and none is scaled."""
+    """What other values of a number leave of the residual: each changes a known amount, unscaled."""
 
     trials: FormTrials
     data: DiagnosisData

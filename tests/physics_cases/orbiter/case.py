@@ -130,6 +130,9 @@ def make_case(scenario: Scenario, seed: int) -> Case:
         value, missed = wrong_value(held, world, vector, 0.1 * noise.size * np.exp(rng.uniform(low, high)))
         # In the equation of the sensor it stands before the nine parameters, as a field behind them.
         model["effects"].insert(0 if held.gain else len(model["effects"]), held.entry(value))
+        for instrument in mission["instruments"].values():
+            if scenario.number == "delay" and held.number.removesuffix(".lag") in instrument["channels"]:
+                instrument["channels"][held.number.removesuffix(".lag")]["lag"] = f"{value:.6f} s"
         one = _told(missed, (missed,), world, shown, names, noise.size, scenario.kinds)
         told.append(one | {"number": held.number, "held_value": value, "true_value": held.true})
     if wrong:

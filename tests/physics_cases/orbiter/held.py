@@ -123,11 +123,11 @@ def _slow_field(world: World, rng: np.random.Generator, names: dict[str, str]) -
 
 
 def _late_field(world: World, rng: np.random.Generator, names: dict[str, str]) -> tuple[HeldCause, Options]:
-    """Return the field of a current whose stamps are wrong, which the mission file does not say."""
+    """Return the field of a current whose stamps are late, by another time than the mission file says."""
     name, seconds = "transmitter_current", world.track.seconds
-    series = world.house[name].values
+    series, true = world.house[name].values, float(rng.uniform(20.0, 120.0))
     held = HeldCause(
-        _family(world, name), (name,), f"{names[name]}.lag", "s", float(rng.uniform(20.0, 120.0)), 0.0,
+        _family(world, name), (name,), f"{names[name]}.lag", "s", true, true - 400.0,
         lambda delay: np.interp(seconds - delay, seconds, series),
     )  # fmt: skip
     return held, lambda delay: {"channel": names[name]}
