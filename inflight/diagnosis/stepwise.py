@@ -61,6 +61,8 @@ class SelectionSettings:
     most_sigmas : float
         A number of the model that had to be off by more of its sigmas is no explanation of what follows a
         channel that is none of its own; assumed.
+    quick : float
+        A lag or a delay that is off by no more than so many samples of the search may be either; assumed.
     few_columns, part_of_best : int, float
         Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
         reach; assumed.
@@ -74,6 +76,7 @@ class SelectionSettings:
     large_gain: float = 0.1
     exchanges: int = 3
     most_sigmas: float = 30.0
+    quick: float = 4.0
     few_columns: int = 12
     part_of_best: float = 0.3
 
@@ -717,10 +720,37 @@ def exchange_and_check(
         search, tables = slimmer, {}
     last = search.table() if search.accepted else None
     checks = [
-        check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
+        _with_quick_forms(
+            search,
+            data,
+            check_rivals(search, option, tables.get(option.name) or search.table(without=option), last),
+        )
         for option in search.accepted
     ]
     return search, checks, None if last is None else last.without_fits()
+
+
+def _with_quick_forms(search: Search, data: DiagnosisData, check: RivalCheck) -> RivalCheck:
+    """Return how an effect stands, a lag or a delay of few samples with the other one as its rival.
+
+    To first order both do the same, and what is left of a switch within few samples is taken for a spike.
+    """
+    term = search.library.by_key[check.option.terms[0]] if check.option.number else None
+    if term is None or term.difference is None or term.difference.number.key not in ("lag", "delay"):
+        return check
+    number = term.difference.number
+    if abs(term.difference.between[1] - number.value) > SELECTION_SETTINGS.quick * data.cadence_s:
+        return check
+    known = {rival.number for rival, _ in check.rivals}
+    more = []
+    for option in search.options:
+        other = search.library.by_key[option.terms[0]].difference if option.number else None
+        same = other is not None and other.number.channel == number.channel
+        same &= other is not None and {other.number.key, number.key} == {"lag", "delay"}
+        if same and option.number not in known:
+            known.add(option.number)
+            more.append((option, 0.0))
+    return replace(check, rivals=(*check.rivals, *more))
 
 
 def _better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:

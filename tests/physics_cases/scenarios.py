@@ -76,7 +76,7 @@ def _wrong_forms() -> list[Scenario]:
     return [
         Scenario("wrong_lag", number="lag", known=1),
         Scenario("wrong_scale_lag", number="scale_lag", orbit="eclipses", known=0),
-        Scenario("wrong_delay", number="delay", known=1),
+        Scenario("wrong_delay", number="delay", orbit="eclipses", known=1),
         Scenario("wrong_width", number="width", orbit="eclipses", known=1),
         Scenario("wrong_reference", number="reference", orbit="eclipses", known=1),
     ]

@@ -124,7 +124,7 @@ def _slow_field(world: World, rng: np.random.Generator, names: dict[str, str]) -
 
 def _late_field(world: World, rng: np.random.Generator, names: dict[str, str]) -> tuple[HeldCause, Options]:
     """Return the field of a current whose stamps are late, by another time than the mission file says."""
-    name, seconds = "transmitter_current", world.track.seconds
+    name, seconds = "battery_current", world.track.seconds
     series, true = world.house[name].values, float(rng.uniform(20.0, 120.0))
     held = HeldCause(
         _family(world, name), (name,), f"{names[name]}.lag", "s", true, true - 400.0,
