@@ -314,8 +314,10 @@ def describe_effect(
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
         told = told.with_error(by_lag)
-    if option.number_sigma:
-        told = told.with_least_error(option.number_sigma)
+    if option.number_sigma and terms[0].difference:
+        # A fit of the whole change is no better than where the search, at its own cadence, put the number.
+        off = abs(float(told.value[0]) - terms[0].difference.apart)
+        told = told.with_least_error(max(option.number_sigma, off))
     coefficients = _coefficients(search, data, option, terms, told)
     said, command = _of_number(data, option, terms, coefficients)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
