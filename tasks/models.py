@@ -247,6 +247,8 @@ class ModelHistory:
 UNDO = "undo"
 #: Of one whose own numbers were fitted anew: Gram blocks of the versions before hold them where they were.
 REFIT = "refit"
+#: Of one in which numbers were set that its effects depend on not only in proportion.
+SET = "set"
 
 
 def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: int) -> VersionedModel:
@@ -279,7 +281,7 @@ def version_with_gram_blocks(
     records = _records(cat, current)
     version: int | None = current.version
     while version is not None and version not in versions:
-        refitted = records[version].message.startswith(REFIT)
+        refitted = records[version].message.startswith((REFIT, SET))
         version = None if refitted else records[version].parent
     if version is None:
         return None

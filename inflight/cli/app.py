@@ -48,6 +48,7 @@ VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
         ),
         diagnose.drop: ("inflight drop channel_field_heater_current",),
         diagnose.refit: ("inflight refit temperature.linear",),
+        diagnose.set_: ('inflight set "temperature.lag=100s"',),
         diagnose.undo: ("inflight undo",),
         diagnose.auto: ("inflight auto",),
     },
@@ -69,7 +70,7 @@ app = typer.Typer(
 )
 for panel, verbs in VERBS.items():
     for function, examples in verbs.items():
-        verb(app, function.__name__, panel, examples)(function)
+        verb(app, function.__name__.rstrip("_"), panel, examples)(function)
 app.add_typer(models.group, name="model", rich_help_panel="Look")
 app.add_typer(catalog.group, name="catalog", rich_help_panel="Look")
 

@@ -162,6 +162,23 @@ def refit(
     _revise(command, comparison, workers, lambda bench: bench.refit(*(numbers or ())))
 
 
+def set_(
+    command: Command,
+    settings: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="NUMBER=VALUE...",
+            help="Numbers of the model and their new values: stray.lag=410s, temperature.reference=21.",
+        ),
+    ],
+    *,
+    comparison: ComparisonOption = None,
+    workers: WorkersOption = None,
+) -> None:
+    """Give numbers of the model other values, fit everything else anew, and save a new version."""
+    _revise(command, comparison, workers, lambda bench: bench.set_numbers(*settings))
+
+
 def undo(command: Command, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
     """Go back to the model before the last change; history keeps both."""
     _revise(command, comparison, workers, lambda bench: bench.undo())
@@ -335,7 +352,7 @@ def _next_step(fields: Fields) -> str:
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]
     what = ""
-    if first.startswith("inflight refit"):
+    if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
     elif fields["effects"]:
         what = f'inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'

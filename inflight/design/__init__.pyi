@@ -13,7 +13,7 @@ from .columns import (
     design_matrix,
     sensor_matrices,
 )
-from .terms import Candidate, ChannelSummary, Library, Term, term_of, within_span
+from .terms import Candidate, ChannelSummary, Difference, HeldNumber, Library, Term, term_of, within_span
 
 __all__ = [
     "BIN_SETTINGS",
@@ -22,6 +22,8 @@ __all__ = [
     "Candidate",
     "ChannelSummary",
     "DesignRows",
+    "Difference",
+    "HeldNumber",
     "Library",
     "OutlierReport",
     "Term",

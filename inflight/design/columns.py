@@ -29,7 +29,7 @@ import scipy
 import xarray as xr
 
 from inflight.arrays import Floats, sums_of_runs
-from inflight.design.terms import Term, within_span
+from inflight.design.terms import Difference, Term, within_span
 from inflight.effects import AXES, VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA, gram_of
@@ -146,6 +146,9 @@ def _columns_of(term: Term, rows: DesignRows) -> Iterator[_Column]:
 
 def _columns_in_and_out(term: Term, rows: DesignRows) -> Iterator[Floats | _Column]:
     """Yield the columns of a term, whether or not a sample is within its span; (time, row) each."""
+    if term.difference is not None:
+        yield _of_difference(term.difference, rows)
+        return
     entry = term.entry
     kinds = entry.effect.parameters()
     times = rows.samples["tt2000"].values
@@ -172,6 +175,28 @@ def _columns_in_and_out(term: Term, rows: DesignRows) -> Iterator[Floats | _Colu
             yield from (
                 _differenced(term, rows, values, name, index, step) for index in range(kinds[name].size)
             )
+
+
+def _of_difference(difference: Difference, rows: DesignRows) -> Floats:
+    """Column of a number that is held: what the model's effects make with it at two values; (time, row)."""
+    times = rows.samples["tt2000"].values
+    found = np.zeros(rows.residual.shape)
+    for low, high in zip(difference.low, difference.high, strict=True):
+        sensor = low.sensor
+        if low.is_additive:
+            fields = [one.effect.field(rows.samples, one.values(times), sensor) for one in (high, low)]
+            found -= np.einsum("tra,ta->tr", rows.directions[sensor.name], fields[0] - fields[1])
+            continue
+        reading = np.asarray(rows.samples[sensor.role].values, dtype=np.float64)
+        made = [one.effect.correct(reading, rows.samples, one.values(times), sensor) for one in (high, low)]
+        change = made[0] - made[1]
+        if sensor.role not in VECTOR_ROLES:
+            found -= change[:, None]
+            continue
+        if sensor.name in rows.sensor_matrices:
+            change = multiply(rows.sensor_matrices[sensor.name], change)
+        found += np.einsum("tra,ta->tr", rows.directions[sensor.name], change)
+    return found
 
 
 def _with_step(values: Mapping[str, Floats], name: str, index: int | slice, step: float) -> dict[str, Floats]:

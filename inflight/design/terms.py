@@ -16,6 +16,65 @@ import numpy.typing as npt
 from inflight.model import ModelEffect
 
 
+@dataclass(frozen=True, kw_only=True)
+class HeldNumber:
+    """A number that the model holds and no fit may move, which its effects depend on not only in proportion.
+
+    Attributes
+    ----------
+    name : str
+        ``temperature.lag`` of an effect of the model, ``coil_temperature.lag`` of a channel of the mission.
+    key : str
+        What it is: ``lag``, ``delay``, ``width``, ``about``, ``turn_x`` (of panels), or a parameter.
+    effects : tuple of (str, int)
+        Effects of the model that it is in, and which factor of their channel it belongs to.
+    channel : str
+        Whose lag, width or value it is; empty when it is no channel's.
+    value, unit : float, str
+        As it is held.
+    step : float
+        Half of the difference that its derivative is made of.
+    bounds : tuple of float
+        Least and largest value that it may plausibly have.
+    path : str
+        Its place in the mission file; empty for a number of the model.
+    """
+
+    name: str
+    key: str
+    effects: tuple[tuple[str, int], ...]
+    channel: str
+    value: float
+    unit: str
+    step: float
+    bounds: tuple[float, float]
+    path: str = ""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The effects of a model with a number at two values: their difference is a column.
+
+    Attributes
+    ----------
+    number : HeldNumber
+    low, high : tuple of ModelEffect
+        The same effects at both values.
+    between : tuple of float
+        The two values.
+    """
+
+    number: HeldNumber
+    low: tuple[ModelEffect, ...]
+    high: tuple[ModelEffect, ...]
+    between: tuple[float, float]
+
+    @property
+    def apart(self) -> float:
+        """By how much the values differ: the physical size of one unit of the column."""
+        return self.between[1] - self.between[0]
+
+
 @dataclass(frozen=True)
 class Term:
     """One effect, the parameters a fit may move, and their columns.
@@ -32,6 +91,8 @@ class Term:
         What is known beforehand of each column, physical units; inf when nothing.
     span : tuple of int
         TT2000 from when, and until when if it ends, the columns hold, 0 otherwise; always when empty.
+    difference : Difference, optional
+        Its one column is what a number that is held does to the model's effects; it has no parameters then.
     """
 
     key: str
@@ -39,10 +100,19 @@ class Term:
     parameters: tuple[str, ...]
     sigma: tuple[float, ...] = ()
     span: tuple[int, ...] = ()
+    difference: Difference | None = None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels, derived ones among them, that the columns are made from."""
+        entries = (*self.difference.low, *self.difference.high) if self.difference else (self.entry,)
+        return tuple(dict.fromkeys(name for entry in entries for name in entry.effect.channels if name))
 
     @property
     def columns(self) -> list[str]:
         """Names of the columns, ``key.parameter[axis]``."""
+        if self.difference is not None:
+            return [f"{self.key}.{self.difference.number.key}"]
         kinds = self.entry.effect.parameters()
         return [
             f"{self.key}.{name}[{axis}]" if axis else f"{self.key}.{name}"
@@ -53,6 +123,9 @@ class Term:
     @property
     def usual(self) -> list[float]:
         """Usual size of each column's parameter, as its effect states it, in units of the column."""
+        if self.difference is not None:
+            low, high = self.difference.number.bounds
+            return [abs((high - low) / self.difference.apart)]
         kinds = self.entry.effect.parameters()
         sizes = [(kinds[name].sigma / kinds[name].step, kinds[name].size) for name in self.parameters]
         return [size if np.isfinite(size) else 1e3 for size, count in sizes for _ in range(count)]
@@ -60,6 +133,8 @@ class Term:
     @property
     def scale(self) -> list[float]:
         """Physical size of one unit of each column."""
+        if self.difference is not None:
+            return [self.difference.apart]
         kinds = self.entry.effect.parameters()
         return [kinds[name].step for name in self.parameters for _ in range(kinds[name].size)]
 
@@ -90,6 +165,8 @@ class Candidate:
         It describes a shape and names no cause.
     placebo : bool
         Made from a channel of another time: whatever it explains, it explains by chance.
+    number : str
+        Name of the number of the model that it changes; empty of an effect.
     """
 
     name: str
@@ -100,6 +177,7 @@ class Candidate:
     lag_s: float = 0.0
     agnostic: bool = False
     placebo: bool = False
+    number: str = ""
 
 
 @dataclass(frozen=True)
@@ -170,8 +248,7 @@ class Library:
     @property
     def channels(self) -> list[str]:
         """Every channel the terms need, derived ones and placebos included."""
-        names = {name for term in self.all_terms for name in term.entry.effect.channels}
-        return sorted(names)
+        return sorted({name for term in self.all_terms for name in term.channels})
 
     def columns_of(self, candidate: Candidate) -> list[str]:
         """Names of a candidate's columns."""

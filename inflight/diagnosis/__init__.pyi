@@ -26,6 +26,7 @@ from .figure_data import (
     superposed_epoch,
     trials,
 )
+from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already
 from .residual import DiagnosisData
@@ -98,6 +99,7 @@ __all__ = [
     "cross_talk",
     "draw_signs",
     "drifts",
+    "effects_at",
     "episodes",
     "error_waterfall",
     "estimate",
@@ -107,7 +109,9 @@ __all__ = [
     "group_by_size",
     "heat_maps",
     "held_already",
+    "held_numbers",
     "lag_profile",
+    "line_of",
     "make_folds",
     "make_library",
     "neutral_changes",

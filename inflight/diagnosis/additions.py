@@ -501,6 +501,14 @@ def addition_of(maker: AdditionMaker, option: Option) -> Addition:
         if not option.change.at:
             return drift_of(maker, option.name)
         return step_of(maker, option.name.split("_")[0], option.change.at)
+    if option.number:
+        # What it changes is fitted with the others; no entry of the model is added for it.
+        return Addition(
+            name=option.name,
+            columns=tuple(Column(one, ((one, 1.0),)) for one in option.columns),
+            entries=(),
+            needs=tuple(maker.library.terms[key] for key in option.terms),
+        )
     candidates = {one.name: one for one in maker.library.candidates}
     if option.name in candidates:
         return maker.of_candidate(candidates[option.name])

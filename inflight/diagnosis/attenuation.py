@@ -349,7 +349,7 @@ class _Columns:
         self.search, self.data, self.terms = search, data, terms
         self.names = [name for term in terms for name in term.columns]
         self.weight = data.series["weight"]
-        self.channels = {name for term in terms for name in term.entry.effect.channels if name}
+        self.channels = {name for term in terms for name in term.channels}
         self.plain = self._made(data.series)
         self._products: dict[tuple[str, float], Floats] = {}
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from inflight.design import Candidate, ChannelSummary, Library, Term, term_of
+from inflight.diagnosis.model_numbers import difference_of, held_numbers
 from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of
@@ -125,8 +126,29 @@ def make_library(
         key = f"{term.key}.{term.parameters[0]}"
         own = replace(term, key=key)
         library.add(Candidate(key, key, "sensor", (), (key,)), [own])
+    _add_numbers(library, mission, model, channels, 0.5 * periods[0])
     _add_placebos(library, mission, model, shifts)
     return library
+
+
+def _add_numbers(
+    library: Library, mission: Mission, model: Model, channels: Mapping[str, ChannelSummary], cadence_s: float
+) -> None:
+    """Add the numbers that the model holds, each by its derivative."""
+    known = {entry.name: entry for entry in model.effects}
+    for number in held_numbers(mission, model, channels, cadence_s, library.unlagged):
+        entry = known[number.effects[0][0]]
+        bases = [one for name in entry.effect.channels if name for one in base_channels(name)]
+        family = family_of(entry.effect, mission)
+        try:
+            term = difference_of(number, model, mission)
+        except InflightError as error:
+            library.unscorable.append({"name": number.name, "family": family, "reason": error.message})
+            continue
+        used = (number.channel,) if number.path else tuple(dict.fromkeys(bases))
+        library.add(
+            Candidate(number.name, number.name, family, used, (number.name,), number=number.name), [term]
+        )
 
 
 def _add_effect(

@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import Term, design_matrix, within_span
+from inflight.design import HeldNumber, Term, design_matrix, within_span
 from inflight.diagnosis.candidates import SLOW
+from inflight.diagnosis.model_numbers import difference_of
 from inflight.diagnosis.residual import (
     DiagnosisData,
     correlation_s,
@@ -175,9 +176,41 @@ class DesignSettings:
     most_rows: int = 450_000
 
 
+@dataclass(frozen=True, kw_only=True)
+class NumberSettings:
+    """How the value of a number that the model holds is found.
+
+    Attributes
+    ----------
+    tried : int
+        Values of a lag or a width to begin with; assumed.
+    narrowest : float
+        The smallest width tried, as a part of the largest.
+    turns : tuple of float
+        Turns of panels to begin with, as parts of the largest; assumed.
+    steps : int
+        Gauss and Newton's steps at most.
+    parts : tuple of float
+        Parts of a step that are tried until one leaves less.
+    settled : float
+        It has settled when a step is below this part of what its derivative is made over.
+    near : float
+        A value that is off by no more than this part of its error stays as it is; assumed.
+    """
+
+    tried: int = 9
+    narrowest: float = 0.02
+    turns: tuple[float, ...] = (-0.5, -0.25, -0.1, 0.1, 0.25, 0.5)
+    steps: int = 8
+    parts: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)
+    settled: float = 0.01
+    near: float = 0.3
+
+
 LAG_SETTINGS = LagSettings()
 WIDTH_SETTINGS = WidthSettings()
 CHANGE_TIME_SETTINGS = ChangeTimeSettings()
+NUMBER_SETTINGS = NumberSettings()
 DESIGN_SETTINGS = DesignSettings()
 
 #: Angles: a field may follow them, but no product with them means anything.
@@ -195,8 +228,9 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     """
     if not can_add_columns(search, data):
         return _with_lag(search, data, option) if _has_bank(search, option) else (search, option)
-    if option.change is not None:
-        return refine_change_time(search, data, option)
+    if option.change is not None or option.number:
+        special = with_value if option.number else refine_change_time
+        return special(search, data, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
         return search, option
     if option.mechanism.startswith("hysteresis("):
@@ -204,6 +238,114 @@ def refine(search: Search, data: DiagnosisData, option: Option) -> Refined:
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
         return _with_lag(search, data, option)
     return _with_response(search, data, option) if len(option.terms) == 1 else (search, option)
+
+
+# Numbers that the model holds.
+
+
+def with_value(search: Search, data: DiagnosisData, option: Option) -> Refined:
+    """Return the option of a held number with its best value; its column is all that this value changes.
+
+    What moves the number out of its plausible range is no explanation: its options are gone then, unless
+    the model has it already.
+    """
+    term = search.library.by_key[option.terms[0]]
+    assert term.difference is not None
+    number = term.difference.number
+    found = _best_value(FormTrials(search, data, option), data, number)
+    if found is None:
+        return (
+            (search, option) if option in search.accepted else (search.without_options(option.name), option)
+        )
+    value, sigma = found
+    known = term.difference.between[1] if option.number_sigma else None
+    if known is not None and abs(value - known) < NUMBER_SETTINGS.near * sigma:
+        return search, option
+    made = difference_of(
+        number, data.linearised, data.mission, value, f"{number.name}@{value:.6g}{number.unit}"
+    )
+    exact = replace(option, name=made.key, terms=(made.key,), columns=tuple(made.columns), number_sigma=sigma)
+    if made.key not in search.library.terms:
+        search = join_terms(search, data, [made])
+    return search.without_options(option.mechanism).with_options([exact]), exact
+
+
+@dataclass(frozen=True)
+class _NumberTrials:
+    """What other values of a number leave of the residual: each changes a known amount, unscaled."""
+
+    trials: FormTrials
+    data: DiagnosisData
+    number: HeldNumber
+
+    def rest(self, value: float) -> Floats:
+        """Return the residual that a value leaves; (row,) nT, weighted."""
+        rest: Floats = self.trials.rest
+        if value != self.number.value:
+            term = difference_of(self.number, self.data.linearised, self.data.mission, value, "trial")
+            rest = rest + self.trials.columns(term)[0]
+        return rest
+
+    def slope(self, value: float) -> Floats:
+        """Return its change by one unit of the number; (row,)."""
+        term = difference_of(self.number, self.data.linearised, self.data.mission, key="slope", around=value)
+        slope: Floats = self.trials.columns(term)[0] / term.scale[0]
+        return slope
+
+    def descend(self, value: float) -> float:
+        """Return where Gauss and Newton's steps end that begin at a value."""
+        rest = self.rest(value)
+        for _ in range(NUMBER_SETTINGS.steps):
+            tangent = self.slope(value)
+            step = -float(tangent @ rest) / max(float(tangent @ tangent), 1e-300)
+            for part in NUMBER_SETTINGS.parts:
+                at = float(np.clip(value + part * step, *self.number.bounds))
+                other = self.rest(at)
+                if other @ other < rest @ rest:
+                    break
+            else:
+                break
+            moved, value, rest = abs(at - value), at, other
+            if moved < NUMBER_SETTINGS.settled * self.number.step:
+                break
+        return value
+
+    def error(self, value: float) -> float:
+        """Return the error of the best value: a jackknife over folds of blocks."""
+        tangent, rest = self.slope(value), self.rest(value)
+        right, inner = (
+            np.bincount(self.trials.block, weights=tangent * one, minlength=self.trials.blocks)
+            for one in (rest, tangent)
+        )
+        steps = [
+            (right.sum() - right[fold].sum()) / (inner.sum() - inner[fold].sum())
+            for fold in make_folds(self.trials.blocks)
+        ]
+        return float(jackknife(np.array(steps)))
+
+
+def _best_value(trials: FormTrials, data: DiagnosisData, number: HeldNumber) -> tuple[float, float] | None:
+    """Return the value of a number that leaves least, and its error; None out of its plausible range.
+
+    Of values all over that range the best one is where the search for the least begins.
+    """
+    own = _NumberTrials(trials, data, number)
+    tried = {one: float(np.sum(own.rest(one) ** 2)) for one in [number.value, *_values_to_try(number)]}
+    value = own.descend(min(tried, key=lambda one: tried[one]))
+    low, high = number.bounds
+    if not low < value < high or not float(np.sum(own.rest(value) ** 2)) < tried[number.value]:
+        return None
+    return float(f"{value:.6g}"), own.error(value)
+
+
+def _values_to_try(number: HeldNumber) -> list[float]:
+    """Return values a number may have far from the one that is held: lags and widths, by factors; turns."""
+    if number.key.startswith("turn"):
+        return [part * number.bounds[1] for part in NUMBER_SETTINGS.turns]
+    if number.key not in ("lag", "width"):
+        return []
+    low = number.step if number.key == "lag" else NUMBER_SETTINGS.narrowest * number.bounds[1]
+    return [float(one) for one in np.geomspace(low, 0.9 * number.bounds[1], NUMBER_SETTINGS.tried)]
 
 
 # Lags and widths.
@@ -825,7 +967,7 @@ def _days_of(series: Series) -> list[slice]:
 
 
 def _channels_of(terms: Sequence[Term]) -> set[str]:
-    return {name for term in terms for name in term.entry.effect.channels if name}
+    return {name for term in terms for name in term.channels}
 
 
 def _columns_of_part(search: Search, data: DiagnosisData, terms: Sequence[Term], part: slice) -> Floats:

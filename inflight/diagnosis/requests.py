@@ -170,6 +170,12 @@ def _parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
 
 def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float | None]:
     """Return the candidate of a name, and its lag when one is stated that the bank has not."""
+    own = name.partition("@")[0]
+    if any(one.number == own for one in maker.library.candidates if one.number):
+        raise ModelError(
+            f"{own!r} is a number that is held already, and no effect",
+            remedy="give it another value by 'inflight set' or in the mission file, as 'diagnose' says",
+        )
     real = [one for one in maker.library.candidates if not one.placebo]
     found = [one for one in real if name in (one.name, one.mechanism)]
     if found:
@@ -280,7 +286,7 @@ def _matching_candidate(maker: AdditionMaker, entry: ModelEffect) -> tuple[Candi
     identity, lag = _identity(entry)
     for candidate in maker.library.candidates:
         term = maker.library.terms[candidate.terms[0]]
-        if candidate.placebo or len(candidate.terms) > 1:
+        if candidate.placebo or candidate.number or len(candidate.terms) > 1:
             continue
         own, own_lag = _identity(term.entry)
         if own == identity and (own_lag == lag or maker.bank(candidate)):

@@ -199,7 +199,7 @@ def _terms_and_rows(
     changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
     used |= {key for key, term in terms.items() if changing & set(term.columns)}
     chosen += [terms[key] for key in sorted(used - {term.key for term in chosen})]
-    channels = {name for term in chosen for name in term.entry.effect.channels if name}
+    channels = {name for term in chosen for name in term.channels}
     return chosen, series.rows(sensor_matrices, derived_channels(series, channels))
 
 
@@ -320,7 +320,7 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
     channels: dict[str, float] = {}
     terms = search.library.by_key
     taken = [terms[key] for option in search.accepted for key in option.terms]
-    names = {name for term in taken for name in term.entry.effect.channels if name}
+    names = {name for term in taken for name in term.channels}
     for part in (part for name in sorted(names) for part in parse_channel(name).parts):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:

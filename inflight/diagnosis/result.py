@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from inflight.diagnosis.words import numbers_text, what_it_is
 from inflight.residual import above_floor, format_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
@@ -74,9 +75,9 @@ class FoundEffect:
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
     related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
-    what a clock error may be instead. `turned_over_by` are choices of numbers that give another answer.
-    Noise of `noise_of`, a channel or the field, made the values smaller by `noise_part` at most; it is in
-    them no more.
+    what a clock error may be instead. `command` is what mends a number that the model holds. `turned_over_by`
+    are choices of numbers that give another answer. Noise of `noise_of`, a channel or the field, made the
+    values smaller by `noise_part` at most; it is in them no more.
     """
 
     name: str
@@ -108,6 +109,7 @@ class FoundEffect:
     turned_over_by: tuple[Turn, ...] = ()
     noise_of: str | None = None
     noise_part: float | None = None
+    command: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -143,6 +145,15 @@ HOW_SURE: dict[Status, str] = {
     "fragile": "something is there; another choice of numbers turns it over",
     "weak": "weak: hardly more than chance",
     "unknown": "sure; no cause in the library",
+}
+
+
+#: The same as a sentence, where an entry's own words do not say it.
+_SURE_SENTENCE: dict[Status, str] = {
+    "sure": "Sure: nothing else explains it as well",
+    "stand-in": "As much is left that has no cause: it may stand in for a part of that",
+    "weak": "Weak: hardly more than chance",
+    "unknown": "No effect of the library is its cause",
 }
 
 
@@ -308,6 +319,21 @@ class Diagnosis:
     in_time: tuple[dict[str, Any], ...] = ()
     plumbing: tuple[Mapping[str, Any], ...] = ()
 
+    @property
+    def headline(self) -> str:
+        """What leads, and how sure that is, in one sentence."""
+        if self.plumbing:
+            return f"Mend the data first: {self.plumbing[0]['sentence']}."
+        if not self.entries:
+            return self.sentence.partition(". ")[0].rstrip(".") + "."
+        lead = self.entries[0]
+        text = f"{lead.words[0].upper()}{lead.words[1:]}"
+        if lead.name == LEFT and lead.status == "weak":
+            return f"Something is there, {lead.takes_off_nT:.2g} nT rms, but {lead.words}."
+        # What other causes do as well, and what turns an answer over, stands in its words.
+        more = "" if lead.status in ("rivals", "fragile") else f". {_SURE_SENTENCE[lead.status]}"
+        return f"{text}{more}."
+
     def after_plumbing(self, found: Sequence[Mapping[str, Any]]) -> Diagnosis:
         """Return the diagnosis with faults of plumbing at its head: physics waits until they are mended."""
         if not found:
@@ -324,6 +350,7 @@ class Diagnosis:
             if name not in ("entries", "effects", "signature", "remaining", "context", "run")
         }
         facts["meaning"] = MEANING[self.verdict]
+        facts["headline"] = self.headline
         facts["entries"] = [one.as_json() for one in self.entries]
         facts["effects"] = [one.as_json() for one in self.effects]
         facts["signature"] = self.signature.as_json() if self.signature else None
@@ -442,7 +469,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
             last_in_gain=one.gain,
             last_in_t=one.t,
             rivals=one.rivals,
-            command=f'inflight add "{one.name}"',
+            command=one.command or f'inflight add "{one.name}"',
         )
         for one in facts["effects"]
     ]
@@ -647,28 +674,35 @@ def _percent(share: float) -> str:
 
 def _effect_text(effect: FoundEffect) -> str:
     if effect.said:
-        return f"{effect.said}, {effect.rms_nT:.3g} nT rms ({effect.name})"
-    family = effect.family.replace("_", " ")
-    what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
-    cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
+        text = f"{effect.said}, {effect.rms_nT:.3g} nT rms"
+        return text + _stamp_text(effect) + _rivals_text(effect.rivals) if effect.command else text
+    text = what_it_is(effect.name, effect.channels, effect.family)
     if effect.at:
         times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]
-        cause += f" from {' to '.join(times)}"
-        cause += f" +- {format_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
-    lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
-    axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
-    text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
+        text += f" {'from' if len(times) > 1 else 'at'} {' to '.join(times)} UTC"
+        text += f" +- {format_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
+    if effect.lag_s > 0:
+        error = f" +- {effect.lag_sigma_s:.2g}" if effect.lag_sigma_s else ""
+        text += f" with a lag of {effect.lag_s:.4g}{error} s"
+    numbers = numbers_text(effect.coefficients)
+    text += f" ({numbers})" if numbers else ""
+    text += f", {effect.rms_nT:.3g} nT rms"
     if effect.model_effects:
         own = " and ".join(effect.model_effects)
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.left_follows:
         text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
-    if effect.stamp_readings:
-        number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
-        text += f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
     if effect.turned_over_by:
         text += f"; fragile: {effect.turned_over_by[0].words}"
-    return text + _rivals_text(effect.rivals)
+    return text + _stamp_text(effect) + _rivals_text(effect.rivals)
+
+
+def _stamp_text(effect: FoundEffect) -> str:
+    """Return what a clock that is off may be instead."""
+    if not effect.stamp_readings:
+        return ""
+    number, readings = effect.coefficients[0], " or ".join(effect.stamp_readings)
+    return f"; {number.value:.3g} +- {number.sigma:.2g} s may also be {readings}"
 
 
 def _rivals_text(rivals: Sequence[str]) -> str:

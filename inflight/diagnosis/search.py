@@ -161,6 +161,10 @@ class Option:
         Error of a refined lag, s.
     of_more : float
         It was the best of so many times as many as those it is scored with: its p-value counts them.
+    number : str
+        Name of the number of the model that it changes (see `inflight.design.HeldNumber`).
+    number_sigma : float, optional
+        Error of its value once that was found, in its unit; None of a derivative.
     """
 
     name: str
@@ -175,6 +179,8 @@ class Option:
     change: Change | None = None
     lag_sigma_s: float | None = None
     of_more: float = 1.0
+    number: str = ""
+    number_sigma: float | None = None
 
     @property
     def interleaved(self) -> bool:
@@ -448,6 +454,7 @@ class Search:
                     lag_s=one.lag_s,
                     agnostic=one.agnostic,
                     placebo=one.placebo,
+                    number=one.number,
                 )
                 for one in library.candidates
             ),
@@ -859,6 +866,10 @@ class Search:
     def with_options(self, options: Sequence[Option]) -> Search:
         """Return the state with more options to choose from."""
         return replace(self, options=(*self.options, *options))
+
+    def without_options(self, mechanism: str) -> Search:
+        """Return the state with the options of a mechanism gone."""
+        return replace(self, options=tuple(one for one in self.options if one.mechanism != mechanism))
 
     def with_grams(self, raw: FactoredGrams, library: Library) -> Search:
         """Return what was taken on Gram blocks of another cadence, of the raw form alone.

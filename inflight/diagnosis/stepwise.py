@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.refine import FormTrials, refine
+from inflight.diagnosis.refine import FormTrials, can_add_columns, refine, with_value
 from inflight.diagnosis.residual import DiagnosisData, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of, score
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
@@ -64,6 +64,8 @@ class SelectionSettings:
     most_sigmas : float
         A number of the model that had to be off by more of its sigmas is no explanation of what follows a
         channel that is none of its own; assumed.
+    quick : float
+        A lag or a delay that is off by no more than so many samples of the search may be either; assumed.
     few_columns, part_of_best : int, float
         Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
         reach; assumed.
@@ -78,6 +80,7 @@ class SelectionSettings:
     near: int = 6
     exchanges: int = 3
     most_sigmas: float = 30.0
+    quick: float = 4.0
     few_columns: int = 12
     part_of_best: float = 0.3
 
@@ -131,6 +134,11 @@ class Estimate:
         """Return by how many of its sigmas the value that differs most from another estimate's does so."""
         known = self.sigma > 0
         return float(np.max(np.abs(self.value - other.value)[known] / self.sigma[known], initial=0.0))
+
+    def with_least_error(self, error: float) -> Estimate:
+        """Return the estimate of one value with an error that is no smaller than another one of it."""
+        sigma = np.maximum(self.sigma, error)
+        return replace(self, sigma=sigma, covariance=np.diag(sigma**2))
 
     def with_error(self, error: Floats) -> Estimate:
         """Return the estimate with a further error of each value, physical units, independent of its own."""
@@ -299,6 +307,11 @@ def _explained_after(last: ScoreTable, rival: Option, form: str) -> float:
 
 def same_cause(one: Option, other: Option) -> bool:
     """Return True for two forms of one cause."""
+    if one.number or other.number:
+        if one.number and other.number:
+            return one.number == other.number
+        # A number of the model that follows a channel, and another effect that does.
+        return bool(set(one.channels) & set(other.channels)) or one.family == other.family
     same = one.channels == other.channels and one.family == other.family
     # These families hold several parameters: a scale that steps or drifts is no angle that does.
     same &= bool(one.channels) or one.family not in ("sensor", "ageing")
@@ -420,6 +433,13 @@ def select_effects(
         table = table.without_fits()
         if found is None:
             return replace(search, ran_out=False), first, table
+        joined = with_numbers_of(search, data, table, found)
+        if joined is not search:
+            search, table = joined, joined.table()
+            found = best_passing(table, search, shapes_first) or found
+            table = table.without_fits()
+            if found[0].name not in {option.name for option in table.options}:
+                continue
         number = number_that_explains(search, found[0])
         if number is not None:
             search = search.with_freed(number, found[0]).with_round("free", found[0], name=number)
@@ -427,6 +447,27 @@ def select_effects(
         search = hold_what_others_explain(_one_round(search, data, table, *found))
     last = search.table().without_fits()
     return replace(search, ran_out=bool(search.rules.rounds)), first or last, last
+
+
+def with_numbers_of(
+    search: Search, data: DiagnosisData, table: ScoreTable, found: tuple[Option, str]
+) -> Search:
+    """Return the state with the best values of held numbers that may explain what an option does.
+
+    Those are numbers that follow a channel of the option, and all that explain a large part of it by their
+    derivative. The state itself when there are none, or their best values are known.
+    """
+    option, form = found
+    if option.change is not None or not can_add_columns(search, data):
+        return search
+    scores = table.scores[form]
+    least = SELECTION_SETTINGS.part_of_best * float(scores.gain[table.options.index(option)])
+    for place, one in enumerate(table.options):
+        if one.number and one.number_sigma is None and scores.t[place] > search.rules.rival_t:
+            close = bool(set(one.channels) & set(option.channels)) or scores.gain[place] > least
+            if close and scores.gain[place] > SELECTION_SETTINGS.rival_gain * least:
+                search, _ = with_value(search, data, one)
+    return search
 
 
 def number_that_explains(search: Search, option: Option) -> str | None:
@@ -472,7 +513,7 @@ def rivals_of_number(search: Search, number: str) -> tuple[str, ...]:
         if passing[place]
         and behind[place] < search.rules.rival_t
         and not table.options[place].agnostic
-        and not uses_channel_of(search, number, table.options[place])
+        and (table.options[place].number or not uses_channel_of(search, number, table.options[place]))
     }
     return tuple(found)
 
@@ -589,8 +630,22 @@ def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) 
             key=lambda place: float(loss[:, place].sum()),
             default=first,
         )
+        chosen = _number_before(table, named, chosen, form, search.rules)
         return table.options[_best_time(table, places.tolist(), chosen, form, search.rules.rival_t)], form
     return None
+
+
+def _number_before(table: ScoreTable, places: list[int], chosen: int, form: str, rules: Rules) -> int:
+    """Return a number that the model holds instead of an effect that does no better; of several the best."""
+    if table.options[chosen].number:
+        return chosen
+    loss = table.scores[form].loss.sum(axis=0)
+    numbers = [
+        place
+        for place in places
+        if table.options[place].number and _does_as_well(table, place, chosen, form, rules)
+    ]
+    return min(numbers, key=lambda place: float(loss[place]), default=chosen)
 
 
 def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, rival_t: float) -> int:
@@ -686,10 +741,37 @@ def exchange_and_check(
         search, tables = slimmer, {}
     last = search.table() if search.accepted else None
     checks = [
-        check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
+        _with_quick_forms(
+            search,
+            data,
+            check_rivals(search, option, tables.get(option.name) or search.table(without=option), last),
+        )
         for option in search.accepted
     ]
     return search, checks, None if last is None else last.without_fits()
+
+
+def _with_quick_forms(search: Search, data: DiagnosisData, check: RivalCheck) -> RivalCheck:
+    """Return how an effect stands, a lag or a delay of few samples with the other one as its rival.
+
+    To first order both do the same, and what is left of a switch within few samples is taken for a spike.
+    """
+    term = search.library.by_key[check.option.terms[0]] if check.option.number else None
+    if term is None or term.difference is None or term.difference.number.key not in ("lag", "delay"):
+        return check
+    number = term.difference.number
+    if abs(term.difference.between[1] - number.value) > SELECTION_SETTINGS.quick * data.cadence_s:
+        return check
+    known = {rival.number for rival, _ in check.rivals}
+    more = []
+    for option in search.options:
+        other = search.library.by_key[option.terms[0]].difference if option.number else None
+        same = other is not None and other.number.channel == number.channel
+        same &= other is not None and {other.number.key, number.key} == {"lag", "delay"}
+        if same and option.number not in known:
+            known.add(option.number)
+            more.append((option, 0.0))
+    return replace(check, rivals=(*check.rivals, *more))
 
 
 def better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:

@@ -21,6 +21,7 @@ from inflight.design import Term
 from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, without_attenuation
 from inflight.diagnosis.choices import nearest_rivals, turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
+from inflight.diagnosis.model_numbers import line_of, rounded, words_of
 from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
 from inflight.diagnosis.residual import (
     DiagnosisData,
@@ -67,9 +68,9 @@ from inflight.diagnosis.stepwise import (
     uses_channel_of,
 )
 from inflight.diagnosis.wander import InTime, with_wander
-from inflight.effects import coefficient_unit
+from inflight.effects import channel_unit, coefficient_unit
 from inflight.mission import Mission
-from inflight.model import Model
+from inflight.model import Model, ModelEffect
 from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
@@ -88,12 +89,15 @@ class ReportSettings:
         Parameters of the calibration named that mimic an effect; assumed.
     chance : float
         Records without a wrong number in which one of the model's own is called wrong; stated.
+    numbers : int
+        Components of a wrong number that are told; assumed.
     """
 
     candidates: int = 40
     separating: int = 3
     mimics: int = 3
     chance: float = 0.01
+    numbers: int = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -341,7 +345,12 @@ def describe_effect(
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
         told = told.with_error(by_lag)
+    if option.number_sigma and terms[0].difference:
+        # A fit of the whole change is no better than where the search, at its own cadence, put the number.
+        off = abs(float(told.value[0]) - terms[0].difference.apart)
+        told = told.with_least_error(max(option.number_sigma, off))
     coefficients = _coefficients(search, data, option, terms, told)
+    said, command = _of_number(data, option, terms, coefficients)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -365,16 +374,61 @@ def describe_effect(
         rivals=rivals,
         at=tuple(utc_text(when) for when in option.change.at) if option.change else (),
         at_sigma_s=option.change.sharpness / SECOND if option.change and option.change.at else None,
-        entries=tuple(term.entry.as_yaml() for term in terms if not term.span),
+        entries=tuple(term.entry.as_yaml() for term in terms if not term.span and term.difference is None),
         cadence_s=native_s if native else data.cadence_s,
         cadence_shift=native.shift_in_sigmas(found) if native else None,
         status=_status(search, check, rivals),
-        model_effects=_sharing(data.model, option),
+        model_effects=() if option.number else _sharing(data.model, option),
+        said=said,
+        command=command,
         stamp_readings=_stamp_readings(data, option, coefficients),
         noise_of=freed.source if freed else None,
         noise_part=freed.part if freed else None,
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def _of_number(
+    data: DiagnosisData, option: Option, terms: Sequence[Term], coefficients: Sequence[Coefficient]
+) -> tuple[str, str]:
+    """Return what the data say of numbers that the model holds, and what mends them; nothing of an effect."""
+    if len(terms) != 1 or option.change is not None:
+        return "", ""
+    if terms[0].difference is not None:
+        number, only = terms[0].difference.number, coefficients[0]
+        value = number.value + only.value
+        return words_of(number, value, only.sigma, only.unit), line_of(number, value, only.sigma)
+    own = next((one for one in data.model.effects if _is_held_as(one, terms[0].entry)), None)
+    if own is None:
+        return "", ""
+    # The same effect once more: what it adds is what the model's own numbers lack.
+    held = {
+        name: (float(value), timed.parameter.unit)
+        for timed in own.parameters.values()
+        for name, value in zip(timed.columns, timed.value[:, 0], strict=True)
+    }
+    words, settings = [], []
+    for one in coefficients:
+        name = f"{own.name}.{one.name}"
+        value, unit = held.get(name, (0.0, ""))
+        if name not in held or unit != one.unit:
+            return "", ""
+        settings.append(f'"{name}={rounded(value + one.value, one.sigma)}"')
+        if one.stands_out:
+            says = f"the data say {rounded(value + one.value, one.sigma)} +- {one.sigma:.2g} {unit}"
+            words.append(f"{one.name} is {value:.3g} {unit}, {says}")
+    more = ", ..." if len(words) > REPORT_SETTINGS.numbers else ""
+    listed = "; ".join(words[: REPORT_SETTINGS.numbers]) + more
+    said = f"numbers that {own.name} of the model holds are wrong ({listed})"
+    return (said, f"inflight set {' '.join(settings)}") if words else ("", "")
+
+
+def _is_held_as(own: ModelEffect, entry: ModelEffect) -> bool:
+    """Return True for an effect that the model has, with the same options and all its numbers held."""
+    same = type(own.effect) is type(entry.effect) and own.effect.channels == entry.effect.channels
+    same &= own.effect.given == entry.effect.given and own.sensor.name == entry.sensor.name
+    still = all(timed.time == "constant" and not timed.free for timed in own.parameters.values())
+    return bool(same and still)
 
 
 def _stamp_readings(
@@ -432,6 +486,9 @@ def _coefficients(
 
 def column_unit(mission: Mission, term: Term, column: str) -> str:
     """Return the unit of the coefficient of a term's column."""
+    if term.difference is not None:
+        number = term.difference.number
+        return number.unit or (channel_unit(mission, number.channel) or "" if number.channel else "")
     kind = term.entry.effect.parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
     channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
     return coefficient_unit(kind, mission, channel) if channel else kind.unit

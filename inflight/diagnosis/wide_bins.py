@@ -86,7 +86,7 @@ def mean_columns(
         if one.change is not None
         for name, source in one.change.functions.items()
     }
-    channels = {name for term in terms for name in term.entry.effect.channels if name}
+    channels = {name for term in terms for name in term.channels}
     rows = series.rows(data.sensor_matrices, derived_channels(series, channels))
     scales: dict[str, float] = {}
     pieces: list[list[Floats]] = [[] for _ in means]
@@ -140,6 +140,6 @@ def is_on_series(search: Search, data: DiagnosisData, option: Option) -> bool:
     known = {name for term in search.library.all_terms for name in term.columns}
     if not option.sources <= known:
         return False
-    channels = {name for term in terms_of(search, [option]) for name in term.entry.effect.channels if name}
+    channels = {name for term in terms_of(search, [option]) for name in term.channels}
     there = set(data.series.features.names)
     return all(part.channel in there for name in channels for part in parse_channel(name).parts)

@@ -8,13 +8,15 @@ A derived name may stand wherever a channel's name may:
     Play operator of full width 2, in the channel's unit: the simplest hysteresis.
 ``boom_temperature@about=21.5``
     What the channel is above 21.5, in its unit.
+``heater_current@delay=20s``
+    What the channel was 20 s ago; with a minus, what it will be.
 ``solar_current~3``
     Third placebo: the channel shifted in time. Only a search makes it; no model may name it.
 ``solar_current*boom_temperature``
     Product; each factor may carry a response or a play: ``a@lag=600s*b``.
 
-With several, the difference comes first, then the response: ``a@lag=600s@width=2`` is the play of the
-response.
+With several, the difference comes first, then delay, response and play: ``a@lag=600s@width=2`` is the play of
+the response.
 """
 
 from __future__ import annotations
@@ -58,7 +60,13 @@ _PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<
 
 _OPTION = re.compile(r"@(\w+)=([^@~*]+)")
 
-_REMEDY = "write a channel, 'channel@lag=600s', 'channel@width=2', 'channel@about=20', or a product with '*'"
+_REMEDY = (
+    "write a channel, 'channel@lag=600s', 'channel@delay=20s', 'channel@width=2', 'channel@about=20', "
+    "or a product with '*'"
+)
+
+#: Options of a factor that may have either sign.
+_SIGNED = frozenset({"about", "delay"})
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,8 @@ class ChannelFactor:
         Number of the placebo, from 1; 0 for the channel itself.
     about : float
         What is taken off the channel first, in its unit.
+    delay_s : float
+        By how much it is late, seconds; negative when it leads.
     text : str
         The part as it was written; it does not count in comparisons.
     """
@@ -86,6 +96,7 @@ class ChannelFactor:
     width: float = 0.0
     placebo: int = 0
     about: float = 0.0
+    delay_s: float = 0.0
     text: str = field(default="", compare=False)
 
     @property
@@ -94,22 +105,26 @@ class ChannelFactor:
         if self.text:
             return self.text
         about = f"@about={self.about:.12g}" if self.about else ""
+        delay = f"@delay={self.delay_s:.12g}s" if self.delay_s else ""
         lag = f"@lag={self.lag_s:.12g}s" if self.lag_s else ""
         width = f"@width={self.width:.12g}" if self.width else ""
-        return f"{self.channel}{about}{lag}{width}{f'~{self.placebo}' if self.placebo else ''}"
+        return f"{self.channel}{about}{delay}{lag}{width}{f'~{self.placebo}' if self.placebo else ''}"
 
     @property
     def is_plain(self) -> bool:
         """True when the part is the channel itself."""
-        return not (self.lag_s or self.width or self.placebo or self.about)
+        return not (self.lag_s or self.width or self.placebo or self.about or self.delay_s)
 
     @property
     def history_s(self) -> float:
-        """Seconds of earlier data it needs: eight lags, and a day for a play."""
-        return RESPONSE_SETTINGS.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
+        """Seconds of earlier data it needs: eight lags, a day for a play, and what it is late by."""
+        past = RESPONSE_SETTINGS.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
+        return past + max(self.delay_s, 0.0)
 
     def of(self, values: Floats, step_s: float | Floats) -> Floats:
-        """Return what is made of a channel: difference, response, play; (time,) or (time, axis), in its unit.
+        """Return what is made of a channel: difference, delay, response, play; (time,) or (time, axis).
+
+        It is in the channel's unit.
 
         Parameters
         ----------
@@ -119,7 +134,8 @@ class ChannelFactor:
             Seconds between samples.
         """
         above = values - self.about if self.about else values
-        slow = slow_response(above, step_s, self.lag_s) if self.lag_s else above
+        late = delayed(above, step_s, self.delay_s) if self.delay_s else above
+        slow = slow_response(late, step_s, self.lag_s) if self.lag_s else late
         return play(slow, self.width) if self.width else slow
 
 
@@ -159,15 +175,15 @@ def _parse_factor(text: str, name: str) -> ChannelFactor:
         raise ModelError(f"{name!r} names no channel", channel=name, remedy=_REMEDY)
     options: dict[str, float] = {}
     for key, value in _OPTION.findall(match["options"]):
-        if key not in ("lag", "width", "about") or key in options:
+        if key not in ("lag", "delay", "width", "about") or key in options:
             raise ModelError(f"{name!r} has no use for '@{key}={value}'", channel=name, remedy=_REMEDY)
         try:
-            size = parse_duration(value) / SECOND if key == "lag" else float(value)
+            size = parse_duration(value) / SECOND if key in ("lag", "delay") else float(value)
         except ValueError as error:
             raise ModelError(f"{name!r}: {error}", channel=name, remedy=_REMEDY) from None
-        if not np.isfinite(size) or (key != "about" and size <= 0):
+        if not np.isfinite(size) or (key not in _SIGNED and size <= 0):
             raise ModelError(
-                f"{name!r}: '{key}' must be {'finite' if key == 'about' else 'positive'}",
+                f"{name!r}: '{key}' must be {'finite' if key in _SIGNED else 'positive'}",
                 channel=name,
                 remedy=_REMEDY,
             )
@@ -178,6 +194,7 @@ def _parse_factor(text: str, name: str) -> ChannelFactor:
         options.get("width", 0.0),
         int(match["placebo"] or 0),
         options.get("about", 0.0),
+        options.get("delay", 0.0),
         text.strip(),
     )
 
@@ -247,6 +264,31 @@ def derive_channel(name: str, channels: Mapping[str, Floats], step_s: float | Fl
         if part.placebo:
             raise ModelError(f"{name!r} is a placebo", channel=name, remedy="only a search makes placebos")
     return channel_product([part.of(channels[part.channel], step_s) for part in derived.parts])
+
+
+def delayed(values: Floats, step_s: float | Floats, delay_s: float) -> Floats:
+    """Return what a channel was some time ago, with straight lines between its samples.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time,) or (time, axis)
+        The channel; NaN where it is missing, and where a sample that is needed is.
+    step_s : float or ndarray, shape (time - 1,)
+        Seconds between samples.
+    delay_s : float
+        By how much it is late; negative when it leads. Beyond the ends the outer samples hold.
+
+    Returns
+    -------
+    ndarray
+        Same shape and unit.
+    """
+    count = max(values.shape[0] - 1, 0)
+    steps = np.broadcast_to(np.asarray(step_s, dtype=np.float64), (count,))
+    seconds = np.concatenate([[0.0], np.cumsum(steps)])
+    flat = np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1)
+    late = [np.interp(seconds - delay_s, seconds, column) for column in flat.T]
+    return np.stack(late, axis=-1).reshape(values.shape) if values.size else np.array(flat)
 
 
 def slow_response(values: Floats, step_s: float | Floats, lag_s: float) -> Floats:

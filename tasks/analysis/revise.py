@@ -35,8 +35,11 @@ from inflight.diagnosis import (
     addition_of,
     addition_of_entry,
     best_lag,
+    effects_at,
     find_request,
     held_already,
+    held_numbers,
+    line_of,
     neutral_changes,
     plain_json,
     row_variance,
@@ -63,6 +66,7 @@ from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.models import (
     REFIT,
+    SET,
     VersionedModel,
     current_model,
     version_before_change,
@@ -70,7 +74,7 @@ from inflight.tasks.models import (
 )
 from inflight.tasks.pipelines import spacecraft_units_of
 from inflight.tasks.report import Progress
-from inflight.time import DayLike
+from inflight.time import SECOND, DayLike, parse_duration
 
 #: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
@@ -326,7 +330,9 @@ class Workbench:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
         columns = self.maker.time_variable
         kinds = [kind for kind in DRIFTS if getattr(columns, kind.removesuffix("_drift"))]
-        return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
+        return [
+            one.name for one in self.made.plan.library.candidates if not (one.placebo or one.number)
+        ] + kinds
 
     # Changes of the model.
 
@@ -455,6 +461,59 @@ class Workbench:
         self.current = self._saved(model, message, model.text, before, after)
         self._last, self._refitted = None, True
         return self._revision("refit", message, parent, before, after)
+
+    def set_numbers(self, *settings: str) -> Revision:
+        """Give numbers of the model other values and fit everything else anew, within what the model states.
+
+        Parameters
+        ----------
+        settings : str
+            Such as ``stray.lag=410s``, ``stray.width=2.5`` or ``temperature.linear[x]=1.2e-5``, in the
+            model's units.
+
+        Raises
+        ------
+        ModelError
+            When the model has no such number, or it cannot have that value.
+        """
+        self._rebase_refitted()
+        return self._set(dict(map(_setting, settings)))
+
+    def _set(self, settings: Mapping[str, str], verb: str = "set") -> Revision:
+        plan, model = self.made.plan, self.current.model
+        spacing = plan.cadence_ns / SECOND
+        held = held_numbers(self.mission, model, plan.channel_summaries, spacing, plan.library.unlagged)
+        numbers = {one.name: one for one in held}
+        for name, text in settings.items():
+            known = [*numbers, *model.columns]
+            if name not in known:
+                raise ModelError(
+                    f"model '{model.name}' has no number {name!r}{did_you_mean(name, known)}",
+                    remedy="'inflight model show' lists its values",
+                )
+            if name in numbers and numbers[name].path:
+                raise ModelError(
+                    f"{name!r} is no number of the model",
+                    remedy=f"write it into mission.yaml: {line_of(numbers[name], _number(name, text))}",
+                )
+            if name in model.columns and name not in numbers:
+                model = model.with_values({name: _number(name, text)})
+                continue
+            for entry in effects_at(numbers[name], _number(name, text), model, self.mission):
+                model = model.replace(entry)
+        before = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
+        used = VersionedModel(model, self.root.version, model.text)
+        setup = _fit_setup_of(self._prepared(used, []), self.settings)
+        after = setup.fit([], {})
+        value, sigma = _fitted_of(setup.refined, after)
+        model = model.with_values(value, sigma)
+        message, parent = (
+            f"{SET} {', '.join('='.join(one) for one in settings.items())}",
+            self.current.version,
+        )
+        self.current = self._saved(model, message, model.text, before, after)
+        self._last, self._refitted = None, True
+        return self._revision(verb, message, parent, before, after)
 
     def _rebase_refitted(self) -> None:
         """Make the Gram blocks at the present version, where those there are hold its numbers otherwise."""
@@ -586,14 +645,7 @@ class Workbench:
         self, setup: FitSetup, additions: Sequence[Addition], dropped: Sequence[str], fitted: JointFit
     ) -> Model:
         """Return the root's model with everything at its fitted values."""
-        model = self.root.model
-        value, sigma = {}, {}
-        for term in setup.refined:
-            starts = values_of(term.entry)
-            for name in (name for name in starts if f"model:{name}" in fitted.value):
-                value[name] = starts[name] + fitted.value[f"model:{name}"]
-                sigma[name] = fitted.sigma[f"model:{name}"]
-        model = model.with_values(value, sigma)
+        model = self.root.model.with_values(*_fitted_of(setup.refined, fitted))
         for name in dropped:
             model = model.drop(name)
         for one in additions:
@@ -681,11 +733,63 @@ class Workbench:
         self.made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
         self.__dict__.pop("_whole", None)
         steps = []
+        # Numbers that the model holds are fitted with the others, and set at the end: that takes a pass.
+        numbers = [option for option in search.accepted if option.number]
+        self.additions += [addition_of(self.maker, option) for option in numbers]
         for option in search.accepted:
+            if option.number:
+                continue
             addition = addition_of(self.maker, option)
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
+        if numbers:
+            steps += self._set_found([search.library.by_key[option.terms[0]] for option in numbers])
         return found, steps
+
+    def _set_found(self, terms: Sequence[Term]) -> list[Revision]:
+        """Set the numbers of the model that a search found; those of the mission file are a person's."""
+        fitted = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
+        self.additions = [one for one in self.additions if one.entries]
+        settings = {}
+        for term in terms:
+            assert term.difference is not None
+            number = term.difference.number
+            if not number.path:
+                value = number.value + fitted.value[term.columns[0]]
+                settings[number.name] = f"{value:.6g}{'s' if number.unit == 's' else ''}"
+        return [self._set(settings, "auto")] if settings else []
+
+
+def _fitted_of(refined: Sequence[Term], fitted: JointFit) -> tuple[dict[str, float], dict[str, float]]:
+    """Return values and sigmas of the model's own numbers after a fit."""
+    value, sigma = {}, {}
+    for term in refined:
+        starts = values_of(term.entry)
+        for name in (name for name in starts if f"model:{name}" in fitted.value):
+            value[name] = starts[name] + fitted.value[f"model:{name}"]
+            sigma[name] = fitted.sigma[f"model:{name}"]
+    return value, sigma
+
+
+def _setting(text: str) -> tuple[str, str]:
+    """Return name and value of a setting such as ``stray.lag=410s``."""
+    name, equals, value = text.partition("=")
+    if not (equals and name.strip() and value.strip()):
+        raise ModelError(f"{text!r} sets no number", remedy="write such as stray.lag=410s")
+    return name.strip(), value.strip()
+
+
+def _number(name: str, text: str) -> float:
+    """Return a value as a number, of a duration in seconds."""
+    try:
+        return float(text)
+    except ValueError:
+        try:
+            return parse_duration(text) / SECOND
+        except ValueError:
+            raise ModelError(
+                f"{name}: {text!r} is no number", remedy="write such as 0.25, or 410s of a duration"
+            ) from None
 
 
 def _without_sigma(term: Term, numbers: Sequence[str]) -> Term:

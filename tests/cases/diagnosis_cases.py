@@ -31,8 +31,8 @@ from inflight.diagnosis import (
 )
 from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten
-from inflight.mission import Mission
-from inflight.model import Model, rows_of
+from inflight.mission import Mission, sensors_of
+from inflight.model import Model, make_effect, rows_of
 from inflight.residual import NoiseFloor
 from inflight.samples import channel_product, parse_channel, slow_response
 from inflight.time import DAY, SECOND, day_bounds
@@ -514,6 +514,7 @@ def case_of(
     block_days: float = 1.0,
     every: int = 1,
     channels: Sequence[str] = CHANNELS,
+    held: Sequence[Mapping[str, object]] = (),
 ) -> Case:
     """Return the case of a flight: a residual for each of the readings, then some of noise alone.
 
@@ -525,16 +526,21 @@ def case_of(
         nT; they replace the residual.
     every : int
         Rows of the evidence: one of so many samples.
+    held : sequence of mapping
+        Effects that the model holds, entries of its file; what they make is in no residual.
     """
     mission, model = mission_and_model(flight.orbit)
     model, base = linearised(model, hidden[0])
+    plain, sensors = model, sensors_of(mission)
+    for entry in held:
+        model = model.add(make_effect(entry, sensors, mission=mission))
     told, shifts = told_of(flight, channels), placebos_of(flight, channels)
     geometry = [name for name in GEOMETRY if name in flight.samples]
     seen = (2.0 * STEP_S, 0.5 * STEP_S * flight.tt2000.size)
     library = make_library(mission, model, told, geometry, shifts, base, seen)
     derived = {name: derived_on(flight, name, shifts) for name in library.channels if name}
-    rows = rows_on_bins(flight, model, hidden[0], derived)
-    more = [rows_of(model, samples_of(flight, one)).residual[:, :, None] for one in hidden[1:]]
+    rows = rows_on_bins(flight, plain, hidden[0], derived)
+    more = [rows_of(plain, samples_of(flight, one)).residual[:, :, None] for one in hidden[1:]]
     if noises is not None:
         more.append(noises[:, None, :])
     residuals = np.concatenate([rows.residual[:, :, None], *more], axis=2)

@@ -169,3 +169,25 @@ except SystemExit:
 """
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(told.stdout.splitlines()[-1]) == []
+
+
+def test_a_wrong_lag_is_told_set_and_taken_back(inflight, root):
+    """The model's heater acts late, and the data's at once: the lag is set to what the data say."""
+    entry = "{effect: channel_field, name: leak, channel: heater_current, lag: 900 s}"
+    inflight("add", entry, "--json", "-w", root)
+    cat, mission = Catalog(root), Workspace.open(root).mission()
+    added = current_model(cat, mission).model
+    leak = added.effect("leak")
+    assert leak.effect.given["lag"] == "900 s"
+    refused = inflight("add", "leak.lag", "-w", root)
+    assert refused.code == 1
+    found = inflight("set", "leak.lag=0s", "--json", "-w", root).json
+    before, after = found["error"]["held_out_nT"]
+    assert after < 0.9 * before
+    assert found["effect"] == "set leak.lag=0s"
+    assert current_model(cat, mission).model.effect("leak").effect.channels == ("heater_current",)
+    assert inflight("diagnose", "--no-prefect", "--json", "-w", root).json["verdict"] == "NOTHING_LEFT"
+    inflight("undo", "--json", "-w", root)
+    assert current_model(cat, mission).model.effect("leak").effect.given["lag"] == "900 s"
+    assert inflight("set", "leak.lag", "-w", root).code == 1
+    assert inflight("set", "leak.log=3s", "-w", root).code == 1

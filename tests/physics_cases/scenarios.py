@@ -71,6 +71,17 @@ def _wrong_numbers() -> list[Scenario]:
     ]
 
 
+def _wrong_forms() -> list[Scenario]:
+    """Return models that hold a right effect by a wrong number of its form."""
+    return [
+        Scenario("wrong_lag", number="lag", known=1),
+        Scenario("wrong_scale_lag", number="scale_lag", orbit="eclipses", known=0),
+        Scenario("wrong_delay", number="delay", orbit="eclipses", known=1),
+        Scenario("wrong_width", number="width", orbit="eclipses", known=1),
+        Scenario("wrong_reference", number="reference", orbit="eclipses", known=1),
+    ]
+
+
 def _nothing() -> list[Scenario]:
     """Return missions with nothing to be found, on different orbits."""
     return [
@@ -126,6 +137,7 @@ def scenarios() -> dict[str, Scenario | TurningScenario]:
         _together(),
         _beyond(),
         _wrong_numbers(),
+        _wrong_forms(),
         _nothing(),
         _inseparable(),
         _hard_data(),

@@ -153,6 +153,8 @@ def base_channels(channels: Sequence[str] | str | None) -> set[str]:
 def is_named(true: Json, effect: Json, told: Json) -> bool:
     """Tell whether an effect of the diagnosis is a hidden one: its family and its channels."""
     own, family = base_channels(effect.get("channels")), effect.get("family")
+    if true.get("number"):
+        return _is_number(true, effect.get("name"))
     if true.get("held") and true["held"] in (effect.get("model_effects") or ()):
         return True
     if true.get("product"):
@@ -162,6 +164,11 @@ def is_named(true: Json, effect: Json, told: Json) -> bool:
     if true.get("unrecorded"):
         return family in ("unknown", "tone") and _period(true, told, effect)
     return family in true["families"] and _same_channels(true, own)
+
+
+def _is_number(true: Json, name: Any) -> bool:
+    """Tell whether something is called by the number of the model that is wrong."""
+    return str(name).split("@", maxsplit=1)[0] == str(true["number"])
 
 
 def _same_channels(true: Json, own: set[str]) -> bool:
@@ -176,6 +183,8 @@ def in_set(true: Json, entries: Sequence[Any], families_suffice: bool = False) -
 
 
 def _is_entry(true: Json, entry: Any, families_suffice: bool) -> bool:
+    if true.get("number"):
+        return _is_number(true, entry.get("name") if isinstance(entry, Mapping) else entry)
     if isinstance(entry, Mapping):
         family, own = entry.get("family"), base_channels(entry.get("channels") or entry.get("channel"))
         return family in true["families"] and (families_suffice or _same_channels(true, own))
@@ -226,7 +235,12 @@ def _channel(hidden: Sequence[Json], effects: Sequence[Json], told: Json) -> boo
     following = [true for true in hidden if set(true["channels"]) - GEOMETRY]
     rivals = told.get("confusion_set") or []
     return _all(
-        any(base_channels(one.get("channels")) & set(true["channels"]) for one in effects)
+        any(
+            _is_number(true, one.get("name"))
+            if true.get("number")
+            else base_channels(one.get("channels")) & set(true["channels"])
+            for one in effects
+        )
         or in_set(true, rivals)
         or _is_wrong_number(true, told)
         or _is_unknown(true, told)

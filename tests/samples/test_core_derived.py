@@ -23,6 +23,8 @@ values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, al
         ("current@lag=10min", [ChannelFactor("current", lag_s=600.0)]),
         ("warmth@width=2", [ChannelFactor("warmth", width=2.0)]),
         ("warmth@width=.5@lag=1 h", [ChannelFactor("warmth", lag_s=3600.0, width=0.5)]),
+        ("heater@delay=-20s", [ChannelFactor("heater", delay_s=-20.0)]),
+        ("heater@delay=20s@lag=60s", [ChannelFactor("heater", lag_s=60.0, delay_s=20.0)]),
         ("warmth@about=-2.5", [ChannelFactor("warmth", about=-2.5)]),
         ("warmth@about=20@lag=60s", [ChannelFactor("warmth", lag_s=60.0, about=20.0)]),
         ("current~3", [ChannelFactor("current", placebo=3)]),
@@ -51,7 +53,8 @@ def test_a_name_says_what_it_is_made_from(name, parts):
         "a@width=x",
         "a@width=nan",
         "a@width=-1",
-        "a@delay=5s",
+        "a@delay=5",
+        "a@late=5s",
         "a@lag=5s@lag=6s",
         "a*",
         "*a",
@@ -217,3 +220,21 @@ def test_a_channel_about_a_value_is_what_it_is_above_it_before_its_response():
     np.testing.assert_allclose(factor.of(values, 10.0), slow_response(values - 20.0, 10.0, 30.0))
     assert not factor.is_plain
     assert parse_channel(factor.name).parts == (factor,)
+
+
+@pytest.mark.parametrize("delay", [25.0, -25.0, 10.0])
+def test_a_delayed_channel_is_what_it_was_with_straight_lines_between(delay):
+    t = np.arange(100) * 10.0
+    series = np.stack([t, np.abs(t - 500.0)], axis=1)
+    late = ChannelFactor("heater", delay_s=delay).of(series, 10.0)
+    inside = (t - delay >= 0.0) & (t - delay <= t[-1])
+    assert late[inside, 0] == pytest.approx((t - delay)[inside])
+    far = inside & (np.abs(t - delay - 500.0) > 10.0)
+    assert late[far, 1] == pytest.approx(np.abs(t - delay - 500.0)[far])
+    assert np.isfinite(late).all()
+
+
+def test_a_delay_needs_what_came_before():
+    assert ChannelFactor("heater", delay_s=300.0).history_s == 300.0
+    assert ChannelFactor("heater", delay_s=-300.0).history_s == 0.0
+    assert parse_channel("heater@delay=20s").name == "heater@delay=20s"

@@ -18,6 +18,7 @@ from .archive import Table, instrument_entry, make_workspace, sampled, write_arc
 from .causes import CAUSES, Cause, World
 from .decoys import make_decoys, near_copy
 from .field import draw_field, main_field
+from .held import draw_held, wrong_value
 from .house import Channel, keep_house
 from .known import Error, draw_known, model_tree
 from .orbit import ATTITUDES, Orbit, fly
@@ -106,9 +107,14 @@ def make_case(scenario: Scenario, seed: int) -> Case:
     hidden = tuple(
         _sized(CAUSES[name](world, rng), world, noise.size, scenario, rng) for name in scenario.hidden
     )
-    readings = read(world, [*hidden, *known.values()], nine, noise, rng)
+    if not scenario.number:
+        readings = read(world, [*hidden, *known.values()], nine, noise, rng)
     delivered, names = _deliver(scenario, world, hidden, noise, rng)
     sensors = SENSORS[rng.integers(len(SENSORS))]
+    if scenario.number:
+        held, vector = draw_held(scenario.number, world, rng, sensors[0], names, nine.offset)
+        acting = held.cause(world, held.true, vector)
+        readings = read(world, [*hidden, *known.values(), acting], nine, noise, rng)
     geometry = _geometry(world, turn)
     mission = _mission(scenario, sensors, orientation, orbit, hidden, delivered, geometry, seed)
     wrong, errors = _wrong(scenario, known, world, noise.size, rng)
@@ -119,6 +125,16 @@ def make_case(scenario: Scenario, seed: int) -> Case:
     missing = (*hidden, *wrong)
     told = [_told(one, missing, world, shown, names, noise.size, scenario.kinds) for one in missing]
     truth["effects"] = told
+    if scenario.number:
+        low, high = np.log(scenario.size)
+        value, missed = wrong_value(held, world, vector, 0.1 * noise.size * np.exp(rng.uniform(low, high)))
+        # In the equation of the sensor it stands before the nine parameters, as a field behind them.
+        model["effects"].insert(0 if held.gain else len(model["effects"]), held.entry(value))
+        for instrument in mission["instruments"].values():
+            if scenario.number == "delay" and held.number.removesuffix(".lag") in instrument["channels"]:
+                instrument["channels"][held.number.removesuffix(".lag")]["lag"] = f"{value:.6f} s"
+        one = _told(missed, (missed,), world, shown, names, noise.size, scenario.kinds)
+        told.append(one | {"number": held.number, "held_value": value, "true_value": held.true})
     if wrong:
         told[-1]["held"] = model["effects"][_place(model, scenario.wrong)]["effect"]
     return Case(

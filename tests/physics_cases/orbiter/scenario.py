@@ -13,6 +13,7 @@ class Scenario:
     one of `orbit.ATTITUDES` or empty for any; `size` is the range of the contribution the nine
     parameters leave, in tenths of the noise (a gain of 1 % is what is called detectable). `wrong` names a
     cause that the model knows by wrong numbers, off by that size; where `held`, it states no sigma of them.
+    `number` is one of `held.draw_held`: an effect the model knows by a wrong lag, width, delay or reference.
     """
 
     name: str
@@ -33,4 +34,5 @@ class Scenario:
     near_copy: bool = False
     files: bool = False
     wrong: str = ""
+    number: str = ""
     held: bool = False
