@@ -26,7 +26,7 @@ from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors, effect_
 from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
 from inflight.diagnosis.scoring import Index, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
-from inflight.diagnosis.search import Option, ScoreTable, Search
+from inflight.diagnosis.search import VISIBILITY_SETTINGS, Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import hac_t, solve_scaled
@@ -260,8 +260,21 @@ def _cells(
         found = follows(
             channel, float(np.nanmean(values)), float(high - low), slow, label not in _HAS_CONSTANT
         )
+        if _is_own_square(values):
+            # A channel with two levels.
+            found = [one for one in found if one.how != "square"]
         out += [one for one in found if (label, one.name) not in known and (one.how, channel) not in same]
     return out
+
+
+def _is_own_square(values: Floats) -> bool:
+    """Return True for a channel whose square about its mean is a multiple of itself: one of two levels."""
+    good = values[np.isfinite(values)].astype(np.float64)
+    centred = good - good.mean() if good.size else good
+    if not centred.any():
+        return True
+    alike = np.corrcoef(centred, centred**2)[0, 1] ** 2
+    return bool(alike > VISIBILITY_SETTINGS.twin)
 
 
 def _entry(data: DiagnosisData, label: str, cell: Followed) -> ModelEffect | None:

@@ -546,7 +546,7 @@ def _wrong_numbers(facts: Mapping[str, Any]) -> list[Entry]:
                 # What stands beside it may have moved it, as long as something is left.
                 status="rivals" if rivals else "sure" if facts["remaining"] == "NOTHING_LEFT" else "weak",
                 rivals=rivals,
-                takes_off_nT=sqrt(sum(float(one["rms_nT"]) ** 2 for one in wrong)),
+                takes_off_nT=float(wrong[0]["rms_nT"]),
                 command=f"inflight refit {name}",
             )
         )

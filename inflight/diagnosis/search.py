@@ -133,6 +133,9 @@ class VisibilitySettings:
         (MISSING_EFFECT 2.4 warns below 0.01).
     own_part : float
         Part of a column that the calibration leaves, from which on the data alone decide; assumed.
+    twin : float
+        A column of which another one explains this part of the square is that one in other units: the rest is
+        what interpolation between readings makes of it; assumed.
     """
 
     edge_distance: float = 0.25
@@ -140,6 +143,7 @@ class VisibilitySettings:
     expected_part: float = 0.5
     least_retained: float = 1e-3
     own_part: float = 0.05
+    twin: float = 0.99
 
 
 VISIBILITY_SETTINGS = VisibilitySettings()
@@ -461,7 +465,7 @@ class Search:
             residual=residual,
             time_variable=time_variable or TimeVariableColumns(),
         )
-        return search._without_invisible()
+        return search._without_invisible()._without_twins()
 
     def _without_invisible(self) -> Search:
         """Return the state without options that the calibration takes over; they are unscorable."""
@@ -494,6 +498,42 @@ class Search:
                 for name, one in invisible.items()
             ),
         )
+
+    def _without_twins(self) -> Search:
+        """Return the state without squares of channels that are the channel itself; they are unscorable.
+
+        The square of a channel with two levels, or of one that hardly changes, is a multiple of it.
+        """
+        grams = self.forms["raw"]
+        plain = {
+            one.channels: one
+            for one in self.options
+            if one.mechanism.startswith("channel_field(") and not one.lag_s and not one.placebo
+        }
+        twins: dict[str, Option] = {}
+        for option in self.options:
+            other = plain.get(option.channels)
+            if not option.mechanism.startswith("channel_power(") or other is None:
+                continue
+            if len(option.columns) == len(other.columns) and not option.placebo:
+                places = np.concatenate([grams.index(option.columns), grams.index(other.columns)])
+                total = grams.rows(places, places).sum(axis=0)
+                k = len(option.columns)
+                size = np.sqrt(np.clip(np.diag(total), 1e-300, None))
+                alike = np.diag(total[:k, k:]) ** 2 / (size[:k] * size[k:]) ** 2
+                if np.all(alike > VISIBILITY_SETTINGS.twin):
+                    twins[option.mechanism] = option
+        entries = tuple(
+            {
+                "name": name,
+                "family": one.family,
+                "channels": list(one.channels),
+                "reason": "in these data the square of the channel is a multiple of the channel itself",
+            }
+            for name, one in twins.items()
+        )
+        options = tuple(option for option in self.options if option.mechanism not in twins)
+        return replace(self, options=options, unscorable=(*self.unscorable, *entries))
 
     # The Gram blocks, the calibration's columns and the model's.
 

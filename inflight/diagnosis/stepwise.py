@@ -667,10 +667,17 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
 
 
 def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
-    """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
+    """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen.
+
+    Little is a hundredth of what is left; of forms with as many coefficients, also of what the effect itself
+    takes off: so much of a shape the interpolation between a channel's readings makes.
+    """
     scores = table.scores[form]
     loss = scores.loss.sum(axis=0)
-    little = float(loss[simple] - loss[wide]) < rules.gain * float(loss[simple])
+    size = float(loss[simple])
+    if len(table.options[simple].columns) == len(table.options[wide].columns):
+        size = max(size, float(scores.loss0.sum() - loss[wide]))
+    little = float(loss[simple] - loss[wide]) < rules.gain * size
     return little or scores.t_worse_than(simple, wide) < rules.rival_t
 
 

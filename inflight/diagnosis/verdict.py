@@ -47,7 +47,7 @@ from inflight.diagnosis.result import (
     sentence,
     stop_reason,
 )
-from inflight.diagnosis.scoring import fit, make_folds
+from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
 from inflight.diagnosis.stamps import stamp_readings
@@ -69,6 +69,7 @@ from inflight.diagnosis.stepwise import (
 )
 from inflight.diagnosis.wander import InTime, with_wander
 from inflight.effects import channel_unit, coefficient_unit
+from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
 from inflight.residual import NoiseFloor
@@ -602,6 +603,8 @@ def refined_parameters(search: Search, with_rivals: bool = True) -> tuple[dict[s
     """Return the model's own parameters that data moved, within what was known of them.
 
     Those that are wrong come with what explains as much, which takes the options of a search (`with_rivals`).
+    A number that moves only beside what was taken was fitted while that was missing: it is not wrong by
+    itself, and moves with the addition.
     """
     grams, present = search.forms["raw"], search.present()
     names = [name for term in search.library.refined for name in term.columns]
@@ -609,46 +612,78 @@ def refined_parameters(search: Search, with_rivals: bool = True) -> tuple[dict[s
     if not names:
         return ()
     value, covariance = joint_fit(grams, present, search.y())
-    total = grams.squares.sum(axis=0)
     rows = max(float(grams.count.sum()), 1.0)
-    square = float(total[search.y()]) / rows
-    scale, total = grams.scale[present.columns], total[present.columns]
-    out: list[dict[str, Any]] = []
+    square = float(grams.squares[:, search.y()].sum()) / rows
+    groups: dict[str, list[int]] = {}
     for place, name in enumerate(names):
-        error = float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place])
-        explained = max(float(total[place]), 0.0) * float(value[place]) ** 2 / rows
-        out.append(
+        groups.setdefault(name.removeprefix("model:").partition("[")[0], []).append(place)
+    far_of = _far_numbers(grams, present, search.y(), list(groups.values()), sigma)
+    nothing = replace(search.with_accepted([]), freed={}).present() if search.accepted else present
+    far_alone = _far_numbers(grams, nothing, search.y(), list(groups.values()), sigma)
+    scale = grams.scale[present.columns]
+    out: list[dict[str, Any]] = []
+    for (name, places), far, alone in zip(groups.items(), far_of, far_alone, strict=True):
+        others = np.setdiff1d(np.arange(present.columns.size), places)
+        rest = ModelColumns(present.columns[others], present.precision[others])
+        left = project_out_of(grams, rest, present.columns[places])
+        moved = value[places]
+        # What all of its components take off when everything else is fitted anew without them.
+        size = float(np.sqrt(max(float(moved @ left @ moved), 0.0) / rows))
+        group: list[dict[str, Any]] = [
             {
-                "name": name.removeprefix("model:"),
+                "name": names[place].removeprefix("model:"),
                 "moved": float(value[place] * scale[place]),
-                "sigma": error,
+                "sigma": float(np.sqrt(max(covariance[place, place], 0.0)) * scale[place]),
                 "known": float(sigma[place]),
-                "rms_nT": float(np.sqrt(explained)),
+                "rms_nT": size,
                 "wrong": False,
                 "rivals": (),
             }
-        )
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for one in out:
-        groups.setdefault(one["name"].partition("[")[0], []).append(one)
-    for group in groups.values():
-        # In one record of a hundred one of all the parameters is further off by chance, or one component.
-        off = [(one["moved"] / np.hypot(one["known"], one["sigma"])) ** 2 for one in group]
-        chance = 0.5 * REPORT_SETTINGS.chance
-        far = sum(off) > scipy.special.chdtri(len(group), chance / len(groups))
-        far |= max(off) > scipy.special.chdtri(1, chance / len(out))
+            for place in places
+        ]
+        out += group
         # Below what an addition must explain, what is only nearly right elsewhere moves numbers as far.
-        matters = sum(one["rms_nT"] ** 2 for one in group) > search.rules.gain * square
-        number = "model:" + group[0]["name"].partition("[")[0]
+        matters = size**2 > search.rules.gain * square
+        number = f"model:{name}"
         freed = search.freed.get(number)
         if freed and any(uses_channel_of(search, number, one) for one in search.accepted):
             # The response to its channel is another one: the number is a part of that.
-            far = False
-        wrong = bool(far and (matters or freed))
+            wrong = False
+        else:
+            wrong = bool(far and (freed or (matters and alone)))
         rivals = rivals_of_number(search, number) if wrong and with_rivals else ()
         for one in group:
             one["wrong"], one["instead_of"], one["rivals"] = wrong, freed, rivals
     return tuple(out)
+
+
+def _far_numbers(
+    grams: GramBlocks, present: ModelColumns, y: int, groups: Sequence[Sequence[int]], known: Sequence[float]
+) -> list[bool]:
+    """Return which groups of the model's own numbers data move further than is stated of them.
+
+    In one record of a hundred one of all the numbers is further off by chance, or one component.
+
+    Parameters
+    ----------
+    groups : sequence of sequence of int
+        Places of each group's numbers among the columns of the model.
+    known : sequence of float
+        What is stated of each number, physical units.
+    """
+    value, covariance = joint_fit(grams, present, y)
+    scale = grams.scale[present.columns]
+    error = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
+    count = len(known)
+    off = (value[:count] * scale[:count] / np.hypot(known, error[:count])) ** 2
+    chance = 0.5 * REPORT_SETTINGS.chance
+    return [
+        bool(
+            off[list(places)].sum() > scipy.special.chdtri(len(places), chance / len(groups))
+            or off[list(places)].max() > scipy.special.chdtri(1, chance / count)
+        )
+        for places in groups
+    ]
 
 
 def refined_at_both(search: Search, at_native: Search | None) -> tuple[dict[str, Any], ...]:
