@@ -865,14 +865,6 @@ class RankedDependence:
         )
 
 
-def _preference(kind: str) -> float:
-    """Return how much a coordinate is preferred: what repeats in every window of a table is no other course.
-
-    Time itself can follow any course, the repeated one, too, and is a little larger for its noise.
-    """
-    return DEPENDENCE_SETTINGS.window_preference if kind == "window" else 1.0
-
-
 def measure_dependences(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) -> list[Dependence]:
     """Return how the residual (sample,) depends on each coordinate that varies, in their order."""
     found = (_dependence_on(one, residual, block) for one in coordinates)
@@ -906,7 +898,9 @@ def rank_dependences(
     block : ndarray of int, shape (sample,)
         Blocks of the jackknife.
     """
-    varying = [coordinates[one.coordinate] for one in found]
+    # Time in the window of a table is no course of its own: see `as_window`.
+    varying = [coordinates[one.coordinate] for one in found if coordinates[one.coordinate].kind != "window"]
+    found = [one for one in found if coordinates[one.coordinate].kind != "window"]
 
     @cache
     def cut(name: str) -> _Cut | None:
@@ -948,20 +942,30 @@ def rank_dependences(
         moved = (Coordinate(one.name, one.unit, one.kind, values) for values in placebo_shifts_of(one.values))
         return max((each.amplitude for each in measure_dependences(moved, rest, block)), default=0.0)
 
+    def as_window(of: Floats, best: Dependence) -> Dependence:
+        """Return a course in time as one that repeats in every window of a table, where it does."""
+        window = next((one for one in coordinates.values() if one.kind == "window"), None)
+        if window is None or coordinates[best.coordinate].kind != "time":
+            return best
+        repeated = _dependence_on(window, of, block)
+        enough = repeated and DEPENDENCE_SETTINGS.window_preference * repeated.amplitude >= best.amplitude
+        return repeated if repeated is not None and enough else best
+
     least = (
         DEPENDENCE_SETTINGS.least_part * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
     )
     structures = select_successively(
         residual,
         measured,
-        size=lambda one: one.amplitude * _preference(coordinates[one.coordinate].kind),
+        size=lambda one: one.amplitude,
         is_clear=lambda one: one.is_clear,
         remove=removed,
         chance=chance,
         least=least,
         count=DEPENDENCE_SETTINGS.count,
     )
+    told = [(as_window(of, best), of) for best, of, _, _, _ in structures]
     return [
         RankedDependence(best, response(of, best), coordinates[best.coordinate].kind, rank)
-        for rank, (best, of, _, _, _) in enumerate(structures)
+        for rank, (best, of) in enumerate(told)
     ]
