@@ -371,9 +371,7 @@ class CellRows:
         for own, one in zip(out, cells, strict=True):
             values = self._series[one.name] if one.name in self._series else series[one.name]
             known = np.isfinite(values)
-            own[:] = values
-            if about_mean:
-                own -= values.mean() if known.all() else values[known].mean()
+            own[:] = values - values[known].mean() if about_mean else values
             own[~known] = 0.0
         return out.T
 
