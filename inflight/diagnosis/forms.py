@@ -379,11 +379,14 @@ class CellRows:
         series = self.data.series
         derived = derived_channels(series, {one.name for one in cells} - self._series.keys())
         self._series |= {name: np.asarray(one.values) for name, one in derived.items()}
-        out = np.empty((len(series.tt2000), len(cells)))
-        for place, one in enumerate(cells):
+        # Cell by cell in memory, as they are written.
+        out = np.empty((len(cells), len(series.tt2000)))
+        for own, one in zip(out, cells, strict=True):
             values = self._series[one.name] if one.name in self._series else series[one.name]
-            out[:, place] = np.nan_to_num(values - np.nanmean(values) if about_mean else values)
-        return out
+            known = np.isfinite(values)
+            own[:] = values - values[known].mean() if about_mean else values
+            own[~known] = 0.0
+        return out.T
 
 
 @dataclass(frozen=True, eq=False)

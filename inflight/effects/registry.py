@@ -87,6 +87,11 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 
 @lru_cache(maxsize=1)
+def _from_library() -> dict[str, type[Effect]]:
+    return {effect.label(): effect for effect in _LIBRARY}
+
+
+@lru_cache(maxsize=1)
 def _from_packages() -> dict[str, type[Effect]]:
     return {point.name: point.load() for point in entry_points(group="inflight.effects")}
 
@@ -104,8 +109,7 @@ def known_effects(own: Iterable[EffectSource] = ()) -> dict[str, type[Effect]]:
     ModelError
         When one of the files is wrong.
     """
-    library = {effect.label(): effect for effect in _LIBRARY}
-    return library | _from_packages() | _registered | own_effects(own)
+    return _from_library() | _from_packages() | _registered | own_effects(own)
 
 
 def effect_class(name: str, own: Iterable[EffectSource] = ()) -> type[Effect]:

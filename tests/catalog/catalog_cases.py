@@ -130,7 +130,9 @@ def generation_seen(catalog: Catalog) -> int:
 
 def spawn(target: Callable[..., None], *arguments: object, kill_at: str = "") -> BaseProcess:
     """Start a process of its own, quickly: its imports are made once, by a server that forks."""
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    here, *others = str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])
+    if not others or here not in others[0].split(os.pathsep):
+        os.environ["PYTHONPATH"] = os.pathsep.join([here, *others])
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["catalog_cases"])
     process = context.Process(target=_begin, args=(kill_at, target, arguments))

@@ -1,6 +1,7 @@
 """What a comparison keeps of blocks of days: read again, made again when inputs change, the same anywhere."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -21,8 +22,10 @@ KEPT = "comparison/main/60s"
 DAILY = ReprocessSettings(table="daily")
 
 
-def made(folder):
-    """Return catalog and mission of a workspace with twenty days, each calibrated by itself."""
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """The folder of a workspace with twenty days, each calibrated by itself; copied, never changed."""
+    folder = tmp_path_factory.mktemp("calibrated")
     yaml = folder / "tiny.yaml"
     yaml.write_text(TINY_YAML, encoding="utf-8")
     place = Workspace.create(folder / "tiny", yaml)
@@ -31,12 +34,18 @@ def made(folder):
     catalog, mission = Catalog(place.root), place.mission()
     assert ingest(catalog, mission, place.data).exit_code == 0
     assert reprocess(catalog, mission, settings=DAILY).exit_code == 0
-    return catalog, mission
+    return place.root
+
+
+def copied(calibrated, folder):
+    """Return catalog and mission of a copy of the twenty days, with which nothing was compared."""
+    shutil.copytree(calibrated, folder / "tiny")
+    return Catalog(folder / "tiny"), Workspace.open(folder / "tiny").mission()
 
 
 @pytest.fixture(scope="module")
-def twenty(tmp_path_factory):
-    return made(tmp_path_factory.mktemp("twenty"))
+def twenty(calibrated, tmp_path_factory):
+    return copied(calibrated, tmp_path_factory.mktemp("twenty"))
 
 
 def told(catalog, mission, **options):
@@ -109,8 +118,8 @@ def test_processes_say_the_same_as_one_process(twenty, reads, monkeypatch):
     assert len(seen) > 3
 
 
-def test_only_the_block_of_a_day_that_changed_is_made_again(tmp_path, reads):
-    catalog, mission = made(tmp_path)
+def test_only_the_block_of_a_day_that_changed_is_made_again(calibrated, tmp_path, reads):
+    catalog, mission = copied(calibrated, tmp_path)
     told(catalog, mission)
     before = {day.day: day.version for day in catalog.days(KEPT, states=("published",))}
     changed = next(iter(before)) + 3
@@ -125,8 +134,8 @@ def test_only_the_block_of_a_day_that_changed_is_made_again(tmp_path, reads):
     assert sorted(reads) == sorted(set(DAYS) - inside)
 
 
-def test_a_damaged_block_is_repaired_and_made_again(tmp_path):
-    catalog, mission = made(tmp_path)
+def test_a_damaged_block_is_repaired_and_made_again(calibrated, tmp_path):
+    catalog, mission = copied(calibrated, tmp_path)
     first = told(catalog, mission)
     kept = catalog.days(KEPT, states=("published",))[0]
     chunk = next(
@@ -138,10 +147,10 @@ def test_a_damaged_block_is_repaired_and_made_again(tmp_path):
     assert len(catalog.days(KEPT, states=("published",))) == len(whole_blocks(DAYS[0], DAYS[-1]))
 
 
-def test_a_workspace_that_refuses_a_run_is_compared_all_the_same(tmp_path, monkeypatch):
+def test_a_workspace_that_refuses_a_run_is_compared_all_the_same(calibrated, tmp_path, monkeypatch):
     from inflight.errors import StorageError
 
-    catalog, mission = made(tmp_path)
+    catalog, mission = copied(calibrated, tmp_path)
 
     def refuse(*_arguments, **_options):
         raise StorageError("read-only")

@@ -1,5 +1,7 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
+import shutil
+
 import pytest
 from heated_mission import make_heated_workspace
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
@@ -12,16 +14,24 @@ from inflight.tasks.archive import ingest_if_unchanged
 from inflight.tasks.pipelines import ReprocessSettings
 
 
-@pytest.fixture
-def place(tmp_path):
-    workspace = Workspace.open(make_tiny_workspace(tmp_path / "tiny", 2))
-    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
-    return workspace
+def copied(workspace, folder):
+    shutil.copytree(workspace.root, folder)
+    return Workspace.open(folder)
+
+
+@pytest.fixture(scope="module")
+def reprocessed(tmp_path_factory):
+    """Two days taken through the chain, and the last report; copied, never changed."""
+    workspace = Workspace.open(make_tiny_workspace(tmp_path_factory.mktemp("done") / "tiny", 2))
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    ingest(cat, mission, workspace.data)
+    return workspace, reprocess(cat, mission)
 
 
 @pytest.fixture
-def done(place):
-    return place, reprocess(Catalog(place.root), place.mission())
+def done(reprocessed, tmp_path):
+    workspace, report = reprocessed
+    return copied(workspace, tmp_path / "tiny"), report
 
 
 def test_the_same_again_gives_the_same_report_and_no_run(done):
@@ -87,10 +97,17 @@ def test_no_server_is_started_for_it(done, monkeypatch):
         run_with_prefect("backfill", place, span)
 
 
-@pytest.fixture
-def diagnosed(tmp_path):
-    workspace = make_heated_workspace(tmp_path / "heated")
+@pytest.fixture(scope="module")
+def found_once(tmp_path_factory):
+    """Four days with the field of a heater, and what is found in them; copied, never changed."""
+    workspace = make_heated_workspace(tmp_path_factory.mktemp("found") / "heated")
     return workspace, diagnose_span(workspace)
+
+
+@pytest.fixture
+def diagnosed(found_once, tmp_path):
+    workspace, found = found_once
+    return copied(workspace, tmp_path / "heated"), found
 
 
 def test_a_diagnosis_of_what_has_not_changed_is_the_last_one(diagnosed, monkeypatch):

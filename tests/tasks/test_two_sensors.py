@@ -175,9 +175,18 @@ def test_a_table_that_two_sensors_have_not_is_refused(boom):
         reprocess(cat, mission, settings=ReprocessSettings(table="continuous"))
 
 
-def daily(folder, workers, start=None):
+@pytest.fixture(scope="module")
+def delivered(tmp_path_factory):
+    """Three days in the archive, nothing learnt from them; copied, never changed."""
+    settings = DualSettings(days=3, seed=33, overrides=COARSE)
+    return workspace(tmp_path_factory.mktemp("delivered") / "w", settings)[2]
+
+
+def daily(delivered, folder, workers, start=None):
     """Three days learnt from one by one, all or from one on."""
-    cat, mission, made = workspace(folder, DualSettings(days=3, seed=33, overrides=COARSE))
+    shutil.copytree(delivered.root, folder)
+    made = Workspace.open(folder)
+    cat, mission = Catalog(folder), made.mission()
     settings = ReprocessSettings(table="daily", batch_days=1)
     with threads(workers) as mapper:
         return cat, mission, made, reprocess(cat, mission, start=start, settings=settings, mapper=mapper)
@@ -196,8 +205,8 @@ def threads(workers):
 
 
 @pytest.fixture(scope="module")
-def three(tmp_path_factory):
-    return daily(tmp_path_factory.mktemp("three") / "w", 2)
+def three(delivered, tmp_path_factory):
+    return daily(delivered, tmp_path_factory.mktemp("three") / "w", 2)
 
 
 def tables_of(cat):
@@ -277,9 +286,9 @@ def test_units_of_all_windows_are_named_together(three):
     assert all(len(one["difference_nT"]) == 3 for one in units if one["channels"])
 
 
-def test_windows_learnt_from_one_by_one_are_the_same(three, tmp_path):
+def test_windows_learnt_from_one_by_one_are_the_same(delivered, three, tmp_path):
     cat, _, _, _ = three
-    other, _, _, _ = daily(tmp_path / "w", 1)
+    other, _, _, _ = daily(delivered, tmp_path / "w", 1)
     for one, two in zip(tables_of(cat), tables_of(other), strict=True):
         assert set(one) == set(two)
         for name in one.variables:
@@ -288,9 +297,9 @@ def test_windows_learnt_from_one_by_one_are_the_same(three, tmp_path):
         assert cat.read(day)["field_spacecraft"].equals(other.read(same)["field_spacecraft"])
 
 
-def test_windows_are_not_learnt_from_again_when_the_one_before_them_is(three, tmp_path):
+def test_windows_are_not_learnt_from_again_when_the_one_before_them_is(delivered, three, tmp_path):
     cat, mission, _, _ = three
-    other, _, _, _ = daily(tmp_path / "w", 1, start="2006-05-15")
+    other, _, _, _ = daily(delivered, tmp_path / "w", 1, start="2006-05-15")
     settings, learnt = ReprocessSettings(table="daily", batch_days=1), []
 
     def mapper(stage, work, arguments):

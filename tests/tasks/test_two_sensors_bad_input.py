@@ -105,6 +105,12 @@ def whole(tmp_path_factory):
     return boom(tmp_path_factory.mktemp("bad"))
 
 
+@pytest.fixture(scope="module")
+def one_day(tmp_path_factory):
+    """The first of them alone, reprocessed."""
+    return boom(tmp_path_factory.mktemp("one"), (GOOD,))
+
+
 @pytest.fixture(scope="module", params=CASES)
 def spoilt(request, whole, tmp_path_factory):
     """The mission with its second day delivered anew, with one kind of fault."""
@@ -164,8 +170,8 @@ def test_a_dead_sensor_is_told_and_nothing_is_made_of_it(whole, tmp_path, name, 
 
 
 @pytest.mark.parametrize("name", ["ib", "ob"])
-def test_a_day_that_one_sensor_has_not_is_told(tmp_path, name):
-    made = boom(tmp_path, (GOOD,))
+def test_a_day_that_one_sensor_has_not_is_told(one_day, tmp_path, name):
+    made = copied(one_day, tmp_path / "one")
     deliver(made, BAD, lambda instruments: instruments.pop(name))
     taken, _ = work(made)
     assert taken.days["failed"] == 0
