@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, text_table
-from inflight.cli.processing import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
+from inflight.cli.processing import (
+    DetailsOption,
+    EndOption,
+    NoPrefectOption,
+    StartOption,
+    WorkersOption,
+    run_flow,
+)
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -29,6 +36,14 @@ _COLOURS = {
     "NOT_IDENTIFIABLE": "yellow",
     "UNKNOWN_EFFECT": "red",
     "NOTHING_LEFT": "green",
+}
+#: Verdicts in plain words; the JSON has the machine's.
+_HEADINGS = {
+    "FOUND": "found: the largest cause is beyond doubt",
+    "CONFOUNDED": "found, but causes look alike",
+    "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
+    "UNKNOWN_EFFECT": "something is there that no effect of the library explains",
+    "NOTHING_LEFT": "only noise remains",
 }
 #: Rows shown before the rest is only counted; --json has all.
 _CANDIDATES, _PLACEBOS, _UNSCORABLE, _CHANGED, _COEFFICIENTS = 8, 3, 6, 10, 9
@@ -68,10 +83,11 @@ def diagnose(
     cadence: CadenceOption = None,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
 ) -> None:
     """Find which physical effect is missing from the model."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(command, options, save=False, workers=workers, prefect=not no_prefect)
+    _search(command, options, save=False, workers=workers, prefect=not no_prefect, details=details)
 
 
 def auto(
@@ -84,14 +100,21 @@ def auto(
     cadence: CadenceOption = None,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
 ) -> None:
     """Find what is missing and add it, until nothing more is justified; a version for each effect."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(command, options, save=True, workers=workers, prefect=not no_prefect)
+    _search(command, options, save=True, workers=workers, prefect=not no_prefect, details=details)
 
 
 def _search(
-    command: Command, options: Mapping[str, Any], *, save: bool, workers: int | None, prefect: bool
+    command: Command,
+    options: Mapping[str, Any],
+    *,
+    save: bool,
+    workers: int | None,
+    prefect: bool,
+    details: bool,
 ) -> None:
     """Run the flow, or its plain function, and print the diagnosis."""
     given = {name: value for name, value in options.items() if value is not None}
@@ -100,7 +123,7 @@ def _search(
     parameters: dict[str, Any] = {**span, "settings": given, "save": save}
     report = run_flow(command, "diagnose", parameters, workers=workers, prefect=prefect)
     fields = {"command": report.command, "run": report.run, "context": report.context, **report.extra}
-    command.emit(fields, lambda console: print_diagnosis(console, fields))
+    command.emit(fields, lambda console: print_diagnosis(console, fields, details))
 
 
 def _comparison(command: Command, named: str | None) -> str:
@@ -197,13 +220,15 @@ def _revise(
     command.emit(fields, lambda console: print_revision(console, fields))
 
 
-def print_diagnosis(console: Console, fields: Fields) -> None:
-    """Print the verdict, the effects that were found, their rivals, what remains, and what to type next.
+def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> None:
+    """Print the verdict, what is in the residual, its rivals, what remains, and what to type next.
 
     Parameters
     ----------
     fields : mapping
         `Diagnosis.as_json`; of ``auto`` with ``versions``.
+    details : bool
+        With all coefficients, the candidates of the first round, and what could not be tried.
     """
     from rich.panel import Panel
     from rich.text import Text
@@ -211,34 +236,58 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
     def line(text: str) -> None:
         console.print(text, soft_wrap=True, markup=False)
 
-    sentence = Text(f"{fields['sentence']}\n", style="default").append(fields.get("meaning", ""), style="dim")
+    sentence = Text(fields["sentence"], style="default")
     title, colour = _heading(fields)
     console.print(Panel(sentence, title=title, title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
-    for table, rows in ((_entries_table, fields.get("entries")), (_effects_table, fields["effects"])):
-        if rows:
-            console.print(table(rows))
-    line(_sizes_text(fields["residual"]))
-    if fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT":
-        line("what is left: only noise")
-    console.print(_candidates_table(fields["candidates"]))
+    if fields.get("entries"):
+        console.print(_entries_table(fields["entries"]))
     units = (unit["sentence"] for unit in fields.get("units", ()))
-    for text in (*_in_time(fields.get("in_time", ())), *_undecided(fields), *units):
+    left = fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT"
+    for text in (
+        _sizes_text(fields["residual"]),
+        _made_from_text(fields),
+        *(["what is left: only noise"] if left else []),
+        *_in_time(fields.get("in_time", ())),
+        *_undecided(fields),
+        *units,
+    ):
         line(text)
     for step in fields.get("versions", ()):
         _print_step(console, step)
-    if fields["stopped"]:
-        line(f"why it stopped: {fields['stopped']}")
+    if details:
+        _print_details(console, fields)
+    else:
+        line("all coefficients, candidates and what could not be tried: --details")
     if step_text := _next_step(fields):
         line(step_text)
+
+
+def _print_details(console: Console, fields: Fields) -> None:
+    """Print all coefficients, the candidates of the first round, and what could not be tried."""
+    if fields["effects"]:
+        console.print(_effects_table(fields["effects"]))
+    console.print(_candidates_table(fields["candidates"]))
+    for text in _not_tried(fields["unscorable"]):
+        console.print(text, soft_wrap=True, markup=False)
+    if fields["stopped"]:
+        console.print(f"why it stopped: {fields['stopped']}", soft_wrap=True, markup=False)
 
 
 def _heading(fields: Fields) -> tuple[str, str]:
     """Return title and colour of the box: physics waits while the data are wrong."""
     if fields.get("plumbing"):
         return "MEND THE DATA FIRST", "red"
-    return fields["verdict"], _COLOURS[fields["verdict"]]
+    return _HEADINGS[fields["verdict"]], _COLOURS[fields["verdict"]]
+
+
+def _made_from_text(fields: Fields) -> str:
+    """Return of which model, days and samples all of it is."""
+    model, blocks = fields["model"], fields["blocks"]
+    span = f"{blocks['start'][:10]} to {blocks['end'][:10]}, " if "start" in blocks else ""
+    count = f", {blocks['samples']} samples" if blocks.get("samples") else ""
+    return f"{span}model {model['name']} version {model['version']}{count}"
 
 
 def _sizes_text(residual: Fields) -> str:
@@ -246,8 +295,8 @@ def _sizes_text(residual: Fields) -> str:
     names += ("noise_floor", "noise_floor_low", "noise_floor_high")
     size = {name: _number(residual[f"{name}_nT"], 3) for name in names}
     return (
-        f"residual {size['before']} -> {size['after']} nT, held out "
-        f"{size['held_out_before']} -> {size['held_out_after']} nT; noise floor "
+        f"residual {size['held_out_before']} -> {size['held_out_after']} nT on days not used in the fit "
+        f"({size['before']} -> {size['after']} nT on all days); noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
     )
 
@@ -311,7 +360,7 @@ def _candidates_table(candidates: Sequence[Fields]) -> Table:
     placebos = [each for each in candidates if each["placebo"]]
     rows = []
     for each in [*real[:_CANDIDATES], *placebos[:_PLACEBOS]]:
-        name, family, beats = f"{each['name']} (ghost)", "", ""
+        name, family, beats = f"{each['name']} (placebo: shifted in time)", "", ""
         if not each["placebo"]:
             name, family, beats = each["name"], each["family"], _number(each["placebo_t"], 3)
         scores = (_percent(each["gain"]), _number(each["t"], 3), _number(each["p"], 2), beats)
@@ -334,7 +383,10 @@ def _undecided(fields: Fields) -> Iterator[str]:
                 f"  {span['start'][:16]} to {span['end'][:16]} would separate {rivals}: "
                 f"they differ by {_number(span['difference_nT'], 2)} nT there"
             )
-    unscorable = fields["unscorable"]
+
+
+def _not_tried(unscorable: Sequence[Fields]) -> Iterator[str]:
+    """Yield which candidates could not be tried, and why."""
     for candidate in unscorable[:_UNSCORABLE]:
         yield f"not tried: {candidate['name']}: {candidate['reason']}"
     if len(unscorable) > _UNSCORABLE:

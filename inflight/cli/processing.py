@@ -56,7 +56,7 @@ CoverageOption = Annotated[
     typer.Option(min=0, max=1, help="Part of a day that must be usable (default: 0)", show_default=False),
 ]
 ComparisonOption = Annotated[str, typer.Option(help="What is compared with what.")]
-DetailsOption = Annotated[bool, typer.Option("--details", help="List every finding of every day.")]
+DetailsOption = Annotated[bool, typer.Option("--details", help="List everything that was found.")]
 BatchOption = Annotated[
     int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
 ]

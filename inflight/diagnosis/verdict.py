@@ -176,7 +176,12 @@ def run_search(
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
     lost = {str(day): reason for day, reason in sorted(data.lost.items())}
-    blocks = effective_blocks(search, known, residual) | {"lost": lost}
+    blocks = effective_blocks(search, known, residual) | {
+        "lost": lost,
+        "start": utc_text(int(search.raw.start[0])),
+        "end": utc_text(int(search.raw.end[-1])),
+        "samples": int(data.sums.get("count", 0.0)),
+    }
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)

@@ -161,7 +161,7 @@ def test_a_release_is_copied_out_once(inflight, copied):
 def test_the_demo_tells_residual_products_and_what_to_type_next(inflight, tmp_path):
     told = inflight("demo", "--days", 1, "--no-prefect", "-w", tmp_path / "demo")
     assert told.code == 0
-    for text in ("pre-flight model", "What to type next", "compare-main.html"):
+    for text in ("compare    residual", "of it noise", "diagnose", "What to type next", "compare-main.html"):
         assert text in told.out
     again = inflight("demo", "--days", 1, "--no-prefect", "--json", "-w", tmp_path / "demo")
     assert again.json["days"]["unchanged"] == 1

@@ -53,14 +53,17 @@ def test_diagnose_prints_the_fields_of_a_diagnosis_and_keeps_them(inflight, root
 def test_diagnose_tells_a_person_what_was_found_and_what_to_type_next(inflight, root):
     told = inflight("diagnose", "--no-prefect", "--rounds", 1, "-w", root).out
     for part in (
-        "FOUND",
-        "follows heater_current on x, z",
-        "nT/mA",
+        "found: the largest cause is beyond doubt",
+        "A field that follows heater_current (",
+        "nT/A on x",
         "noise floor",
-        "(ghost)",
-        "why it stopped",
+        "model tiny-ideal version 1",
     ):
         assert part in told
+    assert "(placebo: shifted in time)" not in told
+    more = inflight("diagnose", "--no-prefect", "--rounds", 1, "--details", "-w", root).out
+    for part in ("nT/mA", "(placebo: shifted in time)", "why it stopped"):
+        assert part in more
     assert f'next: inflight add "{EFFECT}"' in told
 
 
@@ -121,7 +124,7 @@ def test_auto_saves_what_it_found_and_the_next_one_finds_nothing(inflight, root)
     assert told["stopped"]
     again = inflight("auto", "--no-prefect", "--workers", 1, "-w", root)
     assert again.code == 0
-    assert "NOTHING_LEFT" in again.out
+    assert "only noise remains" in again.out
     assert last_diagnosis(Workspace.open(root))["model"]["version"] == 2
 
 
