@@ -813,10 +813,12 @@ def bin_channel(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) ->
         return bridge_gaps(bin_means(flat, stamps, edges, good)[0])
     centre = edges[:-1] + width // 2
     own, known = stamps[good], flat[good].reshape(int(good.sum()), -1)
-    after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
-    near = np.minimum(np.abs(centre - own[after - 1]), np.abs(own[np.minimum(after, own.size - 1)] - centre))
     out = np.stack([np.interp(centre, own, column) for column in known.T], axis=-1)
-    out[near > GAP * cadence_ns] = np.nan
+    reach = GAP * cadence_ns
+    if centre[0] < own[0] - reach or centre[-1] > own[-1] + reach or np.any(np.diff(own) > 2 * reach):
+        after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
+        late = np.abs(own[np.minimum(after, own.size - 1)] - centre)
+        out[np.minimum(np.abs(centre - own[after - 1]), late) > reach] = np.nan
     return out.reshape(edges.size - 1, *flat.shape[1:])
 
 
@@ -826,17 +828,13 @@ def bridge_gaps(values: Floats) -> Floats:
     known = np.isfinite(flat).all(axis=1)
     if known.all() or not known.any():
         return values
-    place, own = np.arange(len(flat)), np.flatnonzero(known)
-    after = np.clip(np.searchsorted(own, place), 0, own.size - 1)
-    before = np.clip(after - 1, 0, None)
-    short = (
-        ~known
-        & (own[after] > place)
-        & (own[before] < place)
-        & (own[after] - own[before] <= BIN_SETTINGS.bridged + 1)
-    )
+    place, own = np.flatnonzero(~known), np.flatnonzero(known)
+    after = np.searchsorted(own, place)
+    inside = (after > 0) & (after < own.size)
+    place, after = place[inside], after[inside]
+    short = place[own[after] - own[after - 1] <= BIN_SETTINGS.bridged + 1]
     for column in flat.T:
-        column[short] = np.interp(place[short], own, column[own])
+        column[short] = np.interp(short, own, column[own])
     return flat.reshape(values.shape)
 
 
