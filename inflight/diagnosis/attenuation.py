@@ -45,7 +45,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -481,8 +480,15 @@ def _between(value: float, sigma: float, bound: float) -> Variance:
         return Variance(0.5 * bound, bound / np.sqrt(12.0))
     if value > ATTENUATION_SETTINGS.known * sigma and value < bound:
         return Variance(value, sigma)
-    chance = scipy.stats.truncnorm(-value / sigma, (bound - value) / sigma, loc=value, scale=sigma)
-    return Variance(float(chance.mean()), float(chance.std()))
+    # The moments of a normal distribution cut off at both ends, by sums: closed forms cancel out in its tails.
+    likely = float(np.clip(value, 0.0, bound))
+    off = abs(value - likely)
+    reach = min(10.0 * sigma, 40.0 * sigma**2 / off) if off > 0 else 10.0 * sigma
+    some = np.linspace(max(0.0, likely - reach), min(bound, likely + reach), 1001)
+    weight = np.exp(-0.5 * (((some - value) / sigma) ** 2 - (off / sigma) ** 2))
+    weight[[0, -1]] *= 0.5
+    mean = float(np.average(some, weights=weight))
+    return Variance(mean, float(np.sqrt(np.average((some - mean) ** 2, weights=weight))))
 
 
 def _ratio(above: Floats, below: Floats, block: Floats) -> tuple[float, float]:

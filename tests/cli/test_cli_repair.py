@@ -45,9 +45,12 @@ def test_a_folder_of_deliveries_that_is_not_there_is_wrong_usage(inflight, tmp_p
     assert told.json["error"]["remedy"]
 
 
-def test_an_absent_default_folder_means_that_nothing_was_delivered(inflight, tmp_path):
+def test_an_absent_default_folder_is_told_of_each_instrument(inflight, tmp_path):
     root = make_tiny_workspace(tmp_path / "tiny")
     shutil.rmtree(root / "data")
     told = inflight("ingest", "--no-prefect", "--workers", 1, "--json", "-w", root)
-    assert told.code == 0
+    assert told.code == 1
     assert told.json["days"]["planned"] == 0
+    problems = told.json["problems"]
+    assert [one["instrument"] for one in problems] == ["turning", "absolute"]
+    assert all(str(root / "data") in one["message"] and one["remedy"] for one in problems)

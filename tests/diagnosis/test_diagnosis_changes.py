@@ -84,7 +84,7 @@ def test_the_moment_is_told_with_how_sharp_it_is(residual):
     assert STEP_S / 12**0.5 < effect.at_sigma_s < 0.1 * BLOCK_DAYS * 86_400
     told = told_of(residual)
     when = effect.at[0].rstrip("Z").replace("T", " ")
-    assert f"{when} +- {format_period(effect.at_sigma_s)}" in told.sentence
+    assert f"{when} UTC +- {format_period(effect.at_sigma_s)}" in told.sentence
     assert told.as_json()["effects"][0]["at_sigma_s"] == effect.at_sigma_s
 
 
