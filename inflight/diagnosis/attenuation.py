@@ -480,7 +480,7 @@ def _between(value: float, sigma: float, bound: float) -> Variance:
         return Variance(0.5 * bound, bound / np.sqrt(12.0))
     if value > ATTENUATION_SETTINGS.known * sigma and value < bound:
         return Variance(value, sigma)
-    # The moments of a normal distribution cut off at both ends, by sums: closed forms cancel out in its tails.
+    # Moments of a normal distribution cut off at both ends, by sums: closed forms cancel out in its tails.
     likely = float(np.clip(value, 0.0, bound))
     off = abs(value - likely)
     reach = min(10.0 * sigma, 40.0 * sigma**2 / off) if off > 0 else 10.0 * sigma
