@@ -5,6 +5,7 @@ At 1 Hz, or with a vector magnetometer of so many readings a second (`growth` wi
 
 from __future__ import annotations
 
+import datetime as dt
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -17,8 +18,12 @@ from benchmarks.archive import simulated_workspace
 from benchmarks.measured import Row, command, timed
 from benchmarks.search import evidence_pass
 from inflight.catalog import Catalog, Workspace
+from inflight.simulate import SimulationSettings
 from inflight.tasks import Workbench
+from inflight.tasks.archive import simulate
 
+#: Verbs that a new day is taken through.
+_NEW_DAY = ("ingest", "reprocess", "diagnose")
 #: What a mission of so many days has to stay below: (days, verb) -> s.
 _AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"): "900 s, 2048 MiB"}
 
@@ -42,11 +47,11 @@ def growth(
         for count in days:
             source = (keep or Path(scratch)) / f"archive-{count}{f'-{vector_hz}-Hz' if vector_hz else ''}"
             simulated_workspace(source, count, vector_hz=vector_hz)
-            for row in _rows(source, Path(scratch), count, one_process_up_to):
+            for row in _rows(source, Path(scratch), count, one_process_up_to, vector_hz):
                 yield replace(row, what=f"{vector_hz} Hz, {row.what}") if vector_hz else row
 
 
-def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int) -> Iterator[Row]:
+def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int, vector_hz: int) -> Iterator[Row]:
     for processes in (1, 2):
         if processes == 1 and days > one_process_up_to:
             continue
@@ -66,6 +71,8 @@ def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int) -> Ite
     print(f"{days} days: statistics {kept / 1e6:.2f} MB a day, product {size / 1e6:.2f} MB a day", flush=True)
     yield from _loop(folder, days)
     yield command(f"{days} days: compare", ["compare"], folder)
+    if not vector_hz:
+        yield from _new_day(folder, days)
     shutil.rmtree(folder)
 
 
@@ -80,6 +87,16 @@ def _loop(folder: Path, days: int) -> Iterator[Row]:
             dropped += timed(bench.undo)
     yield Row(what=f"{days} days: add an effect", seconds=added, aim="0.5 s")
     yield Row(what=f"{days} days: undo", seconds=dropped, aim="0.5 s")
+
+
+def _new_day(folder: Path, days: int) -> Iterator[Row]:
+    """Yield the rows of one more day, delivered as files: taken in, calibrated, and the verdict with it."""
+    day = SimulationSettings().start + dt.timedelta(days=days)
+    simulate(SimulationSettings(start=day, days=1), Workspace.open(folder).data, workers=1)
+    verbs = [command(f"{days} days: a new day, {verb}", [verb], folder) for verb in _NEW_DAY]
+    yield from verbs
+    whole = [sum(row.median for row in verbs)]
+    yield Row(what=f"{days} days: a new day, from file to verdict", seconds=whole, aim="10 s")
 
 
 def _stored(folder: Path, name: str) -> int:
