@@ -178,6 +178,16 @@ def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats,
     return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
+def joint_influences(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
+    """Return values of the model's columns and what each block moves them by; (column,), (block, column)."""
+    p = present.columns
+    blocks = grams.rows(p, np.append(p, y))
+    matrix, right = blocks[:, :, :-1].sum(axis=0), blocks[:, :, -1].sum(axis=0)
+    inverse = gram_inverse(matrix + np.diag(present.precision))
+    value = -inverse @ right
+    return value, -(blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)) @ inverse
+
+
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
     return estimate_in(search, option, search.forms[form])
