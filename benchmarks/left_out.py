@@ -8,6 +8,9 @@ channel that drives it, alone or among rivals, or say that what is there is unkn
 sure and has nothing to do with it is wrong. Where nobody recorded the channel, another one that moves with it
 is all that can be named.
 
+In other cases a number of the model is wrong: one component of each with a stated sigma, by three and by ten
+of these, and each that has none by as much as leaves half the noise.
+
 ``python -m benchmarks left_out`` prints the table.
 """
 
@@ -47,6 +50,8 @@ class LeftOutSettings:
         Rms of what the calibration leaves of the effect, in noises of a row.
     each, family, outside : int
         Cases of each form, of each family, and of each shape that no library has.
+    sigmas : tuple of float
+        Of its own by which a number of the model is wrong.
     """
 
     noise_nT: float = 0.1  # noqa: N815 (a unit)
@@ -54,12 +59,16 @@ class LeftOutSettings:
     each: int = 5
     family: int = 1
     outside: int = 3
+    sigmas: tuple[float, ...] = (3.0, 10.0)
     seed: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One hidden effect: what it is called, what drives it, what of the library is left out."""
+    """One hidden effect: what it is called, what drives it, what of the library is left out.
+
+    `number` is the column of a number of the model that is wrong, `off` by how much, in units of the column.
+    """
 
     group: str
     name: str
@@ -68,6 +77,8 @@ class Case:
     candidate: Candidate | None = None
     shape: Callable[[DesignRows, Floats], Floats] | None = None
     left_out: frozenset[str] = frozenset()
+    number: str = ""
+    off: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +159,46 @@ def cases(design: Design, search: Search, settings: LeftOutSettings) -> list[Cas
     return out
 
 
+def wrong_numbers(design: Design, model: Model, search: Search, settings: LeftOutSettings) -> list[Case]:
+    """Return cases in which a number of the model is wrong, those with a stated sigma first."""
+    generator = np.random.default_rng([settings.seed, 1])
+    library = design.made.plan.library
+    channels = {one.name: channels_under(one.effect.channels) for one in model.effects}
+    out = []
+    for term in library.refined:
+        groups: dict[str, list[int]] = {}
+        for place, name in enumerate(term.columns):
+            groups.setdefault(name.partition("[")[0], []).append(place)
+        for name, places in groups.items():
+            effect = name.removeprefix("model:").partition(".")[0]
+            place = int(generator.choice(places))
+            for sigmas in settings.sigmas:
+                off = sigmas * term.sigma[place] / term.scale[place] * generator.choice([-1.0, 1.0])
+                out.append(
+                    Case(
+                        group=f"a number wrong by {sigmas:g} sigma",
+                        name=term.columns[place].removeprefix("model:"),
+                        channels=frozenset(channels.get(effect, ())),
+                        family="",
+                        number=term.columns[place],
+                        off=float(off),
+                    )
+                )
+    seen = {one.name for one in search.options if one.number}
+    for candidate in library.candidates:
+        if candidate.name in seen:
+            out.append(
+                Case(
+                    group="a number without a sigma wrong",
+                    name=candidate.name,
+                    channels=frozenset(channels_under(candidate.channels)),
+                    family=candidate.family,
+                    candidate=candidate,
+                )
+            )
+    return out
+
+
 def _channel(rows: DesignRows, case: Case) -> Floats:
     (name,) = case.channels
     return np.asarray(rows.samples[name].values, dtype=np.float64)
@@ -223,21 +274,30 @@ class Missions:
         )
         self.weights = [rows.weight for rows, _ in self.design.rows()]
         zeros = [np.zeros((len(one), 1)) for one in self.weights]
-        self.cases = cases(self.design, self.design.search(zeros), settings)
-        self.residuals = self._drawn()
+        first = self.design.search(zeros)
+        hidden = cases(self.design, first, settings)
+        wrong = wrong_numbers(self.design, self.data.model, first, settings)
+        self.cases = [*hidden, *wrong]
+        # Each with draws of its own: more cases of one change nothing of the other.
+        both = zip(self._drawn(hidden, settings.seed), self._drawn(wrong, settings.seed + 1), strict=True)
+        self.residuals = [np.concatenate(one, axis=1) for one in both]
         self.grams = self.design.grams(self.residuals)
 
-    def _drawn(self) -> list[Floats]:
+    def _drawn(self, some: Sequence[Case], seed: int) -> list[Floats]:
         """Return the residuals of each day; (time, case)."""
-        generator = np.random.default_rng(self.settings.seed)
+        generator = np.random.default_rng(seed)
         library = self.design.made.plan.library
-        noise, columns = [], [list[Floats]() for _ in self.cases]
+        noise, columns = [], [list[Floats]() for _ in some]
         for rows, _ in self.design.rows():
             with np.errstate(divide="ignore"):
                 spread = np.where(rows.weight > 0, self.settings.noise_nT / np.sqrt(rows.weight), 0.0)
-            noise.append(generator.normal(size=(len(rows.weight), len(self.cases))) * spread[:, None])
-            for case, out in zip(self.cases, columns, strict=True):
-                if case.candidate is not None:
+            noise.append(generator.normal(size=(len(rows.weight), len(some))) * spread[:, None])
+            for case, out in zip(some, columns, strict=True):
+                if case.number:
+                    own = [term for term in library.refined if case.number in term.columns]
+                    place = own[0].columns.index(case.number)
+                    out.append(case.off * design_matrix(own, rows)[:, 0, [place]])
+                elif case.candidate is not None:
                     terms = [library.terms[key] for key in case.candidate.terms]
                     out.append(design_matrix(terms, rows)[:, 0])
                 else:
@@ -247,8 +307,12 @@ class Missions:
         edges = np.cumsum([0, *map(len, self.weights)])
         root = np.sqrt(np.concatenate(self.weights))
         basis = np.linalg.qr(np.concatenate(base) * root[:, None])[0]
-        for place, parts in enumerate(columns):
+        for place, (case, parts) in enumerate(zip(some, columns, strict=True)):
             whole = np.concatenate(parts)
+            if case.number:
+                for day, out in enumerate(noise):
+                    out[:, place] -= whole[edges[day] : edges[day + 1], 0]
+                continue
             whole = whole / np.maximum(np.sqrt(np.mean(whole**2, axis=0)), 1e-30)
             effect = whole @ generator.normal(size=whole.shape[1])
             left = effect * root - basis @ (basis.T @ (effect * root))
@@ -350,10 +414,13 @@ def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: L
         under = channels_under(list(own)) if own else own
         if case.channels:
             return bool(under & case.channels)
+        if case.number:
+            return False
         return family == case.family or name.partition("(")[0] == mechanism.partition("(")[0]
 
     # A number of the model is named by its effect, which follows a channel.
     numbers = {one.name: channels_under(one.effect.channels) for one in model.effects}
+    effect = case.number.removeprefix("model:").partition(".")[0]
     named, wrong, told = False, False, []
     for entry in found.entries:
         own, family = channels.get(entry.name, set()), families.get(entry.name, "")
@@ -362,6 +429,11 @@ def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: L
             is_it(one.mechanism, set(one.channels), one.family) for one in rivals
         )
         right |= bool(numbers.get(entry.name.partition(".")[0], set()) & case.channels)
+        if effect:
+            # Of an effect without a channel its own name is what drives it.
+            right |= any(
+                one.removeprefix("model:").partition(".")[0] == effect for one in (entry.name, *entry.rivals)
+            )
         named |= right
         wrong |= entry.status == "sure" and not right
         told.append(f"{entry.status}: {entry.name} {entry.takes_off_nT:.3f}")

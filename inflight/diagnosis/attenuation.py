@@ -65,10 +65,10 @@ from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import (
     SELECTION_SETTINGS,
+    BlockwiseFit,
     Estimate,
     estimate,
     estimate_in,
-    joint_influences,
 )
 from inflight.diagnosis.wide_bins import Means, gram_of_means, has_means, mean_columns
 from inflight.frames import GEOMETRY
@@ -318,7 +318,8 @@ def _influences(
         What frees the model's values of the attenuation.
     """
     present, y = search.present_in(grams), grams.residuals[search.residual]
-    value, moved = joint_influences(grams, present, y)
+    fit = BlockwiseFit.of(grams, present, y)
+    value, moved = fit.value, fit.moved
     if gain is not None:
         value, moved = gain @ value, moved @ gain.T
     columns = grams.index(option.columns)
