@@ -64,7 +64,7 @@ class CoverageSettings:
     memory_s: float = 43_200.0
     uneven: float = 1.001
     jitter: float = 0.05
-    searched: int = 60
+    searched: int = 40
     chance: float = 0.01
 
 
