@@ -42,8 +42,8 @@ freed of what noise among these takes off (`of_samples`): the search's bins deci
 large it is. A rate in bins of 10 s is a difference of means, and too small for what is quicker: values made
 from it are too large. Columns made from samples and then averaged have no such error. In means of three and
 ten samples they give the same values, but for chance, which blocks tell: both are fitted to the same data,
-and the scatter of their difference is that of what each block moves it by. A difference beyond that is in the
-error.
+and the scatter of their difference is that of what each block moves it by. Errors reach as far as values that
+differ by more than that.
 """
 
 from __future__ import annotations
@@ -149,6 +149,8 @@ class Freed:
     at_native : float
         By how many of its sigmas noise moves a value of the estimate from the samples themselves, were it
         white among them: the faster they are, the more noise a rate has.
+    taken : bool
+        Noise was taken off the values; else they are as they were, and what it may do is in their errors.
     lag_error_s : float
         By how much noise moves the lag that leaves least, s: a slower response has less of it.
     """
@@ -158,6 +160,7 @@ class Freed:
     source: str
     variance: Variance
     at_native: float = 0.0
+    taken: bool = True
     lag_error_s: float = 0.0
 
 
@@ -235,18 +238,23 @@ def _freed(
             told = estimate(native.search, option)
             off = np.abs(there.of(option).value - told.value)
             at_native = float(np.max(off / np.maximum(told.sigma, 1e-300)))
-        freed = here.of(option)
+        freed, taken = here.of(option), not here.is_bound
         change = np.abs(freed.value - found.value)
-        freed = found.with_error(change) if here.is_bound else freed
+        freed = freed if taken else found.with_error(change)
         if slow is not None and np.any(
             np.abs(freed.value - (apart := slow.of(option)).value) > settings.agree * apart.sigma
         ):
             freed = found.with_error(np.hypot(apart.value - found.value, apart.sigma))
-            change = np.abs(apart.value - found.value)
+            change, taken = np.abs(apart.value - found.value), False
         if np.any(change > settings.least * found.sigma) or at_native > settings.least:
             part = float(np.max(change / np.maximum(np.abs(freed.value), 1e-300)))
             out[option.name] = Freed(
-                estimate=freed, part=part, source=source, variance=variance, at_native=at_native
+                estimate=freed,
+                part=part,
+                source=source,
+                variance=variance,
+                at_native=at_native,
+                taken=taken,
             )
     return out
 
@@ -281,7 +289,7 @@ def of_samples(search: Search, data: DiagnosisData, freed: Mapping[str, Freed]) 
         return out
     means = [Means.of(data.series, times) for times in settings.own_times]
     scales, columns = mean_columns(search, data, search.accepted, means)
-    noisy = [one for one in search.accepted if one.name in freed]
+    noisy = [one for one in search.accepted if one.name in freed and freed[one.name].taken]
     drawn = _drawn_columns(search, data) if noisy else None
     for mean, some in zip(means, columns, strict=True):
         if int((mean.weight > 0).sum()) < settings.own_rows * len(scales):
@@ -302,8 +310,9 @@ def of_samples(search: Search, data: DiagnosisData, freed: Mapping[str, Freed]) 
             scatter = np.diag(bartlett_covariance(moved - moved_too, SELECTION_SETTINGS.bartlett))
             away = np.abs(value - other)
             beyond = away > settings.own_apart * np.sqrt(np.clip(scatter, 0.0, None))
-            wider = out[option.name].estimate.with_error(np.where(beyond, away, 0.0))
-            out[option.name] = out[option.name]._replace(estimate=wider)
+            told = out[option.name].estimate
+            reached = replace(told, value=told.value + np.where(beyond, away, 0.0))
+            out[option.name] = out[option.name]._replace(estimate=told.covering(reached))
     return out
 
 
