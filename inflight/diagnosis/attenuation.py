@@ -53,7 +53,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -603,8 +602,13 @@ def _between(value: float, sigma: float, bound: float) -> Variance:
         return Variance(0.5 * bound, bound / np.sqrt(12.0))
     if value > ATTENUATION_SETTINGS.known * sigma and value < bound:
         return Variance(value, sigma)
-    chance = scipy.stats.truncnorm(-value / sigma, (bound - value) / sigma, loc=value, scale=sigma)
-    return Variance(float(chance.mean()), float(chance.std()))
+    # A Gaussian cut off at both ends; far out of them closed forms of its moments lose all digits.
+    low, high = np.clip([value - 8.0 * sigma, value + 8.0 * sigma], 0.0, bound)
+    x = np.linspace(min(low, max(bound - sigma, 0.0)), max(high, min(sigma, bound)), 1001)
+    exponent = -0.5 * ((x - value) / sigma) ** 2
+    chance = np.exp(exponent - exponent.max())
+    mean = float(np.average(x, weights=chance))
+    return Variance(mean, float(np.sqrt(np.average((x - mean) ** 2, weights=chance))))
 
 
 def _ratio(above: Floats, below: Floats, block: Floats) -> tuple[float, float]:
