@@ -30,7 +30,7 @@ def _show_each(name: str, measured: Iterable[Row]) -> None:
     _show(name, rows)
 
 
-def _show_coverage(kept: Path | None, seeds: int) -> None:
+def _show_coverage(kept: Path | None, seeds: int, only: str) -> None:
     from threadpoolctl import threadpool_limits
 
     from benchmarks.archive import simulated_workspace
@@ -38,9 +38,11 @@ def _show_coverage(kept: Path | None, seeds: int) -> None:
 
     counts: list[Coverage] = []
     with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
-        for one in coverage(simulated_workspace((kept or Path(scratch)) / "archive-30", 30), seeds):
+        for one in coverage(
+            simulated_workspace((kept or Path(scratch)) / "archive-30", 30), seeds, only=only
+        ):
             counts.append(one)
-            print(f"{one.name}: {one.within} of {one.values}, found {one.found_values}", flush=True)
+            print("\n".join([*table([one])[2:3], f"  first: {one.others}"]), flush=True)
     print("\n".join(table(counts)), flush=True)
 
 
@@ -81,7 +83,7 @@ def _show_real_cadence(real: Path) -> None:
 def _show_answers(given: argparse.Namespace, which: Sequence[str]) -> None:
     """Show how right answers are: what is measured of the search's verdicts and sigmas."""
     if "coverage" in which:
-        _show_coverage(given.keep, given.seeds)
+        _show_coverage(given.keep, given.seeds, given.only)
     if "left_out" in which:
         _show_left_out(given.keep, given.only)
     if "real_cadence" in which:
@@ -106,7 +108,9 @@ def main() -> None:
     )
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument("--seeds", type=int, default=200, help="residuals drawn of each effect (200)")
-    parser.add_argument("--only", default="", help="cases of left_out whose group or name holds this")
+    parser.add_argument(
+        "--only", default="", help="cases of left_out, or effects of coverage, whose name holds this"
+    )
     parser.add_argument("--real", type=Path, help="folder of real measurements, for real_cadence")
     given = parser.parse_args()
     which = given.which or _ALL

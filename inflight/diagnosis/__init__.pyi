@@ -29,7 +29,7 @@ from .figure_data import (
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already
-from .residual import DiagnosisData
+from .residual import DiagnosisData, Native
 from .result import MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
@@ -79,6 +79,7 @@ __all__ = [
     "JointFit",
     "LagProfile",
     "ModelColumns",
+    "Native",
     "Option",
     "Request",
     "Rules",

@@ -193,7 +193,7 @@ class FitSetup:
             gone, self.intervals, prior_precision(whole, gone, self._base_sigma, self.variance)
         )
         return grams, ModelColumns(
-            grams.index(names), prior_precision(grams, names, np.array(sigma), self.variance)
+            grams.index(names), prior_precision(grams, names, np.array(sigma), self.variance), self.variance
         )
 
     @property
@@ -209,11 +209,7 @@ class FitSetup:
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = joint_fit(grams, present, grams.residuals[0])
-        # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
-        inner = grams.total[np.ix_(p, p)] + np.diag(present.precision)
-        inverse = solve_scaled(inner, np.eye(p.size))
-        return value, covariance + self.variance * (inverse * present.precision) @ inverse
+        return joint_fit(grams, present, grams.residuals[0])
 
     def _calibration_shift(
         self, whole: GramBlocks, names: Sequence[str], value: Floats, covariance: Floats

@@ -36,6 +36,14 @@ variance is known as well as that says, else as the mean of both. What is not kn
 a rate an eighth. Freed values of rows and of means then agree. Where they do not, what looks like noise is
 something else (instruments that average the field differently), the values stay as they are, and are told to
 be no better known than means of rows say.
+
+*One value, whatever the cadence of the search.* Values that are told are those of the samples' own rows,
+freed of what noise among these takes off (`of_samples`): the search's bins decide what is there, not how
+large it is. A rate in bins of 10 s is a difference of means, and too small for what is quicker: values made
+from it are too large. Columns made from samples and then averaged have no such error. In means of three and
+ten samples they give the same values, but for chance, which blocks tell: both are fitted to the same data,
+and the scatter of their difference is that of what each block moves it by. Errors reach as far as values that
+differ by more than that.
 """
 
 from __future__ import annotations
@@ -50,14 +58,20 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.design import Term, design_matrix
 from inflight.diagnosis.refine import LAG_SETTINGS, FormTrials, can_add_columns, peak_of, term_at_lag
-from inflight.diagnosis.residual import DiagnosisData, derived_channels, remaining_residual
+from inflight.diagnosis.residual import DiagnosisData, Native, derived_channels, remaining_residual
 from inflight.diagnosis.scoring import Index
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
-from inflight.diagnosis.stepwise import Estimate, estimate, estimate_in
+from inflight.diagnosis.stepwise import (
+    SELECTION_SETTINGS,
+    BlockwiseFit,
+    Estimate,
+    estimate,
+    estimate_in,
+)
 from inflight.diagnosis.wide_bins import Means, gram_of_means, has_means, mean_columns
 from inflight.frames import GEOMETRY
-from inflight.lsq import MAD_TO_SIGMA, GramBlocks, solve_scaled
+from inflight.lsq import MAD_TO_SIGMA, GramBlocks, bartlett_covariance, solve_scaled
 from inflight.samples import parse_channel, slow_response
 from inflight.time import SECOND
 
@@ -88,6 +102,12 @@ class AttenuationSettings:
         The variance is known by the residual when it is so many of its sigmas from nothing.
     seed : int
         Of the noise that is drawn.
+    own_times : tuple of int
+        Samples of the means whose values are held against those of the samples.
+    own_apart : float
+        They differ when they do so by more than so many sigmas of the difference.
+    own_rows : int
+        Means for every column at least: fewer say nothing; assumed.
     """
 
     least: float = 0.1
@@ -97,6 +117,9 @@ class AttenuationSettings:
     agree: float = 2.0
     known: float = 3.0
     seed: int = 0
+    own_times: tuple[int, ...] = (3, 10)
+    own_apart: float = 3.0
+    own_rows: int = 20
 
 
 ATTENUATION_SETTINGS = AttenuationSettings()
@@ -120,9 +143,13 @@ class Freed:
         Largest part of a value that the noise took.
     source : str
         What is noisy: a channel, or ``field``.
+    variance : Variance
+        Of its noise.
     at_native : float
         By how many of its sigmas noise moves a value of the estimate from the samples themselves, were it
         white among them: the faster they are, the more noise a rate has.
+    taken : bool
+        Noise was taken off the values; else they are as they were, and what it may do is in their errors.
     lag_error_s : float
         By how much noise moves the lag that leaves least, s: a slower response has less of it.
     """
@@ -130,28 +157,29 @@ class Freed:
     estimate: Estimate
     part: float
     source: str
+    variance: Variance
     at_native: float = 0.0
+    taken: bool = True
     lag_error_s: float = 0.0
 
 
 def without_attenuation(
-    search: Search, data: DiagnosisData, native: tuple[Search, float] | None = None
+    search: Search, data: DiagnosisData, native: Native | None = None
 ) -> dict[str, Freed]:
     """Return estimates without the attenuation by noise, by the names of effects it matters for.
 
     Parameters
     ----------
-    native : (Search, float), optional
-        What was taken at the samples' own cadence, s.
+    native : Native, optional
+        What was taken at the samples' own cadence.
     """
     series = data.series
-    known = {term.key for term in search.library.all_terms}
-    # Changes that are functions of the block have the columns of what changes; only whole terms are drawn.
-    keys = [key for one in search.accepted for key in one.terms if key in known]
-    if not keys or series.row_filter is not None or not can_add_columns(search, data):
+    if series.row_filter is not None or not can_add_columns(search, data):
         return {}
     wide: _Wide | None = None
-    drawn = _Columns(search, data, [search.library.by_key[key] for key in dict.fromkeys(keys)])
+    drawn = _drawn_columns(search, data)
+    if drawn is None:
+        return {}
     residual: Floats | None = None
     out: dict[str, Freed] = {}
     for source in drawn.sources:
@@ -171,11 +199,21 @@ def without_attenuation(
     return out
 
 
+def _drawn_columns(search: Search, data: DiagnosisData) -> _Columns | None:
+    """Return the columns of what was taken, to be drawn with noise; None without any.
+
+    Changes that are functions of the block have the columns of what changes; only whole terms are drawn.
+    """
+    known = {term.key for term in search.library.all_terms}
+    keys = dict.fromkeys(key for one in search.accepted for key in one.terms if key in known)
+    return _Columns(search, data, [search.library.by_key[key] for key in keys]) if keys else None
+
+
 def _freed(
     drawn: _Columns,
     source: str,
     variance: Variance,
-    native: tuple[Search, float] | None,
+    native: Native | None,
     wide: _Wide | None = None,
 ) -> dict[str, Freed]:
     """Return the effects whose values noise of a source moves, without what it does."""
@@ -185,7 +223,7 @@ def _freed(
     if wide is not None:
         slow = _moments(search, drawn, wide.products(drawn, source), variance, wide.grams)
     if native is not None:
-        own, cadence_s = native
+        own, cadence_s = native.search, native.cadence_s
         times = drawn.data.series.step_s / cadence_s
         rows = float(own.raw.count.sum()) / max(float(search.raw.count.sum()), 1.0)
         faster = Variance(variance.value * times, 0.0)
@@ -196,21 +234,105 @@ def _freed(
         found = estimate(search, option)
         at_native = 0.0
         if native is not None and there is not None:
-            told = estimate(native[0], option)
+            told = estimate(native.search, option)
             off = np.abs(there.of(option).value - told.value)
             at_native = float(np.max(off / np.maximum(told.sigma, 1e-300)))
-        freed = here.of(option)
+        freed, taken = here.of(option), not here.is_bound
         change = np.abs(freed.value - found.value)
-        freed = found.with_error(change) if here.is_bound else freed
+        freed = freed if taken else found.with_error(change)
         if slow is not None and np.any(
             np.abs(freed.value - (apart := slow.of(option)).value) > settings.agree * apart.sigma
         ):
             freed = found.with_error(np.hypot(apart.value - found.value, apart.sigma))
-            change = np.abs(apart.value - found.value)
+            change, taken = np.abs(apart.value - found.value), False
         if np.any(change > settings.least * found.sigma) or at_native > settings.least:
             part = float(np.max(change / np.maximum(np.abs(freed.value), 1e-300)))
-            out[option.name] = Freed(estimate=freed, part=part, source=source, at_native=at_native)
+            out[option.name] = Freed(
+                estimate=freed,
+                part=part,
+                source=source,
+                variance=variance,
+                at_native=at_native,
+                taken=taken,
+            )
     return out
+
+
+class Told(NamedTuple):
+    """Values that are told of an effect, and what noise took off them."""
+
+    estimate: Estimate
+    freed: Freed | None = None
+
+
+def of_samples(search: Search, data: DiagnosisData, freed: Mapping[str, Freed]) -> dict[str, Told]:
+    """Return values by the names of effects, with what they depend on the width of bins in their errors.
+
+    Parameters
+    ----------
+    search : Search
+        What was taken, on Gram blocks of the samples.
+    data : DiagnosisData
+        Of the samples: its series has them all.
+    freed : mapping of str to Freed
+        Estimates of the samples without what noise takes off them.
+    """
+    settings = ATTENUATION_SETTINGS
+    out = {
+        one.name: Told(free.estimate, free)
+        if (free := freed.get(one.name)) is not None
+        else Told(estimate(search, one))
+        for one in search.accepted
+    }
+    if not search.accepted or not has_means(search, data):
+        return out
+    means = [Means.of(data.series, times) for times in settings.own_times]
+    scales, columns = mean_columns(search, data, search.accepted, means)
+    noisy = [one for one in search.accepted if one.name in freed and freed[one.name].taken]
+    drawn = _drawn_columns(search, data) if noisy else None
+    for mean, some in zip(means, columns, strict=True):
+        if int((mean.weight > 0).sum()) < settings.own_rows * len(scales):
+            continue
+        wide = _Wide(mean, gram_of_means(search, data, "raw", mean, scales, some))
+        for option in search.accepted:
+            rows_gain, means_gain = None, None
+            if drawn is not None and option in noisy:
+                one = freed[option.name]
+                here = _moments(search, drawn, drawn.products(one.source), one.variance)
+                square = wide.products(drawn, one.source)
+                rows_gain, means_gain = (
+                    here.gain,
+                    _moments(search, drawn, square, one.variance, wide.grams).gain,
+                )
+            value, moved = _influences(search, option, search.forms["raw"], rows_gain)
+            other, moved_too = _influences(search, option, wide.grams, means_gain)
+            scatter = np.diag(bartlett_covariance(moved - moved_too, SELECTION_SETTINGS.bartlett))
+            away = np.abs(value - other)
+            beyond = away > settings.own_apart * np.sqrt(np.clip(scatter, 0.0, None))
+            told = out[option.name].estimate
+            reached = replace(told, value=told.value + np.where(beyond, away, 0.0))
+            out[option.name] = out[option.name]._replace(estimate=told.covering(reached))
+    return out
+
+
+def _influences(
+    search: Search, option: Option, grams: GramBlocks, gain: Floats | None
+) -> tuple[Floats, Floats]:
+    """Return values of an effect and what each block moves them by; (column,), (block, column), physical.
+
+    Parameters
+    ----------
+    gain : ndarray, shape (column, column), optional
+        What frees the model's values of the attenuation.
+    """
+    present, y = search.present_in(grams), grams.residuals[search.residual]
+    fit = BlockwiseFit.of(grams, present, y)
+    value, moved = fit.value, fit.moved
+    if gain is not None:
+        value, moved = gain @ value, moved @ gain.T
+    columns = grams.index(option.columns)
+    own = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
+    return value[own] * grams.scale[columns], moved[:, own] * grams.scale[columns]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed
-from inflight.diagnosis.residual import DiagnosisData
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, Told
+from inflight.diagnosis.residual import DiagnosisData, Native
 from inflight.diagnosis.result import Turn
 from inflight.diagnosis.scoring import SCORING_SETTINGS, Index, make_folds, project_out_of, score
 from inflight.diagnosis.search import Option, ScoreTable, Search
@@ -78,8 +78,9 @@ def turned_over(
     data: DiagnosisData,
     checks: Sequence[RivalCheck],
     told: Mapping[str, Floats],
-    native: tuple[Search, float] | None = None,
+    native: Native | None = None,
     freed: Mapping[str, Freed] | None = None,
+    told_of: Mapping[str, Told] | None = None,
 ) -> dict[str, list[Turn]]:
     """Return what turns each effect over, by its name; those that nothing turns over have an empty list.
 
@@ -87,11 +88,13 @@ def turned_over(
     ----------
     told : mapping of str to ndarray
         Errors of an effect's values as they are told, by its name; physical units.
-    native : (Search, float), optional
-        What was taken at the samples' own cadence, s.
+    native : Native, optional
+        What was taken at the samples' own cadence.
     freed : mapping of str to Freed, optional
         Values without what noise takes off them: it takes less off those of wider bins, and more off those
         of the samples, which is no other answer.
+    told_of : mapping of str to Told, optional
+        Values from the samples, without what noise takes off these.
     """
     # What has a value in each window of some blocks has none in longer ones.
     some = [one for one in checks if one.option.change is None or not one.option.change.windows]
@@ -103,8 +106,12 @@ def turned_over(
     if native is not None:
         for check in some:
             name = check.option.name
-            if freed is None or name not in freed or freed[name].at_native <= ATTENUATION_SETTINGS.native:
-                out[name] += _at_native(*native, check, search)
+            free = freed.get(name) if freed else None
+            samples = told_of.get(name) if told_of else None
+            if samples is not None or free is None or free.at_native <= ATTENUATION_SETTINGS.native:
+                there = samples.estimate if samples is not None else None
+                here = free.estimate if free is not None and samples is not None else None
+                out[name] += _at_native(native, check, search, there, here)
     for check, trial, form in _at_cadence(search, data, some) if some else ():
         found = _overtaken(search, check, trial)
         if not found:
@@ -217,14 +224,26 @@ def _other_blocks_and_folds(grams: GramArrays, option: Option) -> Iterator[_Tria
 # Other cadences.
 
 
-def _at_native(native: Search, cadence_s: float, check: RivalCheck, search: Search) -> list[Turn]:
-    """Return what turns an effect over at the samples' own cadence."""
-    choice = f"at the samples' own cadence of {cadence_s:.3g} s"
-    grams = _grams_of(native, "raw", [check.option, *_there(native, check.near)])
+def _at_native(
+    native: Native,
+    check: RivalCheck,
+    search: Search,
+    there: Estimate | None = None,
+    here: Estimate | None = None,
+) -> list[Turn]:
+    """Return what turns an effect over at the samples' own cadence.
+
+    Parameters
+    ----------
+    there, here : Estimate, optional
+        Values from the samples and from the search's rows; those of least squares when absent.
+    """
+    own, choice = native.search, f"at the samples' own cadence of {native.cadence_s:.3g} s"
+    grams = _grams_of(own, "raw", [check.option, *_there(own, check.near)])
     trial = _Trial(choice, grams, make_folds(len(grams), check.option.interleaved))
-    if check.form == "raw" and (found := _overtaken(native, check, trial)):
+    if check.form == "raw" and (found := _overtaken(own, check, trial)):
         return found
-    there, here = estimate(native, check.option), estimate(search, check.option)
+    there, here = there or estimate(own, check.option), here or estimate(search, check.option)
     # Sigmas that are told cover the difference; those of the two estimates need not.
     return _moved(search, check.option, choice, there, here)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -457,6 +457,29 @@ class DiagnosisData:
     def sensor_matrices(self) -> dict[str, Floats]:
         """The matrix K of every vector sensor, row by row; (9,) each."""
         return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
+
+
+class Native(NamedTuple):
+    """What a search took, at the cadence of the samples.
+
+    Attributes
+    ----------
+    search : Search
+        On Gram blocks of the samples.
+    cadence_s : float
+    series : Series, optional
+        The samples; None where they are too many for columns to be made of them.
+    """
+
+    search: Search
+    cadence_s: float
+    series: Series | None = None
+
+    def data(self, data: DiagnosisData) -> DiagnosisData | None:
+        """Return the data of the samples, of those of the search; None where they are too many."""
+        if self.series is None:
+            return None
+        return replace(data, series=self.series, cadence_s=self.cadence_s, columns={}, gaps=None)
 
 
 def with_correctable_rows(search: Search, data: DiagnosisData) -> DiagnosisData:

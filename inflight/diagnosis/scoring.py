@@ -49,10 +49,20 @@ SCORING_SETTINGS = ScoringSettings()
 
 @dataclass(frozen=True)
 class ModelColumns:
-    """Columns the model holds already, and their prior precision (1/sigma^2, scaled)."""
+    """Columns the model holds already, and what is known of them beforehand.
+
+    Attributes
+    ----------
+    columns : ndarray of int
+    precision : ndarray, shape (column,)
+        `variance` over squared prior sigma, scaled; 0 without a prior.
+    variance : float
+        Of a row, nT^2; errors of fits count that of what is known with it.
+    """
 
     columns: Index
     precision: Floats
+    variance: float = 0.0
 
     def solve(self, rows: Floats) -> Floats:
         """Return the projection of all columns on those of the model; (..., present, column).

@@ -577,7 +577,7 @@ class Search:
         """Return the columns of the model in Gram blocks that have them, with their priors."""
         names = self.model_columns(without)
         sigma = self.sigma_of_model(len(names))
-        return ModelColumns(grams.index(names), self.precision(grams, names, sigma))
+        return ModelColumns(grams.index(names), self.precision(grams, names, sigma), self.variance)
 
     def sigma_of_model(self, count: int) -> Floats:
         """Return what is known beforehand of the model's columns, refined ones first; (count,)."""

@@ -33,6 +33,7 @@ from inflight.lsq import (
     inverse_square_root,
     regression_coefficients,
     sandwich,
+    with_variance_floor,
 )
 from inflight.samples import base_channels
 from inflight.time import SECOND
@@ -158,24 +159,63 @@ class Estimate:
         return replace(self, sigma=sigma, covariance=self.covariance * np.outer(wider, wider))
 
 
+@dataclass(frozen=True)
+class BlockwiseFit:
+    """Values of the model's columns, scaled, all together.
+
+    Attributes
+    ----------
+    value : ndarray, shape (column,)
+    moved : ndarray, shape (block, column)
+        By how much each block's scores move the values. What is known beforehand pulls the fit off what the
+        data alone say, where scores sum to nothing; they are those there, since how far the fit was pulled is
+        no scatter of blocks.
+    inverse : ndarray, shape (column, column)
+        Of the Gram matrix and what is known beforehand.
+    white : ndarray, shape (column, column)
+        Covariance, were rows independent, of the variance that is left.
+    """
+
+    value: Floats
+    moved: Floats
+    inverse: Floats
+    white: Floats
+
+    @classmethod
+    def of(cls, grams: GramBlocks, present: ModelColumns, y: int) -> BlockwiseFit:
+        """Return the fit of the model's columns to a residual."""
+        p = present.columns
+        blocks = grams.rows(p, np.append(p, y))
+        matrix, right = blocks[:, :, :-1].sum(axis=0), blocks[:, :, -1].sum(axis=0)
+        inverse = gram_inverse(matrix + np.diag(present.precision))
+        value = -inverse @ right
+        scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
+        if present.precision.any():
+            pulled = gram_inverse(matrix) @ scores.sum(axis=0)
+            scores = scores - np.einsum("bij,j->bi", blocks[:, :, :-1], pulled)
+        remaining = grams.squares[:, y].sum() + 2.0 * right @ value + value @ matrix @ value
+        white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * matrix
+        return cls(value, -scores @ inverse, inverse, sandwich(inverse, white))
+
+
 def joint_fit(grams: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
-    follows them. No sigma is smaller than that from rows of white noise of the residual's size.
+    follows them. No sigma is smaller than that from rows of white noise of the residual's size. Scatter is
+    made no smaller than that of uncorrelated blocks in values, never in scores: of two columns that do nearly
+    the same, the difference of scores is what tells them apart, and nothing is right of it once each is made
+    larger by itself.
+
+    What is known beforehand is one more measurement, with an error of its own: a column the data do not see
+    keeps its prior's sigma.
     """
-    p = present.columns
-    blocks = grams.rows(p, np.append(p, y))
-    matrix, right = blocks[:, :, :-1].sum(axis=0), blocks[:, :, -1].sum(axis=0)
-    inverse = gram_inverse(matrix + np.diag(present.precision))
-    value = -inverse @ right
-    scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
-    count = len(scores)
-    meat = bartlett_covariance(scores, SELECTION_SETTINGS.bartlett)
-    free = max(count - p.size / 3.0, 2.0)
-    remaining = grams.squares[:, y].sum() + 2.0 * right @ value + value @ matrix @ value
-    white = max(float(remaining), 0.0) / max(float(grams.count.sum()), 1.0) * matrix
-    return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
+    fit = BlockwiseFit.of(grams, present, y)
+    count, inverse = len(fit.moved), fit.inverse
+    free = max(count - present.columns.size / 3.0, 2.0)
+    scatter = bartlett_covariance(fit.moved, SELECTION_SETTINGS.bartlett) * count / free
+    covariance = with_variance_floor(scatter, fit.white)
+    return fit.value, covariance + present.variance * (inverse * present.precision) @ inverse
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
@@ -223,7 +263,9 @@ def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> F
     present = search.present(form, option)
     columns = grams.index(option.columns)
     both = ModelColumns(
-        np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
+        np.concatenate([present.columns, columns]),
+        np.append(present.precision, np.zeros(columns.size)),
+        present.variance,
     )
     _, covariance = joint_fit(grams, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))

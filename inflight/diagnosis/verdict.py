@@ -9,7 +9,7 @@ rejected candidate hints at.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,13 +18,21 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, without_attenuation
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, Told, of_samples, without_attenuation
 from inflight.diagnosis.choices import nearest_rivals, turned_over
 from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
 from inflight.diagnosis.model_numbers import line_of, rounded, words_of
-from inflight.diagnosis.refine import LAG_SETTINGS, LagProfile, bank_of, error_by_lag, profile_lag
+from inflight.diagnosis.refine import (
+    LAG_SETTINGS,
+    LagProfile,
+    bank_of,
+    can_add_columns,
+    error_by_lag,
+    profile_lag,
+)
 from inflight.diagnosis.residual import (
     DiagnosisData,
+    Native,
     Structure,
     effective_blocks,
     held_out_rms,
@@ -125,9 +133,9 @@ REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
 
-#: Returns what a search took, and columns of other options, at the data's own cadence (s), for estimates;
+#: Returns what a search took, and columns of other options, at the data's own cadence, for estimates;
 #: None where there is nothing to estimate. The model's own numbers are something when asked for.
-AtNativeCadence = Callable[[Search, bool, Sequence[Option]], tuple[Search, float] | None]
+AtNativeCadence = Callable[[Search, bool, Sequence[Option]], Native | None]
 
 
 def run_search(
@@ -155,23 +163,19 @@ def run_search(
     is_fast = is_left_within_bins(search, data)
     search.shared.forget_products()
     nearest = nearest_rivals(checks)
-    at_native, cadence_s = (native(search, is_fast, nearest) if native else None) or (None, data.cadence_s)
-    freed = without_attenuation(search, data, (at_native, cadence_s) if at_native else None)
+    at_native = native(search, is_fast, nearest) if native else None
+    freed = without_attenuation(search, data, at_native)
+    told_of = told_values(search, data, at_native, freed)
     effects = tuple(
         describe_effect(
-            search,
-            data,
-            one,
-            estimate(at_native, one.option) if at_native else None,
-            cadence_s,
-            freed.get(one.option.name),
+            search, data, one, at_native, freed.get(one.option.name), told_of.get(one.option.name)
         )
         for one in checks
     )
     told = {one.name: np.array([number.sigma for number in one.coefficients]) for one in effects}
-    turns = turned_over(search, data, checks, told, (at_native, cadence_s) if at_native else None, freed)
+    turns = turned_over(search, data, checks, told, at_native, freed, told_of if at_native else None)
     effects = tuple(_turned(one, turns[one.name]) for one in effects)
-    fast_numbers = at_native if is_fast else None
+    fast_numbers = at_native.search if is_fast and at_native else None
     effects = tuple(_in_words(one, in_time) for one in effects)
     known = with_correctable_rows(search, data)
     residual = remaining_residual(search, known)
@@ -321,27 +325,33 @@ def describe_effect(
     search: Search,
     data: DiagnosisData,
     check: RivalCheck,
-    native: Estimate | None = None,
-    native_s: float = 0.0,
+    native: Native | None = None,
     freed: Freed | None = None,
+    told: Told | None = None,
 ) -> FoundEffect:
     """Return an effect of the model with its values and errors, and how it stands against rivals.
 
     Parameters
     ----------
-    native : Estimate, optional
-        Its values from samples of the cadence `native_s` (s); those of the search when absent.
+    native : Native, optional
+        What was taken, at the cadence of the samples.
     freed : Freed, optional
         Its values without what noise of the readings takes off them. Where it takes more off those of the
-        samples, these are not told.
+        samples, and these are too many for it to be taken off, theirs are not told.
+    told : Told, optional
+        Its values from the samples (`told_values`); those of the search when absent.
     """
     option = check.option
     found = estimate(search, option) if freed is None else freed.estimate
-    if freed is not None and freed.at_native > ATTENUATION_SETTINGS.native:
-        native = None
+    value, takes, from_samples = found, freed, None
+    if told is not None:
+        value, takes = told
+        from_samples = None if native is None else value
+    elif native is not None and not _is_noisier(freed):
+        from_samples = estimate(native.search, option)
+        # What depends on the cadence of the samples is known no better than that.
+        value = from_samples.covering(found)
     terms = [search.library.by_key[key] for key in option.terms]
-    # What depends on the cadence of the samples is known no better than that.
-    told = native.covering(found) if native else found
     lag_sigma = option.lag_sigma_s
     if lag_sigma is None and option.lag_s:
         profile = lag_profile(search, option)
@@ -350,12 +360,12 @@ def describe_effect(
         lag_sigma = float(np.hypot(lag_sigma, freed.lag_error_s))
     if lag_sigma and (by_lag := error_by_lag(search, data, option, lag_sigma)) is not None:
         # Values and lag were fitted together: what the lag does not know they do not.
-        told = told.with_error(by_lag)
+        value = value.with_error(by_lag)
     if option.number_sigma and terms[0].difference:
         # A fit of the whole change is no better than where the search, at its own cadence, put the number.
-        off = abs(float(told.value[0]) - terms[0].difference.apart)
-        told = told.with_least_error(max(option.number_sigma, off))
-    coefficients = _coefficients(search, data, option, terms, told)
+        off = abs(float(value.value[0]) - terms[0].difference.apart)
+        value = value.with_least_error(max(option.number_sigma, off))
+    coefficients = _coefficients(search, data, option, terms, value)
     said, command = _of_number(data, option, terms, coefficients)
     rivals = tuple(rival.mechanism for rival, _ in check.rivals)
     if found.retained < SELECTION_SETTINGS.weak and not _is_shape(option):
@@ -381,17 +391,37 @@ def describe_effect(
         at=tuple(utc_text(when) for when in option.change.at) if option.change else (),
         at_sigma_s=option.change.sharpness / SECOND if option.change and option.change.at else None,
         entries=tuple(term.entry.as_yaml() for term in terms if not term.span and term.difference is None),
-        cadence_s=native_s if native else data.cadence_s,
-        cadence_shift=native.shift_in_sigmas(found) if native else None,
+        cadence_s=native.cadence_s if native is not None and from_samples is not None else data.cadence_s,
+        cadence_shift=from_samples.shift_in_sigmas(found) if from_samples is not None else None,
         status=_status(search, check, rivals),
         model_effects=() if option.number else _sharing(data.model, option),
         said=said,
         command=command,
         stamp_readings=_stamp_readings(data, option, coefficients),
-        noise_of=freed.source if freed else None,
-        noise_part=freed.part if freed else None,
+        noise_of=takes.source if takes else None,
+        noise_part=takes.part if takes else None,
         first_in_nT=estimate(search.with_accepted([option]), option).rms,
     )
+
+
+def told_values(
+    search: Search, data: DiagnosisData, native: Native | None, freed: Mapping[str, Freed]
+) -> dict[str, Told]:
+    """Return the values of effects from the samples, by name; nothing where these are too many.
+
+    They do not depend on the cadence of the search, so that the same is told at any.
+    """
+    if native is None:
+        return of_samples(search, data, freed) if can_add_columns(search, data) else {}
+    own = native.data(data)
+    if own is None or not can_add_columns(native.search, own):
+        return {}
+    return of_samples(native.search, own, without_attenuation(native.search, own))
+
+
+def _is_noisier(freed: Freed | None) -> bool:
+    """Return True when noise takes more off the samples' values than these are worth."""
+    return freed is not None and freed.at_native > ATTENUATION_SETTINGS.native
 
 
 def _of_number(

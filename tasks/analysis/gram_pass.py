@@ -293,7 +293,8 @@ class PassPlan:
     stretches : Stretches, optional
         Each has a level of its own: something nobody recorded switches between them.
     estimates : bool
-        Only what estimates are made from is kept: no prewhitened form, no series, no noise floor.
+        Only what estimates are made from is kept: no prewhitened form, no noise floor, and no series of more
+        rows than columns can be made of.
     """
 
     model: Model
@@ -324,6 +325,11 @@ class PassPlan:
             return 1
         rows = -(-(self.span[1] - self.span[0]) // self.cadence_ns)
         return 1 if rows <= PASS_SETTINGS.series_rows else -(-rows // PASS_SETTINGS.thinned_rows)
+
+    @property
+    def keeps_series(self) -> bool:
+        """Whether blocks have a part of the series."""
+        return not self.estimates or (self.folding is None and self.series_step == 1)
 
     @property
     def folding(self) -> Folding | None:
@@ -388,7 +394,7 @@ class PassPlan:
             "span": self.span if len(self.days) <= PASS_SETTINGS.short_days else self.series_step,
             "origin": self.origin.as_json(),
             "keep_bursts": self.keep_bursts,
-            "estimates": self.estimates,
+            "estimates": [self.keeps_series, *self.channel_summaries] if self.estimates else False,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
@@ -440,19 +446,21 @@ def block_grams(
         raw, day_white, rows, more = _day_grams(cat, mission, plan, index, derived, day)
         raws.append(raw)
         sums = {name: sums[name] + value for name, value in more.items()} if sums else dict(more)
-        if day_white is None:
+        if not plan.keeps_series:
             del rows
             continue
-        white = day_white if white is None else _sum_blocks(white, day_white)
+        if day_white is not None:
+            white = day_white if white is None else _sum_blocks(white, day_white)
         rows = _with_gaps(rows, derived.reader.day(day))
         features = features or features_of(rows, _series_channels(plan))
         thinned.append(thin_rows(rows, features, plan.series_step))
     blocks = FactoredGrams.of(raws[0], plan.base, raws[1:], plan.fits)
     dataset = blocks.as_dataset().assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json())
-    if white is None or features is None:
+    if white is not None:
+        own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
+        dataset = dataset.assign({f"white_{name}": own[name] for name in ("rest", "given") if name in own})
+    if features is None:
         return dataset, sums
-    own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
-    dataset = dataset.assign({f"white_{name}": own[name] for name in ("rest", "given") if name in own})
     series = _packed_series(plan, blocks, thinned)
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
     return dataset, sums
@@ -637,9 +645,7 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     raw, white = (
         FactoredGrams.read(parts, blocks, names, scale, plan.base) for parts in (raw_parts(), white_parts())
     )
-    packed, starts = (np.concatenate(one) for one in zip(*kept, strict=True))
-    filled = {need.name: replacement_value(plan.channel_summaries, need.name) for need in plan.channel_needs}
-    series = Series.of(packed, starts, features[0], filled)
+    series = _joined_series(plan, kept, features[0])
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
@@ -647,20 +653,43 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     return Loaded(
         raw=raw,
         white=white,
-        series=replace(series, row_filter=plan.row_filter),
+        series=series,
         sums=sums,
         floor=floor_of_reports([day.report for day in ordered]),
         outliers=OutlierReport.of([day.report for day in ordered], plan.keep_bursts),
     )
 
 
-def load_estimate_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> FactoredGrams:
-    """Read the Gram blocks of a plan of estimates, in order of time."""
+def _joined_series(
+    plan: PassPlan, parts: Sequence[tuple[np.ndarray, np.ndarray]], features: Features
+) -> Series:
+    """Return the series of the blocks of a plan; parts are packed values and starts."""
+    packed, starts = (np.concatenate(one) for one in zip(*parts, strict=True))
+    filled = {need.name: replacement_value(plan.channel_summaries, need.name) for need in plan.channel_needs}
+    return replace(Series.of(packed, starts, features, filled), row_filter=plan.row_filter)
+
+
+def load_estimate_grams(
+    cat: Catalog, plan: PassPlan, days: Sequence[Day]
+) -> tuple[FactoredGrams, Series | None]:
+    """Read the Gram blocks of a plan of estimates and its series, if it has one, in order of time."""
     names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
     wanted = [*_BLOCKS, "rest", *(["given"] if plan.base else []), "begins"]
-    parts = (cat.read(day, wanted) for day in ordered)
-    return FactoredGrams.read(parts, sum(day.count for day in ordered), names, scale, plan.base)
+    wanted += ["series"] if plan.keeps_series else []
+    kept: list[tuple[np.ndarray, np.ndarray]] = []
+    features: list[Features] = []
+
+    def parts() -> Iterator[xr.Dataset]:
+        for day in ordered:
+            part = cat.read(day, wanted)
+            if plan.keeps_series:
+                kept.append((part["series"].values, part["start"].values))
+                features.append(Features.of_json(part["series"].attrs["features"]))
+            yield part
+
+    raw = FactoredGrams.read(parts(), sum(day.count for day in ordered), names, scale, plan.base)
+    return raw, _joined_series(plan, kept, features[0]) if kept else None
 
 
 def make_blocks(

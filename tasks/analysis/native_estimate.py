@@ -16,7 +16,7 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.design import Library
-from inflight.diagnosis import Option, Search
+from inflight.diagnosis import Native, Option, Search
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.samples import parse_channel
@@ -58,10 +58,8 @@ class NativeEstimator:
         """The slower of the cadences of the instruments that are compared."""
         return max(need.cadence_ns for need in self.plan.needs if need.channel == "field")
 
-    def __call__(
-        self, search: Search, numbers: bool = False, near: Sequence[Option] = ()
-    ) -> tuple[Search, float] | None:
-        """Return what a search took on Gram blocks at the native cadence, and that cadence, s.
+    def __call__(self, search: Search, numbers: bool = False, near: Sequence[Option] = ()) -> Native | None:
+        """Return what a search took on Gram blocks at the native cadence.
 
         There is none where the search itself was at the native cadence, where a block of the search could not
         be made, and where channels stand for the levels they switch between: of these, samples near a
@@ -93,10 +91,10 @@ class NativeEstimator:
             lambda stage, done, total: self.progress("estimate", done, total),
         )
         end_processes(self.client)
-        raw = load_estimate_grams(self.cat, plan, blocks)
+        raw, series = load_estimate_grams(self.cat, plan, blocks)
         if raw.start.tolist() != search.raw.start.tolist():
             return None
-        return search.with_grams(raw, plan.library), self.cadence_ns / SECOND
+        return Native(search.with_grams(raw, plan.library), self.cadence_ns / SECOND, series)
 
     def _plan_for(self, search: Search, near: Sequence[Option]) -> PassPlan:
         """Return the plan of a pass over what the search took and others, with the channels that it needs."""

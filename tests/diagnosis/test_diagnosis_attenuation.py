@@ -5,8 +5,9 @@ from functools import lru_cache
 import numpy as np
 from diagnosis_cases import POLAR, STEP_S, case_of, flight_of, read, with_channels
 
-from inflight.diagnosis import run_search
-from inflight.diagnosis.attenuation import without_attenuation
+from inflight.diagnosis import Native, run_search
+from inflight.diagnosis.attenuation import of_samples, without_attenuation
+from inflight.diagnosis.stepwise import estimate
 from inflight.samples import slow_response
 
 SIZE, LAG_S, NOISE, SEEDS = np.array([0.15, -0.1, 0.12]), 1100.0, 1.0, 6
@@ -96,7 +97,26 @@ def test_noise_that_is_white_takes_more_the_faster_the_samples_are():
     option = next(one for one in search.options if one.name == "channel_field(boom_temperature)")
     search = search.add(option)
     same, faster = (
-        without_attenuation(search, data, (search, cadence))[option.name].at_native
+        without_attenuation(search, data, Native(search, cadence))[option.name].at_native
         for cadence in (STEP_S, STEP_S / 4.0)
     )
     assert 3.0 < faster / same < 6.0
+
+
+def test_errors_of_samples_reach_as_far_as_values_in_wider_bins_do():
+    """A field that follows the quick part of a channel twice as strongly has no one value."""
+    slow = flight_of(POLAR, 15)["boom_temperature"]
+    quick = np.random.default_rng(6).normal(0.0, np.std(slow), slow.size)
+    told = []
+    for more in (1.0, 2.0):
+        case = recorded(slow + quick, slow + more * quick, 1)
+        search, data = case.search(), case.material()
+        option = next(one for one in search.options if one.name == "channel_field(boom_temperature)")
+        search = search.add(option)
+        told.append((estimate(search, option), of_samples(search, data, {})[option.name].estimate))
+    (plain, same), (between, wider) = told
+    np.testing.assert_allclose(same.sigma, plain.sigma)
+    # In means of ten rows less is left of the quick part.
+    assert np.all(wider.sigma > 5.0 * between.sigma)
+    assert np.all(np.abs(wider.value - SIZE) > 10.0 * between.sigma)
+    assert np.all(np.abs(wider.value - SIZE) < 3.0 * wider.sigma)

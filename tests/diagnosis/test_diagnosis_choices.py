@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import POLAR, STEP_S, case_of, flight_of, read, slow_noise, with_channels
 
+from inflight.diagnosis import Native
 from inflight.diagnosis.choices import turned_over
 from inflight.diagnosis.stepwise import RivalCheck
 from inflight.samples import slow_response
@@ -63,7 +64,7 @@ def test_each_choice_turns_over_what_should_never_have_been_taken():
         rivals=(),
         near=(options[CAUSE],),
     )
-    turns = turned_over(search, data, [check], {LIKE: np.zeros(3)}, (search, STEP_S))[LIKE]
+    turns = turned_over(search, data, [check], {LIKE: np.zeros(3)}, Native(search, STEP_S))[LIKE]
     assert {one.rival for one in turns} == {CAUSE}
     assert [one.choice for one in turns] == [
         "with blocks of twice the length",

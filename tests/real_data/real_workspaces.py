@@ -141,7 +141,9 @@ def along(search: Search, option: Option, direction: np.ndarray, before: bool = 
     evidence, y = search.forms["raw"], search.y()
     columns = evidence.index(option.columns)[:3]
     present = search.present("raw", option)
-    both = ModelColumns(np.append(present.columns, columns), np.append(present.precision, np.zeros(3)))
+    both = ModelColumns(
+        np.append(present.columns, columns), np.append(present.precision, np.zeros(3)), present.variance
+    )
     if before:
         value, covariance = joint_fit(evidence, both, y)
     else:
