@@ -30,7 +30,7 @@ from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already
 from .residual import DiagnosisData
-from .result import MEANING, Diagnosis, Signature, plain_json
+from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -58,11 +58,14 @@ from .time_changes import (
     time_variable_columns,
 )
 from .verdict import lag_profile, run_search
+from .words import WHY_MOVED, quantity
 
 __all__ = [
     "DRIFTS",
+    "HEADING",
     "MEANING",
     "VISIBILITY_SETTINGS",
+    "WHY_MOVED",
     "Addition",
     "AdditionMaker",
     "BeforeAfter",
@@ -119,6 +122,7 @@ __all__ = [
     "periods_of",
     "plain_json",
     "project_out",
+    "quantity",
     "residual_lines",
     "responses",
     "row_variance",
