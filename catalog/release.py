@@ -136,7 +136,7 @@ def _collect(
     if not days:
         raise CatalogError(
             f"nothing is published that matches {' or '.join(patterns)}",
-            remedy="first 'inflight ingest' and 'inflight reprocess'; 'inflight catalog list' shows what there is",
+            remedy="first 'inflight ingest' and 'inflight reprocess'; see 'inflight catalog list'",
         )
     pinned = context_record(session, context) if context else None
     pinned_ids = set(pinned.tables.values()) if pinned else set()

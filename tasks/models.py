@@ -227,11 +227,12 @@ class ModelHistory:
         return self._version(*self._cat.model_text(*known[-1]))
 
     def same(self, one: int | None, other: int | None) -> bool:
-        """Return True for versions of the model in use that are one model: an undo has an older one's text."""
+        """Return True for two versions of the model in use with one text: an undo has an older one's."""
         name = self.used.name
-        if one == other or (name, one) not in self._records or (name, other) not in self._records:
+        first, second = (self._records.get((name, version or 0)) for version in (one, other))
+        if first is None or second is None:
             return one == other
-        return self._records[name, one].sha256 == self._records[name, other].sha256
+        return first.sha256 == second.sha256
 
     def items(self) -> list[dict[str, Any]]:
         """Return every version, oldest first, with a mark at the one in use.
@@ -242,7 +243,8 @@ class ModelHistory:
         last: dict[str, dict[str, Any]] = {}
         for record in self._records.values():
             before = self._records.get((record.name, record.parent or 0))
-            if record.change and before is not None:
+            about = self._records.get((record.name, (record.change or {}).get("about", 0)))
+            if record.change and before and about and before.sha256 == about.sha256:
                 last[before.sha256] = record.change
 
         def change_of(record: ModelRecord) -> dict[str, Any] | None:

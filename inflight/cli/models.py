@@ -106,7 +106,7 @@ def model_history(command: Command, *, comparison: ComparisonOption = None) -> N
             rows.append([str(shown[name]) for name in columns])
         console.print(text_table(columns, rows))
         for line in (
-            "Each row says what that version did: rms before -> after on days not used in the fit, everything "
+            "Each row says what that version did: rms before -> after on days not used in the fit, all else "
             "fitted anew both times; what 'inflight compare' prints is of the products as they were made.",
             "next: inflight model diff VERSION    (what it changed), or inflight undo",
         ):

@@ -272,8 +272,8 @@ def _fails_text(compared: Mapping[str, Any]) -> str:
     residual = compared["residual"]
     text = (
         f"residual {residual['before_nT']:.1f} nT before calibration, "
-        f"{residual['without_outliers_nT']:.3f} nT after; noise alone is {residual['noise_floor_nT']:.3f} nT, "
-        f"so that {residual['above_floor_nT']:.2g} nT have a cause"
+        f"{residual['without_outliers_nT']:.3f} nT after; noise alone is {residual['noise_floor_nT']:.3f} "
+        f"nT, so that {residual['above_floor_nT']:.2g} nT have a cause"
     )
     names = _followed(compared)
     more = f". They go with {' and '.join(names)}: causes, or what only moves with the cause" if names else ""

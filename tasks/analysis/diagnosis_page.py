@@ -261,8 +261,8 @@ class DiagnosisReport:
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
         fields = self.diagnosis.as_json()
-        names = ("run", "context", "comparison", "model", "blocks", "verdict", "sentence", "entries")
-        names += ("residual", "remaining")
+        names = ["run", "context", "comparison", "model", "blocks", "verdict", "sentence", "entries"]
+        names += ["residual", "remaining"]
         effects = [{"name": one["name"], "family": one["family"]} for one in fields["effects"]]
         return (
             {"command": "report", "path": str(self.path)}

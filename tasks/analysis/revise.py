@@ -106,6 +106,8 @@ class Revision:
         The effect's own numbers, when one was added.
     not_justified : str
         Why these data do not speak for what was added; empty when they do.
+    about : int
+        Version of the model about whose numbers the equations are made.
     told_before : float or None
         What the version before was told to leave of days not used in the fit when it was made, nT.
     """
@@ -120,6 +122,7 @@ class Revision:
     floor: float = float("nan")
     days: int = 0
     values: list[dict[str, Any]] = field(default_factory=list)
+    about: int = 0
     not_justified: str = ""
     told_before: float | None = None
     run: str = ""
@@ -144,7 +147,7 @@ class Revision:
 
     @property
     def rose(self) -> bool:
-        """True when clearly more is left of days not used in the fit than before: by what counts as a gain."""
+        """True when more is left of days not used in the fit than before, by what counts as a gain."""
         before, after = self.held_out
         return after**2 > (1.0 + Rules().keep_gain) * before**2
 
@@ -157,6 +160,7 @@ class Revision:
             "noise_floor_nT": self.floor,
             "above_floor_nT": [above_floor(one, self.floor) for one in self.held_out],
             "days": self.days,
+            "about": self.about,
         }
 
 
@@ -712,6 +716,7 @@ class Workbench:
             moved=[],
             floor=loaded.floor.level_nT,
             days=sum(map(len, self.made.plan.blocks)) - len(self.made.failed),
+            about=self.root.version,
             run=self.made.run,
             context=self.made.context,
         )
