@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
 from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -299,9 +300,15 @@ def _heading(fields: Fields) -> tuple[str, str]:
 def made_from_text(fields: Fields) -> str:
     """Return of which model, days and samples all of it is."""
     model, blocks = fields["model"], fields["blocks"]
-    span = f"{blocks['start'][:10]} to {blocks['end'][:10]}, " if "start" in blocks else ""
+    span = f"{blocks['start'][:10]} to {_last_day(blocks['end'])}, " if "start" in blocks else ""
     count = f", {blocks['samples']} samples" if blocks.get("samples") else ""
     return f"{span}model {model['name']} version {model['version']}{count}"
+
+
+def _last_day(end: str) -> str:
+    """Return the day that a span ends with; a span up to midnight ends the day before."""
+    last = datetime.fromisoformat(end[:19]) - timedelta(seconds=1)
+    return str(last.date())
 
 
 def _sizes_text(residual: Fields) -> str:
