@@ -410,12 +410,23 @@ def _undecided(fields: Fields) -> Iterator[str]:
         names.append(f"{rival['name']} (behind by t {behind:.1f})" if behind else str(rival["name"]))
     if names:
         yield f"cannot be told apart: {'; '.join(names)}"
+        pairs: dict[str, list[Fields]] = {}
         for span in fields["separating"]:
-            rivals = " and ".join(span["rivals"])
+            pairs.setdefault(" and ".join(span["rivals"]), []).append(span)
+        for rivals, spans in pairs.items():
+            times = ", ".join(f"{span['start'][:16].replace('T', ' ')}" for span in spans)
+            hours = _hours(spans[0])
+            most = _number(max(span["difference_nT"] for span in spans), 2)
             yield (
-                f"  {span['start'][:16]} to {span['end'][:16]} would separate {rivals}: "
-                f"they differ by {_number(span['difference_nT'], 2)} nT there"
+                f"  {rivals} differ most in the {hours} from {times} UTC, by up to {most} nT rms: more such "
+                "times, or less noise, would tell them apart"
             )
+
+
+def _hours(span: Fields) -> str:
+    """Return how long a span is, in words."""
+    start, end = (datetime.fromisoformat(span[edge][:19]) for edge in ("start", "end"))
+    return f"{(end - start) / timedelta(hours=1):.3g} h"
 
 
 def _not_tried(unscorable: Sequence[Fields]) -> Iterator[str]:

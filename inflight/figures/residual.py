@@ -15,7 +15,16 @@ from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, BETWEEN, REFERENCE, log_ticks, place_legend, plain_figure
+from inflight.figures.style import (
+    AFTER,
+    BEFORE,
+    BETWEEN,
+    REFERENCE,
+    legend_below,
+    log_ticks,
+    place_legend,
+    plain_figure,
+)
 from inflight.time import to_utc
 
 if TYPE_CHECKING:
@@ -76,7 +85,7 @@ def fall_figure(
     plot.y_range = Range1d(0.0, 1.15 * most)
     if np.isfinite(floor) and floor > 0:
         plot.line(list(ends), [floor, floor], color="#222222", line_dash="dashed", legend_label="noise floor")
-    place_legend(plot, "bottom_left")
+    legend_below(plot)
     return plot
 
 
