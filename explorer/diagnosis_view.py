@@ -156,6 +156,8 @@ class DiagnosisView:
         self._notify()
         assert self._overview is not None
         self._show_versions()
+        # The diagnosis shown is of the model before.
+        self._show_diagnosis(self._session.last_diagnosis(self._overview.comparison))
         return _change_pane(self._session.changes[self._overview.comparison])
 
     def _show_model(self) -> None:

@@ -49,7 +49,17 @@ _NOT_ABSORBED = "share not absorbed by the calibration"
 #: Where a coefficient acts, in plain words.
 _AT = {"difference": "vector minus scalar"}
 #: Columns set flush right.
-_NUMERIC = ("value", "gain", "t", "p", _NOT_ABSORBED, "beats placebo by t", "gain now", "by", "sigma")
+_NUMERIC = (
+    "value",
+    "takes off, nT",
+    "alone takes off, nT",
+    "takes off what is left, nT",
+    "t",
+    "p",
+    _NOT_ABSORBED,
+    "beats placebo by t",
+    "by",
+)
 
 ComparisonOption = Annotated[
     str | None, typer.Option("--comparison", help="What is compared with what (default: main).")
@@ -281,7 +291,9 @@ def _print_details(console: Console, fields: Fields) -> None:
     """Print all coefficients, the candidates of the first round, and what could not be tried."""
     if fields["effects"]:
         console.print(_effects_table(fields["effects"]))
-    console.print(_candidates_table(fields["candidates"]))
+    residual = fields["residual"]
+    sizes = residual["held_out_before_nT"], residual["held_out_after_nT"]
+    console.print(_candidates_table(fields["candidates"], sizes))
     for text in _not_tried(fields["unscorable"]):
         console.print(text, soft_wrap=True, markup=False)
     if fields["stopped"]:
@@ -359,7 +371,7 @@ def _effects_table(effects: Sequence[Fields]) -> Table:
     """
     rows = []
     for effect in effects:
-        cells = [_percent(effect["gain"]), _number(effect["t"], 3), _number(effect["flip_p"], 2)]
+        cells = [_number(effect["rms_nT"], 3), _number(effect["t"], 3), _number(effect["flip_p"], 2)]
         cells.append(_percent(effect["retained"]))
         name, family, shown = effect["name"], effect["family"], effect["coefficients"]
         if len(shown) > _COEFFICIENTS:
@@ -382,12 +394,29 @@ def _effects_table(effects: Sequence[Fields]) -> Table:
         if effect["lag_s"]:
             lag, sigma = with_error(effect["lag_s"], effect["lag_sigma_s"] or 0.0)
             rows.append(["", "", "lag", lag, f"± {sigma}" if effect["lag_sigma_s"] else "", "s"])
-    columns = ("effect", "family", "coefficient", "value", "", "unit", "at", "gain", "t", "p", _NOT_ABSORBED)
+    columns = (
+        "effect",
+        "family",
+        "coefficient",
+        "value",
+        "",
+        "unit",
+        "at",
+        "takes off, nT",
+        "t",
+        "p",
+        _NOT_ABSORBED,
+    )
     return text_table(columns, rows, right=_NUMERIC, folded=("effect",))
 
 
-def _candidates_table(candidates: Sequence[Fields]) -> Table:
-    """The best candidates of the first round, and the best placebos."""
+def _size(gain: float | None, rms: float | None) -> str:
+    """Return what takes a part of the mean square of this rms off, in nT: parts of it sum to nothing."""
+    return "" if gain is None or rms is None else _number(rms * max(gain, 0.0) ** 0.5, 2)
+
+
+def _candidates_table(candidates: Sequence[Fields], sizes: tuple[float | None, float | None]) -> Table:
+    """The best candidates of the first round, and the best placebos; `sizes` are rms before and after, nT."""
     real = [each for each in candidates if not each["placebo"]]
     placebos = [each for each in candidates if each["placebo"]]
     rows = []
@@ -396,9 +425,17 @@ def _candidates_table(candidates: Sequence[Fields]) -> Table:
         name, family, beats = f"{each['name']} (placebo: shifted in time)", "", ""
         if not each["placebo"]:
             name, family, beats = each["name"], each["family"], _number(each["placebo_t"], 3)
-        scores = (_percent(each["gain"]), _number(each["t"], 3), _number(each["p"], 2), beats)
-        rows.append((name, family, *scores, _percent(each["gain_now"])))
-    columns = ("candidate, first round", "family", "gain", "t", "p", "beats placebo by t", "gain now")
+        scores = (_size(each["gain"], sizes[0]), _number(each["t"], 3), _number(each["p"], 2), beats)
+        rows.append((name, family, *scores, _size(each["gain_now"], sizes[1])))
+    columns = (
+        "candidate, first round",
+        "family",
+        "alone takes off, nT",
+        "t",
+        "p",
+        "beats placebo by t",
+        "takes off what is left, nT",
+    )
     return text_table(columns, rows, right=_NUMERIC, folded=columns[:1])
 
 

@@ -334,12 +334,12 @@ def found_effects_html(fields: Fields) -> list[str]:
     signature = _signature(fields["remaining"]["signature"])
     if not fields["effects"]:
         return [paragraph(f"No effect was added: {fields['stopped']}."), *signature]
-    head = ["found", "family", "value +- sigma", "at", "gain", "t", "p", NOT_ABSORBED]
-    head += ["raw to within-day", "rms, nT"]
+    head = ["found", "family", "value +- sigma", "at", "rms, nT", "t", "p", NOT_ABSORBED]
+    head += ["raw to within-day"]
     rows = [row for one in fields["effects"] for row in _rows(one, len(head))]
     note = (
-        "Gain, t and p (over all that was tried) are of days not used in the fit, against the model without "
-        "the effect. The last but one compares values of whole days and within them, in their errors: large "
+        "t and p (over all that was tried) are of days not used in the fit, against the model without the "
+        "effect. The last column compares values of whole days and within them, in their errors: large "
         "ones hint at a wrong form."
     )
     stopped = f"The rounds ended: {fields['stopped']}."
@@ -355,12 +355,11 @@ def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
     shown = most_significant(one["coefficients"])
     rows: list[tuple[str, ...]] = []
     numbers: tuple[str, ...] = (
-        _formatted(one["gain"], ".1%"),
+        _formatted(one["rms_nT"], ".3g"),
         _formatted(one["t"], ".1f"),
         _formatted(one["flip_p"], ".2g"),
         _formatted(one["retained"], ".2g"),
         _formatted(one["consistency"], ".1f"),
-        _formatted(one["rms_nT"], ".3g"),
     )
     own = (short_name(one["name"]), str(one["family"]).replace("_", " "))
     for value in shown:
@@ -519,29 +518,25 @@ def waterfall_figure(
     return plot
 
 
-def order_figure(steps: Sequence[ErrorContribution], start: float) -> figure:
-    """Draw what each effect takes off the mean square when it is taken first, in its turn, and last.
+def order_figure(steps: Sequence[ErrorContribution]) -> figure:
+    """Draw what each effect takes off when it is taken first, in its turn, and last; nT rms.
 
     Effects that share what they explain lie far apart; what an effect takes off last is its own.
-
-    Parameters
-    ----------
-    start : float
-        Held-out rms before, nT.
     """
     names = unique_labels([short_name(step.name) for step in steps])
     plot = plain_figure(
         "Taken first, in its turn, or last",
-        "part of the mean square as found (%)",
+        "rms it takes off (nT)",
         "",
         y_range=names[::-1] or ["none"],
         width=450,
         height=max(200, 130 + 34 * len(names)),
     )
-    part = 100.0 / max(start**2, 1e-30)
+    # Of mean squares, what each takes off, as an rms: parts of the whole would sum to more than it.
     first, turn, last = (
-        part * np.array([getattr(step, kind) for step in steps])
+        np.sign(square) * np.sqrt(np.abs(square))
         for kind in ("first_in", "removed", "last_in")
+        for square in [np.array([getattr(step, kind) for step in steps])]
     )
     source = ColumnDataSource({"name": names, "first": first, "turn": turn, "last": last})
     plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
@@ -551,7 +546,7 @@ def order_figure(steps: Sequence[ErrorContribution], start: float) -> figure:
         plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=label)
     plot.hover.tooltips = [
         ("", "@name"),
-        *((kind, f"@{kind}{{0.00}} %") for kind in ("first", "turn", "last")),
+        *((kind, f"@{kind}{{0.0000}} nT") for kind in ("first", "turn", "last")),
     ]
     legend_below(plot)
     return plot

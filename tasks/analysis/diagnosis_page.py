@@ -193,7 +193,7 @@ def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: D
     states = _STATES if seen.changed else ("now", "now")
     plots = [
         waterfall_figure(steps, start, end, (floor[0], floor[1], floor[2])),
-        *([order_figure(steps, start)] if len(steps) > 1 else []),
+        *([order_figure(steps)] if len(steps) > 1 else []),
         daily_figure(to_utc(sizes.day), sizes.rms["before"], sizes.rms["after"], float("nan"), states),
         histogram_figure(sizes.edges, sizes.counts["before"], sizes.counts["after"], states),
     ]

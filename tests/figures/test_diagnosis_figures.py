@@ -355,11 +355,11 @@ def test_the_waterfall_of_nothing_and_of_no_floor():
     assert not [item for item in plot.center if isinstance(item, BoxAnnotation | Span)]
 
 
-def test_order_is_told_in_parts_of_the_mean_square():
-    first, turn, last = data_of(order_figure(STEPS, 0.2), "first", "turn", "last")
-    np.testing.assert_allclose(first, [50.0, 2.5])
-    np.testing.assert_allclose(turn, [100 * (0.04 - 0.0144) / 0.04, 100 * (0.0144 - 0.01) / 0.04])
-    np.testing.assert_allclose(last, [25.0, 10.0])
+def test_order_is_told_in_nt_not_in_parts_that_sum_to_more_than_the_whole():
+    first, turn, last = data_of(order_figure(STEPS), "first", "turn", "last")
+    np.testing.assert_allclose(first, np.sqrt([0.02, 0.001]))
+    np.testing.assert_allclose(turn, np.sqrt([0.04 - 0.0144, 0.0144 - 0.01]))
+    np.testing.assert_allclose(last, np.sqrt([0.01, 0.004]))
 
 
 @pytest.mark.parametrize(("best", "sigma"), [(100.0, 5.0), (10.0, 40.0), (0.0, 0.0)])
