@@ -26,7 +26,7 @@ def test_a_short_stage_writes_no_line(clock, capsys):
     with command.Command().progress() as show:
         for done in range(11):
             show("pass", done, 10)
-            clock[0] += 0.5
+            clock[0] += 0.15
     assert capsys.readouterr().err == ""
 
 

@@ -11,6 +11,7 @@ from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
+    HEADING,
     MEANING,
     CalibrationBias,
     CrossTalk,
@@ -112,8 +113,8 @@ def sizes(before=0.2, after=0.1, floor=0.09, low=0.089, high=0.091):
 def test_the_strip_says_verdict_meaning_and_sizes_without_a_script(verdict):
     html = whole(verdict_strip(verdict, "First; second <b>.", sizes(), "NOTHING_LEFT"))
     for told in (
-        verdict,
-        MEANING[verdict],
+        HEADING[verdict],
+        "only noise",
         "0.2 nT",
         "0.1 nT",
         "0.09 nT",
@@ -122,6 +123,9 @@ def test_the_strip_says_verdict_meaning_and_sizes_without_a_script(verdict):
     ):
         assert told in html
     assert "<script" not in html
+    # Machine names stay in the JSON.
+    assert verdict not in html
+    assert "NOTHING_LEFT" not in html
 
 
 def test_explained_is_the_part_of_the_mean_square_above_the_floor():
