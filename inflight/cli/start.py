@@ -221,7 +221,7 @@ def demo(
     story.line("compare", _fails_text(first))
     found = flow("diagnose", {"settings": {"comparison": "main"}}).extra
     why = only_moves_with(found, _followed(first))
-    story.line("diagnose", f"{found['headline']} {why[:1].upper()}{why[1:]}{'.' if why else ''}".rstrip())
+    story.line("diagnose", found["headline"] + (f" Of what compare names, {why}." if why else ""))
     last, added = first, ""
     if (best := _first_addition(found)) is not None:
         added = best["name"]
