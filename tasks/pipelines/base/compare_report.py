@@ -217,6 +217,13 @@ class CompareReport:
                     "  The residual is at its noise floor: nothing that it follows reaches a tenth of it."
                 )
             )
+        elif not told:
+            out.append(
+                TextLine(
+                    "  No single coordinate of these explains it: something fast, something that no channel "
+                    "records, or several causes at once."
+                )
+            )
         return out + [TextLine(f"  {one.sentence}") for one in told]
 
     def matters(self, structure: Structure) -> bool:
