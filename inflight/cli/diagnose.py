@@ -516,7 +516,9 @@ def _next_step(fields: Fields) -> str:
     if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
     elif fields["effects"]:
-        what = f'inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+        best = fields["effects"][0]
+        doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
+        what = f'inflight add "{best["name"]}"    ({doubt or "all of them: inflight auto"})'
     elif unknown and unknown[0] != "inflight compare":
         what = f"{unknown[0]}    (its cause stays to be found)"
     if what:
