@@ -23,7 +23,7 @@ from inflight.catalog.days import (
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
-from inflight.catalog.release import freeze_release
+from inflight.catalog.release import freeze_release, require_releasable
 from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records, run_report
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
@@ -396,6 +396,10 @@ class Catalog:
     def gc(self, dry_run: bool = True) -> list[str]:
         """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
         return collect_garbage(self.workspace, self._database, dry_run=dry_run)
+
+    def require_releasable(self, version: str, datasets: Sequence[str] = ("l1/*", "l2/*")) -> None:
+        """Raise CatalogError when the version is no name or exists already, or nothing matches."""
+        require_releasable(self._database, version, datasets)
 
     def release(
         self,

@@ -67,12 +67,8 @@ def freeze_release(
     destination: Path,
 ) -> Path:
     """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
-    if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
-        raise CatalogError(
-            f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
-        )
+    require_releasable(database, version, datasets)
     with database.read() as session:
-        _refuse_known_version(session, version)
         collection = _collect(session, version, context, datasets, notes)
         _refuse_without_provenance(session, collection.days)
     if unexplained := [day for day in collection.absent if not day.cause]:
@@ -95,6 +91,17 @@ def freeze_release(
         ) from error
     finally:
         shutil.rmtree(staged, ignore_errors=True)
+
+
+def require_releasable(database: Database, version: str, datasets: Sequence[str]) -> None:
+    """Raise CatalogError for what cannot be released: no version, one used before, or nothing to copy."""
+    if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
+        raise CatalogError(
+            f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
+        )
+    with database.read() as session:
+        _refuse_known_version(session, version)
+        _collect(session, version, None, datasets, "")
 
 
 def _refuse_known_version(session: Session, version: str) -> None:
@@ -127,7 +134,10 @@ def _collect(
         ]
         absent += sorted(recorded + gaps, key=lambda day: day.day)
     if not days:
-        raise CatalogError(f"no published days match {list(patterns)}", remedy="see 'inflight catalog list'")
+        raise CatalogError(
+            f"nothing is published that matches {' or '.join(patterns)}",
+            remedy="first 'inflight ingest' and 'inflight reprocess'; see 'inflight catalog list'",
+        )
     pinned = context_record(session, context) if context else None
     pinned_ids = set(pinned.tables.values()) if pinned else set()
     tables = [

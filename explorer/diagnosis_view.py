@@ -33,9 +33,9 @@ from inflight.figures import (
 
 Fields = Mapping[str, Any]
 _NOTE = (
-    "Gain is the part of the mean square that a candidate alone takes off blocks it was not fitted to, with "
+    "Gain is the part of the mean square that a candidate alone takes off days not used in the fit, with "
     "its 95 % interval; the grey bar behind it is the best placebo, a channel shifted in time, which "
-    "explains by chance. p is family-wise over all candidates and forms."
+    "explains by chance. p counts all candidates and forms that were tried."
 )
 
 
@@ -156,6 +156,8 @@ class DiagnosisView:
         self._notify()
         assert self._overview is not None
         self._show_versions()
+        # The diagnosis shown is of the model before.
+        self._show_diagnosis(self._session.last_diagnosis(self._overview.comparison))
         return _change_pane(self._session.changes[self._overview.comparison])
 
     def _show_model(self) -> None:
@@ -196,7 +198,7 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
             [paragraph(_NOTE, kind="quiet"), table, unscorable],
             [gain_change_figure(fields["candidates"])],
         ),
-        ("Ledger", [ledger_table(fields["rounds"])], []),
+        ("Steps of the search", [ledger_table(fields["rounds"])], []),
     ]
 
 
@@ -210,7 +212,16 @@ def _span_and_model(fields: Fields) -> str:
         ends.append(f"to {np.datetime64(asked['end'], 'D') - 1}")
     version = f" version {model['version']}" if model.get("version") else ""
     span = f"Days {' '.join(ends)}" if ends else "All days"
-    return paragraph(f"{span}, model {model.get('name')}{version}.", kind="quiet")
+    samples = fields["blocks"].get("samples")
+    count = f", {samples} samples" if samples else ""
+    text = paragraph(f"{span}{count}, model {model.get('name')}{version}.", kind="quiet")
+    if not fields.get("stale"):
+        return text
+    return text + paragraph(
+        f" It is of model version {model['version']}; in use is {fields['stale']}, which may have what is "
+        "named here already. 'Diagnose this span', or inflight diagnose, makes it anew.",
+        bold="Not of the model in use.",
+    )
 
 
 def _change_pane(changes: Sequence[Fields]) -> pn.viewable.Viewable:
@@ -234,6 +245,12 @@ def change_section(changes: Sequence[Fields]) -> SectionBody:
     return [*change_tables(changes[-1]), note], [error_figure(changes)]
 
 
+def _before_and_after(change: Fields | None, key: str) -> str:
+    """Return both sizes of what a version did; empty of one that nothing is known of."""
+    both = (change or {}).get(key)
+    return f"{both[0]:.4g} to {both[1]:.4g}" if both and None not in both else ""
+
+
 def version_section(versions: Sequence[Fields]) -> SectionBody:
     """Return every version of the workspace's models, newest first.
 
@@ -249,11 +266,13 @@ def version_section(versions: Sequence[Fields]) -> SectionBody:
             "in use" if one["used"] else "",
             str(one["parent"] or ""),
             one["message"],
+            *(_before_and_after(one["change"], key) for key in ("held_out_nT", "above_floor_nT")),
             str(one["created"])[:16].replace("T", " "),
         )
         for one in reversed(versions)
     ]
-    head = ("version", "model", "", "from", "what was done", "UTC")
+    head = ["version", "model", "", "from", "what was done"]
+    head += ["residual of days not used in the fit, nT", "above the noise, nT", "UTC"]
     table = (
         html_table(head, rows) if rows else paragraph("None is saved yet: in use is the mission's own file.")
     )

@@ -115,8 +115,17 @@ class ExplorerSession:
     # The missing effect.
 
     def last_diagnosis(self, comparison: str) -> dict[str, Any] | None:
-        """Return the last diagnosis, whoever made it; None without any."""
-        return last_diagnosis(self.workspace, comparison)
+        """Return the last diagnosis, whoever made it; None without any.
+
+        One of another model than the one in use has ``stale``: the name of that one.
+        """
+        found = last_diagnosis(self.workspace, comparison)
+        if found is None:
+            return None
+        history = ModelHistory(self.cat, self.mission(), comparison)
+        if history.same(found["model"].get("version"), history.used.version):
+            return found
+        return found | {"stale": history.used.label}
 
     def diagnose(self, comparison: str, days: Days, progress: Progress) -> dict[str, Any]:
         """Do what `inflight diagnose` does; settings are those of the last diagnosis.

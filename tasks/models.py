@@ -226,8 +226,38 @@ class ModelHistory:
             )
         return self._version(*self._cat.model_text(*known[-1]))
 
+    def same(self, one: int | None, other: int | None) -> bool:
+        """Return True for two versions of the model in use with one text: an undo has an older one's."""
+        name = self.used.name
+        first, second = (self._records.get((name, version or 0)) for version in (one, other))
+        if first is None or second is None:
+            return one == other
+        return first.sha256 == second.sha256
+
     def items(self) -> list[dict[str, Any]]:
-        """Return every version, oldest first, with a mark at the one in use."""
+        """Return every version, oldest first, with a mark at the one in use.
+
+        One model has one residual: what a version leaves is what the last change that began with it measured,
+        with equations about its own numbers, where there is one.
+        """
+        last: dict[str, dict[str, Any]] = {}
+        for record in self._records.values():
+            before = self._records.get((record.name, record.parent or 0))
+            about = self._records.get((record.name, (record.change or {}).get("about", 0)))
+            if record.change and before and about and before.sha256 == about.sha256:
+                last[before.sha256] = record.change
+
+        def change_of(record: ModelRecord) -> dict[str, Any] | None:
+            if not record.change:
+                return record.change
+            measured = last.get(record.sha256) or {}
+            own = {
+                key: [both[0], measured[key][0] if key in measured else both[1]]
+                for key, both in record.change.items()
+                if isinstance(both, list)
+            }
+            return {**record.change, **own}
+
         return [
             {
                 "name": record.name,
@@ -235,7 +265,7 @@ class ModelHistory:
                 "parent": record.parent,
                 "message": record.message,
                 "created": record.created,
-                "change": record.change,
+                "change": change_of(record),
                 "sha256": record.sha256,
                 "used": key == (self.used.name, self.used.version),
             }
@@ -271,22 +301,25 @@ def version_with_gram_blocks(
     dataset = f"equations/{current.model.comparison}/library"
     contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
     words = {"effects", "description", "acknowledgement"}
-    versions = {}
+    records = _records(cat, current)
+    versions: dict[int, tuple[int, Mission]] = {}
     for record in (cat.context(str(context)) for context in contexts):
         before = mission if record.mission_text == mission.text else Mission.parse(record.mission_text)
         # Missions that differ only in words and in the files of a user's own effects measure the same.
         same = before is mission or before.model_dump(exclude=words) == mission.model_dump(exclude=words)
-        if record.model_name == current.model.name and same:
-            versions[record.model_version] = before
-    records = _records(cat, current)
-    version: int | None = current.version
+        if record.model_name == current.model.name and same and record.model_version in records:
+            # An undo is the version it went back to, with whose blocks numbers are where it has them.
+            versions[_without_undo(records, record.model_version)] = record.model_version, before
+    version: int | None = _without_undo(records, current.version)
     while version is not None and version not in versions:
-        refitted = records[version].message.startswith((REFIT, SET))
-        version = None if refitted else records[version].parent
+        record_of = records[version]
+        refitted = record_of.message.startswith((REFIT, SET)) or record_of.parent is None
+        version = None if refitted else _without_undo(records, int(str(record_of.parent)))
     if version is None:
         return None
-    used = current if version == current.version else version_of(cat, mission, current, version)
-    return used, versions[version]
+    made_at, measured = versions[version]
+    used = current if made_at == current.version else version_of(cat, mission, current, made_at)
+    return used, measured
 
 
 def version_before_change(cat: Catalog, mission: Mission, current: VersionedModel) -> VersionedModel:

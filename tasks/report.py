@@ -26,6 +26,14 @@ Progress = Callable[[str, int, int], None]
 #: What can become of a planned day, in the order it is shown.
 DAY_COUNTS = ("planned", "done", "unchanged", "failed", "no_work")
 
+#: What a person reads for the machine's words; the JSON has these.
+_PLAIN = {
+    "no_work": "nothing to do",
+    "repeatable": "same again until you fix it",
+    "transient": "may pass by itself",
+    "partial": "part of it",
+}
+
 #: Problems shown to a person before the rest is only counted.
 SHOWN_PROBLEMS = 12
 
@@ -173,7 +181,7 @@ def print_report(report: RunReport, console: Console, details: bool = False) -> 
     from rich.markup import escape
     from rich.table import Table
 
-    counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.days.items() if count)
+    counts = ", ".join(f"{count} {in_plain_words(name)}" for name, count in report.days.items() if count)
     console.print(f"[bold]{report.command}[/bold]: days {counts or 'none'}", highlight=False)
     problems = report.problems if details else in_one_line(report.problems)
     shown = len(problems) if details else SHOWN_PROBLEMS
@@ -184,7 +192,7 @@ def print_report(report: RunReport, console: Console, details: bool = False) -> 
         for item in problems[:shown]:
             whole = problem("", "") | item
             where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
-            row = (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])
+            row = (whole["day"], where, in_plain_words(whole["cause"]), whole["message"], whole["remedy"])
             table.add_row(*map(escape, row))
         console.print(table)
     if len(problems) > shown:
@@ -196,6 +204,11 @@ def print_report(report: RunReport, console: Console, details: bool = False) -> 
         console.print(f"  {path}", highlight=False, soft_wrap=True)
     if len(report.outputs) > SHOWN_OUTPUTS:
         console.print(f"  ... and {len(report.outputs) - SHOWN_OUTPUTS} more", highlight=False)
+
+
+def in_plain_words(name: str) -> str:
+    """Return what a person reads for a machine's name of a count, a cause or a column."""
+    return _PLAIN.get(name, name.replace("_", " "))
 
 
 def to_json(fields: Mapping[str, Any]) -> str:

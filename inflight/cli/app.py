@@ -20,7 +20,7 @@ _OBJECTS_TO_COLLECT = 50_000
 #: Verbs by what a person wants, in the order that ``--help`` shows them, each with examples.
 VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
     "Start": {
-        start.demo: ("inflight demo", "inflight demo --days 10 -w somewhere"),
+        start.demo: ("inflight demo", "inflight demo somewhere --days 10"),
         start.new: ("inflight new", "inflight new template my-mission", "inflight new champ my-champ"),
         start.simulate: ("inflight simulate -w my-champ --days 60", "inflight simulate --hide day_night"),
     },

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from inflight.catalog import Catalog, Day
 
 group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
+#: Datasets that hold neither measurements nor products: equations, and what is kept of comparisons.
+_OWN = ("comparison/", "equations/")
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
@@ -34,11 +36,19 @@ def list_datasets(command: Command) -> None:
             console.print("The catalog is empty. Next: inflight ingest")
             return
         columns = ("dataset", "first", "last", "days", "failed", "no_work", "coverage")
-        console.print(_table(columns, items))
+        console.print(_table(columns, [item for item in items if not _is_own(item["dataset"])]))
+        if own := [item["dataset"] for item in items if _is_own(item["dataset"])]:
+            console.print(
+                f"kept to be quick next time: {', '.join(own)} (--json tells of them, too)", soft_wrap=True
+            )
         if tables:
             console.print(
                 f"calibration tables: {len(tables)} ({', '.join(sorted({t['name'] for t in tables}))})"
             )
+        if not tables:
+            console.print("next: inflight reprocess")
+        else:
+            console.print("next: inflight compare    (one dataset day by day: inflight catalog show DATASET)")
 
     command.emit({"command": "catalog list", "items": items, "tables": tables}, show)
 
@@ -68,6 +78,11 @@ def show_dataset(
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
 
     command.emit({"command": "catalog show", "name": name, "items": items}, show)
+
+
+def _is_own(dataset: str) -> bool:
+    """Return True for what the software keeps to be quick: no measurement, no product."""
+    return dataset.startswith(_OWN)
 
 
 def _items_of(catalog: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
@@ -189,7 +204,9 @@ def gaps(
     span = slice(start, end)
     if name is not None:
         _require_known(catalog, name)
-    names = [name] if name else [item["dataset"] for item in catalog.inventory()]
+    # What is kept of several days stands at the first of them: no other day is missing there.
+    known = [item["dataset"] for item in catalog.inventory()]
+    names = [name] if name else [one for one in known if not _is_own(one)]
     items = []
     for dataset in names:
         # From the first to the last day of a dataset.
@@ -208,6 +225,9 @@ def gaps(
     def show(console: Console) -> None:
         if items:
             console.print(_table(("dataset", "day", "state", "cause", "message"), items[:SHOWN_DAYS]))
+            if len(items) > SHOWN_DAYS:
+                console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
+            console.print("next: put the files of these days there, then inflight ingest, inflight reprocess")
         else:
             console.print("no gaps")
 
@@ -247,8 +267,13 @@ def _plain_fields(record: Any) -> dict[str, Any]:
 
 
 def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Table:
-    def cell(value: Any) -> str:
-        return f"{value:.3f}" if isinstance(value, float) else "" if value is None else str(value)
+    from inflight.tasks import in_plain_words
 
-    rows = ([cell(item.get(name, "")) for name in columns] for item in items)
-    return text_table([name.replace("_", " ") for name in columns], rows)
+    def cell(name: str, value: Any) -> str:
+        if isinstance(value, float):
+            return f"{value:.3f}"
+        text = "" if value is None else str(value)
+        return in_plain_words(text) if name in ("state", "cause") else text
+
+    rows = ([cell(name, item.get(name, "")) for name in columns] for item in items)
+    return text_table([in_plain_words(name) for name in columns], rows)

@@ -174,7 +174,10 @@ class Command:
 
 
 class _ProgressLines:
-    """Progress as lines, for logs: one as soon as a stage's rate is known, then at most four a minute."""
+    """Progress as lines, for logs: one as soon as a stage's rate is known, then at most four a minute.
+
+    A stage of a single step has no rate: its line says that it runs.
+    """
 
     def __init__(self) -> None:
         self._stage, self._begun, self._next = "", 0.0, 0.0
@@ -183,6 +186,9 @@ class _ProgressLines:
         now = time.monotonic()
         if stage != self._stage:
             self._stage, self._begun, self._next = stage, now, now + _FIRST_LINE_S
+            if not done and total == 1:
+                # One step, of which nothing is known before it ends: that it runs is all there is to say.
+                print(f"{stage}: running", file=sys.stderr, flush=True)
         if now < self._next or not 0 < done < total:
             return
         self._next = now + _LINE_EVERY_S

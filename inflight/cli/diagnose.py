@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
 from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,18 +38,28 @@ _COLOURS = {
     "UNKNOWN_EFFECT": "red",
     "NOTHING_LEFT": "green",
 }
-#: Verdicts in plain words; the JSON has the machine's.
-_HEADINGS = {
-    "FOUND": "found: the largest cause is beyond doubt",
-    "CONFOUNDED": "found, but causes look alike",
-    "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
-    "UNKNOWN_EFFECT": "something is there that no effect of the library explains",
-    "NOTHING_LEFT": "only noise remains",
-}
 #: Rows shown before the rest is only counted; --json has all.
 _CANDIDATES, _PLACEBOS, _UNSCORABLE, _CHANGED, _COEFFICIENTS = 8, 3, 6, 10, 9
+#: Part by which two sizes of one residual may differ before it is told why.
+_SAME = 0.002
+#: Part of the mean square below which nothing is left of a candidate: less than an addition must explain.
+_NOTHING = 0.01
+#: Heading of the part of an effect that no parameter of the calibration takes up.
+_NOT_ABSORBED = "share not absorbed by the calibration"
+#: Where a coefficient acts, in plain words.
+_AT = {"difference": "vector minus scalar"}
 #: Columns set flush right.
-_NUMERIC = ("value", "gain", "t", "p", "retained", "beats placebo by t", "gain now", "by", "sigma")
+_NUMERIC = (
+    "value",
+    "takes off, nT",
+    "alone takes off, nT",
+    "takes off what is left, nT",
+    "t",
+    "p",
+    _NOT_ABSORBED,
+    "beats placebo by t",
+    "by",
+)
 
 ComparisonOption = Annotated[
     str | None, typer.Option("--comparison", help="What is compared with what (default: main).")
@@ -128,9 +139,9 @@ def _search(
 
 def _comparison(command: Command, named: str | None) -> str:
     """Return the comparison to work on: the one named, ``main``, or the only one; refuse others."""
+    mission = command.open_workspace().mission()
     from inflight.tasks.analysis import require_sampled
 
-    mission = command.open_workspace().mission()
     only = next(iter(mission.comparisons)) if len(mission.comparisons) == 1 else "main"
     name = named or only
     require_sampled(mission, name)
@@ -164,7 +175,7 @@ def drop(
     workers: WorkersOption = None,
 ) -> None:
     """Take an effect out of the model, fit everything anew, and save a new version."""
-    _revise(command, comparison, workers, lambda bench: bench.drop(effect))
+    _revise(command, comparison, workers, lambda bench: bench.drop(effect), ("drop", effect))
 
 
 def refit(
@@ -182,7 +193,13 @@ def refit(
     workers: WorkersOption = None,
 ) -> None:
     """Fit the model's own numbers anew, and save a new version."""
-    _revise(command, comparison, workers, lambda bench: bench.refit(*(numbers or ())))
+    _revise(
+        command,
+        comparison,
+        workers,
+        lambda bench: bench.refit(*(numbers or ())),
+        ("refit", *(numbers or ())),
+    )
 
 
 def set_(
@@ -199,22 +216,28 @@ def set_(
     workers: WorkersOption = None,
 ) -> None:
     """Give numbers of the model other values, fit everything else anew, and save a new version."""
-    _revise(command, comparison, workers, lambda bench: bench.set_numbers(*settings))
+    _revise(command, comparison, workers, lambda bench: bench.set_numbers(*settings), ("set", *settings))
 
 
 def undo(command: Command, *, comparison: ComparisonOption = None, workers: WorkersOption = None) -> None:
     """Go back to the model before the last change; history keeps both."""
-    _revise(command, comparison, workers, lambda bench: bench.undo())
+    _revise(command, comparison, workers, lambda bench: bench.undo(), ("undo",))
 
 
 def _revise(
-    command: Command, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
+    command: Command,
+    comparison: str | None,
+    workers: int | None,
+    change: Callable[[Workbench], Revision],
+    asked: tuple[str, ...] = (),
 ) -> None:
-    from inflight.flows import lazy_client
-    from inflight.tasks.analysis import open_workbench
-
-    name = _comparison(command, comparison)
     workspace = command.open_workspace()
+    name = _comparison(command, comparison)
+    from inflight.flows import lazy_client
+    from inflight.tasks.analysis import open_workbench, require_change
+
+    if asked:
+        require_change(workspace, name, *asked)
     with command.progress() as progress, lazy_client(workers) as client:
         fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
     command.emit(fields, lambda console: print_revision(console, fields))
@@ -247,7 +270,7 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
     left = fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT"
     for text in (
         _sizes_text(fields["residual"]),
-        _made_from_text(fields),
+        made_from_text(fields),
         *(["what is left: only noise"] if left else []),
         *_in_time(fields.get("in_time", ())),
         *_undecided(fields),
@@ -259,7 +282,7 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
     if details:
         _print_details(console, fields)
     else:
-        line("all coefficients, candidates and what could not be tried: --details")
+        line("--details lists all coefficients and candidates; inflight report --open draws each entry")
     if step_text := _next_step(fields):
         line(step_text)
 
@@ -268,7 +291,9 @@ def _print_details(console: Console, fields: Fields) -> None:
     """Print all coefficients, the candidates of the first round, and what could not be tried."""
     if fields["effects"]:
         console.print(_effects_table(fields["effects"]))
-    console.print(_candidates_table(fields["candidates"]))
+    residual = fields["residual"]
+    sizes = residual["held_out_before_nT"], residual["held_out_after_nT"]
+    console.print(_candidates_table(fields["candidates"], sizes))
     for text in _not_tried(fields["unscorable"]):
         console.print(text, soft_wrap=True, markup=False)
     if fields["stopped"]:
@@ -279,15 +304,23 @@ def _heading(fields: Fields) -> tuple[str, str]:
     """Return title and colour of the box: physics waits while the data are wrong."""
     if fields.get("plumbing"):
         return "MEND THE DATA FIRST", "red"
-    return _HEADINGS[fields["verdict"]], _COLOURS[fields["verdict"]]
+    from inflight.diagnosis import HEADING
+
+    return dict(HEADING)[fields["verdict"]], _COLOURS[fields["verdict"]]
 
 
-def _made_from_text(fields: Fields) -> str:
+def made_from_text(fields: Fields) -> str:
     """Return of which model, days and samples all of it is."""
     model, blocks = fields["model"], fields["blocks"]
-    span = f"{blocks['start'][:10]} to {blocks['end'][:10]}, " if "start" in blocks else ""
+    span = f"{blocks['start'][:10]} to {_last_day(blocks['end'])}, " if "start" in blocks else ""
     count = f", {blocks['samples']} samples" if blocks.get("samples") else ""
     return f"{span}model {model['name']} version {model['version']}{count}"
+
+
+def _last_day(end: str) -> str:
+    """Return the day that a span ends with; a span up to midnight ends the day before."""
+    last = datetime.fromisoformat(end[:19]) - timedelta(seconds=1)
+    return str(last.date())
 
 
 def _sizes_text(residual: Fields) -> str:
@@ -308,7 +341,7 @@ def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
             times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
             windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
             gain, runs = _percent(each["gain"]), _percent(each["contiguous_gain"])
-            taken = f": takes {gain} off of blocks held out one by one ({runs} of runs of them)"
+            taken = f": takes {gain} off days not used in the fit, one by one ({runs} off runs of them)"
             what = f"in time: {each['parameter']}: {each['form']}{times}{windows}"
             yield what + (taken if each["gain"] else ", as found above")
 
@@ -338,34 +371,71 @@ def _effects_table(effects: Sequence[Fields]) -> Table:
     """
     rows = []
     for effect in effects:
-        cells = [_percent(effect["gain"]), _number(effect["t"], 3), _number(effect["flip_p"], 2)]
+        cells = [_number(effect["rms_nT"], 3), _number(effect["t"], 3), _number(effect["flip_p"], 2)]
         cells.append(_percent(effect["retained"]))
         name, family, shown = effect["name"], effect["family"], effect["coefficients"]
         if len(shown) > _COEFFICIENTS:
             shown = [each for each in shown if abs(each["value"]) > 3.0 * each["sigma"]] or shown[:1]
         for each in shown:
-            value, sigma = _with_error(each["value"], each["sigma"])
-            rows.append([name, family, each["name"], value, f"± {sigma}", each["unit"], each["at"], *cells])
+            value, sigma = with_error(each["value"], each["sigma"])
+            rows.append(
+                [
+                    name,
+                    family,
+                    each["name"],
+                    value,
+                    f"± {sigma}",
+                    each["unit"],
+                    _AT.get(each["at"], each["at"]),
+                    *cells,
+                ]
+            )
             name, family, cells = "", "", []
         if effect["lag_s"]:
-            lag, sigma = _with_error(effect["lag_s"], effect["lag_sigma_s"] or 0.0)
+            lag, sigma = with_error(effect["lag_s"], effect["lag_sigma_s"] or 0.0)
             rows.append(["", "", "lag", lag, f"± {sigma}" if effect["lag_sigma_s"] else "", "s"])
-    columns = ("effect", "family", "coefficient", "value", "", "unit", "at", "gain", "t", "p", "retained")
+    columns = (
+        "effect",
+        "family",
+        "coefficient",
+        "value",
+        "",
+        "unit",
+        "at",
+        "takes off, nT",
+        "t",
+        "p",
+        _NOT_ABSORBED,
+    )
     return text_table(columns, rows, right=_NUMERIC, folded=("effect",))
 
 
-def _candidates_table(candidates: Sequence[Fields]) -> Table:
-    """The best candidates of the first round, and the best placebos."""
+def _size(gain: float | None, rms: float | None) -> str:
+    """Return what takes a part of the mean square of this rms off, in nT: parts of it sum to nothing."""
+    return "" if gain is None or rms is None else _number(rms * max(gain, 0.0) ** 0.5, 2)
+
+
+def _candidates_table(candidates: Sequence[Fields], sizes: tuple[float | None, float | None]) -> Table:
+    """The best candidates of the first round, and the best placebos; `sizes` are rms before and after, nT."""
     real = [each for each in candidates if not each["placebo"]]
     placebos = [each for each in candidates if each["placebo"]]
     rows = []
+    # One row a candidate, best first; of placebos, what chance does.
     for each in [*real[:_CANDIDATES], *placebos[:_PLACEBOS]]:
         name, family, beats = f"{each['name']} (placebo: shifted in time)", "", ""
         if not each["placebo"]:
             name, family, beats = each["name"], each["family"], _number(each["placebo_t"], 3)
-        scores = (_percent(each["gain"]), _number(each["t"], 3), _number(each["p"], 2), beats)
-        rows.append((name, family, *scores, _percent(each["gain_now"])))
-    columns = ("candidate, first round", "family", "gain", "t", "p", "beats placebo by t", "gain now")
+        scores = (_size(each["gain"], sizes[0]), _number(each["t"], 3), _number(each["p"], 2), beats)
+        rows.append((name, family, *scores, _size(each["gain_now"], sizes[1])))
+    columns = (
+        "candidate, first round",
+        "family",
+        "alone takes off, nT",
+        "t",
+        "p",
+        "beats placebo by t",
+        "takes off what is left, nT",
+    )
     return text_table(columns, rows, right=_NUMERIC, folded=columns[:1])
 
 
@@ -377,12 +447,23 @@ def _undecided(fields: Fields) -> Iterator[str]:
         names.append(f"{rival['name']} (behind by t {behind:.1f})" if behind else str(rival["name"]))
     if names:
         yield f"cannot be told apart: {'; '.join(names)}"
+        pairs: dict[str, list[Fields]] = {}
         for span in fields["separating"]:
-            rivals = " and ".join(span["rivals"])
+            pairs.setdefault(" and ".join(span["rivals"]), []).append(span)
+        for rivals, spans in pairs.items():
+            times = ", ".join(f"{span['start'][:16].replace('T', ' ')}" for span in spans)
+            hours = _hours(spans[0])
+            most = _number(max(span["difference_nT"] for span in spans), 2)
             yield (
-                f"  {span['start'][:16]} to {span['end'][:16]} would separate {rivals}: "
-                f"they differ by {_number(span['difference_nT'], 2)} nT there"
+                f"  {rivals} differ most in the {hours} from {times} UTC, by up to {most} nT rms: more such "
+                "times, or less noise, would tell them apart"
             )
+
+
+def _hours(span: Fields) -> str:
+    """Return how long a span is, in words."""
+    start, end = (datetime.fromisoformat(span[edge][:19]) for edge in ("start", "end"))
+    return f"{(end - start) / timedelta(hours=1):.3g} h"
 
 
 def _not_tried(unscorable: Sequence[Fields]) -> Iterator[str]:
@@ -393,13 +474,41 @@ def _not_tried(unscorable: Sequence[Fields]) -> Iterator[str]:
         yield f"  ... and {len(unscorable) - _UNSCORABLE} more; --json lists all"
 
 
+def only_moves_with(found: Fields, coordinates: Sequence[str]) -> str:
+    """Return why a diagnosis does not name coordinates that a comparison names; empty when it names all.
+
+    Parameters
+    ----------
+    found : mapping
+        `Diagnosis.as_json`.
+    coordinates : sequence of str
+        What the residual goes with, as a comparison calls it, strongest first.
+    """
+    named = {channel for one in found["effects"] for channel in one["channels"]}
+    if not named:
+        return ""
+    now: dict[str, float] = {}
+    for one in found["candidates"]:
+        for channel in () if one["placebo"] else one["channels"]:
+            now[channel] = max(now.get(channel, 0.0), one["gain_now"] or 0.0)
+    clean = found["remaining"]["verdict"] == "NOTHING_LEFT"
+    others = [one for one in coordinates if one not in named and one.replace(" ", "_") not in named]
+    told = [one for one in others if clean or now.get(one.replace(" ", "_"), 1.0) < _NOTHING]
+    if not told:
+        return ""
+    verb, them = ("moves", "it") if len(told) == 1 else ("move", "them")
+    return (
+        f"{' and '.join(told)} only {verb} with {' and '.join(sorted(named))}: with what was found in the "
+        f"model, nothing that is left goes with {them}"
+    )
+
+
 def _next_step(fields: Fields) -> str:
     """Return what a person may type next."""
     if fields.get("plumbing"):
         return "next: mend the mission file as told above, then inflight ingest and inflight diagnose"
-    if fields["command"] == "auto":
-        undo = "next: inflight reprocess    (undo the last addition: inflight undo)"
-        return undo if fields.get("versions") else ""
+    if fields["command"] == "auto" and fields.get("versions"):
+        return "next: inflight reprocess, then inflight compare    (take the last one back: inflight undo)"
     entries = fields.get("entries", ())
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]
@@ -407,7 +516,9 @@ def _next_step(fields: Fields) -> str:
     if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
     elif fields["effects"]:
-        what = f'inflight add "{fields["effects"][0]["name"]}"    (all of them: inflight auto)'
+        best = fields["effects"][0]
+        doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
+        what = f'inflight add "{best["name"]}"    ({doubt or "all of them: inflight auto"})'
     elif unknown and unknown[0] != "inflight compare":
         what = f"{unknown[0]}    (its cause stays to be found)"
     if what:
@@ -425,13 +536,14 @@ def print_revision(console: Console, fields: Fields) -> None:
     fields : mapping
         `Revision.as_json`.
     """
+    from inflight.diagnosis import WHY_MOVED, quantity
+
     _print_step(console, fields)
     rows: list[tuple[str, ...]] = []
     if fields["coefficients"]:
         for each in fields["coefficients"]:
-            value, sigma = _with_error(each["value"], each["sigma"])
-            rows.append((each["name"], value, f"± {sigma}", each["unit"]))
-        columns = ("parameter", "value", "", "unit")
+            rows.append((each["name"], quantity(each["value"], each["sigma"], each["unit"])))
+        columns = ("parameter", "value")
         console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
     if fields["empirical"]:
         names = ", ".join(fields["empirical"])
@@ -440,9 +552,9 @@ def print_revision(console: Console, fields: Fields) -> None:
     if changed:
         rows = []
         for each in changed[:_CHANGED]:
-            numbers = [_number(each[key], 3) for key in ("by", "sigma_before", "sigma")]
-            rows.append((each["parameter"], *numbers, each["unit"], each["why"]))
-        heads = ("what else moved", "by", "sigma before", "sigma", "unit", "")
+            by = quantity(each["by"], each["sigma"], each["unit"])
+            rows.append((each["parameter"], by, WHY_MOVED.get(each["why"], each["why"])))
+        heads = ("what else moved", "by", "")
         console.print(text_table(heads, rows, right=_NUMERIC, folded=heads[:1]))
     if len(changed) > _CHANGED:
         console.print(f"  ... and {len(changed) - _CHANGED} more; --json lists all", markup=False)
@@ -450,7 +562,12 @@ def print_revision(console: Console, fields: Fields) -> None:
         why = f"not justified: {fields['not_justified']}. next: inflight undo"
         console.print(why, style="yellow", soft_wrap=True, markup=False)
         return
-    console.print("next: inflight reprocess    (take it back: inflight undo)", soft_wrap=True, markup=False)
+    if fields["residual_rose"] and fields["command"] != "undo":
+        why = "more is left with this than before. next: inflight undo"
+        console.print(why, style="yellow", soft_wrap=True, markup=False)
+        return
+    line = "next: inflight reprocess, then inflight compare    (take it back: inflight undo)"
+    console.print(line, soft_wrap=True, markup=False)
 
 
 def _print_step(console: Console, fields: Fields) -> None:
@@ -459,6 +576,14 @@ def _print_step(console: Console, fields: Fields) -> None:
         f"{model['name']} version {model['version']}: {fields['effect']}", soft_wrap=True, markup=False
     )
     console.print(f"  {change_text(fields['error'])}", soft_wrap=True, markup=False)
+    told, now = fields["told_before_nT"], fields["error"]["held_out_nT"][0]
+    if told and now and abs(told / now - 1.0) > _SAME:
+        console.print(
+            f"  (version {model['parent']} was told with {told:.4g} nT when it was made: its equations were "
+            f"those about the version before; made about its own numbers it leaves {now:.4g} nT)",
+            soft_wrap=True,
+            markup=False,
+        )
 
 
 def change_text(change: Fields) -> str:
@@ -480,7 +605,7 @@ def _percent(value: float | None) -> str:
     return "" if value is None else f"{100.0 * value:.1f} %"
 
 
-def _with_error(value: float, sigma: float) -> tuple[str, str]:
+def with_error(value: float, sigma: float) -> tuple[str, str]:
     """Return a value and its error, to the same digit: two of the error's."""
     if not 0.0 < sigma < float("inf"):
         return f"{value:.4g}", f"{sigma:.2g}"

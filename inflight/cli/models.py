@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command, text_table, verb
+from inflight.cli.diagnose import with_error
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -104,6 +105,12 @@ def model_history(command: Command, *, comparison: ComparisonOption = None) -> N
                 shown[head] = f"{both[0]:.4g} -> {both[1]:.4g}" if both else ""
             rows.append([str(shown[name]) for name in columns])
         console.print(text_table(columns, rows))
+        for line in (
+            "Each row says what that version did: rms before -> after on days not used in the fit, all else "
+            "fitted anew both times; what 'inflight compare' prints is of the products as they were made.",
+            "next: inflight model diff VERSION    (what it changed), or inflight undo",
+        ):
+            console.print(line, soft_wrap=True, markup=False)
 
     command.emit({"command": "model history", "items": items}, show)
 
@@ -142,8 +149,15 @@ def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
                 sigma = sigmas.get(axis) if isinstance(sigmas, Mapping) else sigmas
                 name = f"{key}[{axis}]" if axis else key
                 unit, time = str(part.get("unit", "")), str(part.get("time", "constant"))
-                yield (label, sensor, name, _number(value), _number(sigma), unit, time, fit)
+                yield (label, sensor, name, *_told(value, sigma), unit, time, fit)
                 label = sensor = ""
+
+
+def _told(value: Any, sigma: Any) -> tuple[str, str]:
+    """Return a value and its sigma with the digits that the sigma leaves; without one, all that is stated."""
+    if isinstance(value, float | int) and isinstance(sigma, float | int) and sigma > 0:
+        return with_error(float(value), float(sigma))
+    return _number(value), _number(sigma)
 
 
 def _number(value: Any) -> str:

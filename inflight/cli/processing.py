@@ -62,6 +62,11 @@ BatchOption = Annotated[
 ]
 
 
+#: What follows ingest, and what follows reprocess.
+_NEXT_INGEST = "next: inflight reprocess"
+_NEXT_REPROCESS = "next: inflight compare    (how well the products agree with the reference)"
+
+
 def run_flow(
     command: Command, name: str, parameters: Mapping[str, Any], *, workers: int | None, prefect: bool
 ) -> RunReport:
@@ -137,6 +142,7 @@ def ingest(
             rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in dataset["dropped"].items())
             remarks.append(f"{name}: rows dropped: {rows}")
         remarks += [f"{name}: {note}" for note in dataset["notes"]]
+    remarks += [_NEXT_INGEST] if report.days["done"] + report.days["unchanged"] else []
     command.finish(report, remarks, details)
 
 
@@ -212,7 +218,8 @@ def reprocess(
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
     checked = ReprocessSettings.model_validate(settings)
     pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
-    command.finish(report, pipeline.remarks(report.extra), details)
+    there = report.days["done"] + report.days["unchanged"]
+    command.finish(report, [*pipeline.remarks(report.extra), *([_NEXT_REPROCESS] if there else [])], details)
 
 
 def backfill(
@@ -232,7 +239,8 @@ def backfill(
     if not dry_run:
         parameters = {"start": start, "end": end, "settings": settings}
         report = run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect)
-        command.finish(report, details=details)
+        there = report.days["done"] + report.days["unchanged"]
+        command.finish(report, [_NEXT_REPROCESS] if there else [], details)
         return
     from inflight.flows import plan_span
 

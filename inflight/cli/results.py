@@ -144,23 +144,46 @@ def print_comparison(console: Console, report: Report, workspace: Workspace | No
 
 
 def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what the last diagnosis found, as far as it is of the same model, and what to type next."""
+    """Yield what the last diagnosis found, as far as it is of the same model, and what to type next.
+
+    Products of a model that is no more in use are told as that, before anything is made of them.
+    """
+    from inflight.catalog import Catalog
+    from inflight.cli.diagnose import only_moves_with
+    from inflight.tasks import ModelHistory
     from inflight.tasks.analysis import last_diagnosis
 
     version = fields.get("model_version")
     if fields["command"] != "compare" or not version:
         return
+    history = ModelHistory(Catalog(workspace.root), workspace.mission(), fields["comparison"])
+    if not history.same(version, history.used.version):
+        yield (
+            f"these products are of model version {version}; in use is version {history.used.version}. "
+            "next: inflight reprocess, then inflight compare"
+        )
+        return
     found = last_diagnosis(workspace, fields["comparison"])
-    model = (found or {}).get("model", {})
-    if found is not None and model.get("version") == version:
-        yield f"the diagnosis of model version {version}: {found['headline']}"
+    last = (found or {}).get("model", {}).get("version")
+    if found is not None and history.same(last, version):
+        yield f"the diagnosis of model version {last}: {found['headline']}"
+        names = [one["coordinate"] for one in fields["fails_where"]]
+        if not fields["at_noise_floor"] and (why := only_moves_with(found, names)):
+            yield f"  {why}"
+        if found["entries"] and fields["at_noise_floor"]:
+            size = found["entries"][0]["takes_off_nT"]
+            yield (
+                f"next: inflight release VERSION    (or, for the last {size:.2g} nT: "
+                f"{found['entries'][0]['command']})"
+            )
+            return
         if found["entries"]:
             yield f"next: {found['entries'][0]['command']}"
             return
     if fields["at_noise_floor"]:
         yield "next: inflight release VERSION, or inflight diagnose for effects below a tenth of the noise"
     else:
-        older = f" (the last one is of model version {model['version']})" if model else ""
+        older = f" (the last one is of model version {last})" if last else ""
         yield f"next: inflight diagnose    (which effect makes this, and how sure that is){older}"
 
 
@@ -173,8 +196,11 @@ def release(
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Freeze what is published and copy it out with manifest and notes."""
+    # What can be refused is, before any server starts.
+    command.open_catalog().require_releasable(version)
     parameters = {"version": version, "notes": notes, "destination": destination}
-    command.finish(run_flow(command, "release", parameters, workers=None, prefect=not no_prefect))
+    report = run_flow(command, "release", parameters, workers=None, prefect=not no_prefect)
+    command.finish(report, ["next: read the notes in this folder, and hand it out as it is"])
 
 
 def chain(
@@ -211,6 +237,7 @@ def chain(
         _print_summary(console, report)
         where = fields["path"] or "none; --html FILE writes it with every figure"
         console.print(f"  page: {where}", soft_wrap=True, markup=False)
+        console.print("next: inflight compare", soft_wrap=True, markup=False)
 
     command.emit(fields, show)
 
@@ -231,12 +258,12 @@ def report(
 
     Without a span it is that of the last 'inflight diagnose'; what was measured is not read again.
     """
+    workspace = command.open_workspace()
+    mission = workspace.mission()
     from inflight.flows import DaySpan, lazy_client
     from inflight.tasks.analysis import DiagnoseSettings, last_diagnosis, require_sampled
     from inflight.tasks.analysis import report as write_report
 
-    workspace = command.open_workspace()
-    mission = workspace.mission()
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
     span = DaySpan.model_validate({"start": start, "end": end}).as_text()
     require_sampled(mission, name)
@@ -252,9 +279,17 @@ def report(
     fields = written.as_json()
 
     def show_report(console: Console) -> None:
-        console.print(fields["verdict"], style="bold", markup=False)
-        console.print(f"  {fields['sentence']}", soft_wrap=True, markup=False)
-        console.print(f"  page: {fields['path']}", soft_wrap=True, markup=False)
+        from inflight.cli.diagnose import made_from_text
+        from inflight.diagnosis import HEADING
+
+        console.print(dict(HEADING)[fields["verdict"]], style="bold", markup=False)
+        for line in (
+            f"  {fields['sentence']}",
+            f"  {made_from_text(fields)}",
+            f"  page: {fields['path']}",
+            *([f"next: {fields['entries'][0]['command']}"] if fields["entries"] else []),
+        ):
+            console.print(line, soft_wrap=True, markup=False)
 
     command.emit(fields, show_report)
     if show:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.command import Command
+from inflight.cli.diagnose import only_moves_with
 from inflight.cli.processing import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span
 from inflight.errors import SettingsError
@@ -143,7 +144,7 @@ def simulate(
         outputs=sorted({workspace.relative(path.parent) for path in written}),
         extra={"files": len(written)},
     )
-    command.finish(report)
+    command.finish(report, [f"next: inflight ingest -w {workspace.root}"])
 
 
 def write_deliveries(
@@ -183,6 +184,10 @@ def _settings_of(mission: str) -> type[MissionSettings]:
 
 def demo(
     command: Command,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="Folder to make (default: demo)", metavar="[DIR]", show_default=False),
+    ] = None,
     *,
     days: Annotated[int, typer.Option(min=1, help="Days to simulate.")] = 30,
     seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
@@ -193,7 +198,7 @@ def demo(
     from inflight.catalog import Workspace
 
     begun = time.monotonic()
-    folder = DEMO_FOLDER if command.workspace == Path() else command.workspace
+    folder = folder or (DEMO_FOLDER if command.workspace == Path() else command.workspace)
     command = Command(folder, command.json, command.debug)
     exists = Workspace(folder).mission_file.exists()
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
@@ -215,7 +220,8 @@ def demo(
     first = compare_span(command, workspace).as_json()
     story.line("compare", _fails_text(first))
     found = flow("diagnose", {"settings": {"comparison": "main"}}).extra
-    story.line("diagnose", found["headline"])
+    why = only_moves_with(found, _followed(first))
+    story.line("diagnose", found["headline"] + (f" Of what compare names, {why}." if why else ""))
     last, added = first, ""
     if (best := _first_addition(found)) is not None:
         added = best["name"]
@@ -266,11 +272,17 @@ def _fails_text(compared: Mapping[str, Any]) -> str:
     residual = compared["residual"]
     text = (
         f"residual {residual['before_nT']:.1f} nT before calibration, "
-        f"{residual['without_outliers_nT']:.3f} nT after, of it noise {residual['noise_floor_nT']:.3f} nT: "
-        f"{residual['above_floor_nT']:.2g} nT are something else"
+        f"{residual['without_outliers_nT']:.3f} nT after; noise alone is {residual['noise_floor_nT']:.3f} "
+        f"nT, so that {residual['above_floor_nT']:.2g} nT have a cause"
     )
-    names = [one["coordinate"] for one in compared["fails_where"][:2]]
-    return text + (f", which goes with {' and '.join(names)}" if names else "")
+    names = _followed(compared)
+    more = f". They go with {' and '.join(names)}: causes, or what only moves with the cause" if names else ""
+    return text + more
+
+
+def _followed(compared: Mapping[str, Any]) -> list[str]:
+    """Return the coordinates that a residual goes with most, strongest first."""
+    return [one["coordinate"] for one in compared["fails_where"][:2]]
 
 
 def _fall_text(compared: Mapping[str, Any]) -> str:
@@ -280,9 +292,10 @@ def _fall_text(compared: Mapping[str, Any]) -> str:
     after = f"{residual['without_outliers_nT']:.4f} nT, noise {floor:.4f} nT"
     if before is None:
         return f"residual {after}"
+    end = ". The residual is at its noise floor" if compared["at_noise_floor"] else ""
     return (
         f"residual {before['rms']:.4f} -> {after}: above the noise {before['above_floor']:.2g} -> "
-        f"{residual['above_floor_nT']:.2g} nT"
+        f"{residual['above_floor_nT']:.2g} nT{end}"
     )
 
 
@@ -316,7 +329,8 @@ def _print_next(
         console.print(f"These data name no cause: {found['meaning']}.", soft_wrap=True, markup=False)
     console.print("What to type next:")
     for line, purpose in (
-        (f"{program} diagnose -w {root}", "what is left, and how sure that is"),
+        (f"{program} diagnose -w {root}", "is anything left, and how sure is that"),
+        (f"{program} report --open -w {root}", "figures of each cause: the data, and what it would make"),
         (f"{program} model history -w {root}", "what each version of the model took off"),
         (f"{program} explore -w {root}", "the same in the browser"),
         (f"{program} new template my-mission", "begin with measurements of your own"),

@@ -12,6 +12,7 @@ from .figure_data import (
     BeforeAfter,
     CalibrationBias,
     CrossTalk,
+    EntryCurve,
     ErrorContribution,
     HeatMap,
     Trial,
@@ -19,6 +20,7 @@ from .figure_data import (
     before_after,
     calibration_biases,
     cross_talk,
+    entry_curves,
     error_waterfall,
     heat_maps,
     responses,
@@ -30,7 +32,7 @@ from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already
 from .residual import DiagnosisData, Native
-from .result import MEANING, Diagnosis, Signature, plain_json
+from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -58,11 +60,14 @@ from .time_changes import (
     time_variable_columns,
 )
 from .verdict import lag_profile, run_search
+from .words import WHY_MOVED, quantity
 
 __all__ = [
     "DRIFTS",
+    "HEADING",
     "MEANING",
     "VISIBILITY_SETTINGS",
+    "WHY_MOVED",
     "Addition",
     "AdditionMaker",
     "BeforeAfter",
@@ -70,6 +75,7 @@ __all__ = [
     "CrossTalk",
     "Diagnosis",
     "DiagnosisData",
+    "EntryCurve",
     "ErrorContribution",
     "Estimate",
     "Features",
@@ -101,6 +107,7 @@ __all__ = [
     "draw_signs",
     "drifts",
     "effects_at",
+    "entry_curves",
     "episodes",
     "error_waterfall",
     "estimate",
@@ -120,6 +127,7 @@ __all__ = [
     "periods_of",
     "plain_json",
     "project_out",
+    "quantity",
     "residual_lines",
     "responses",
     "row_variance",

@@ -16,14 +16,30 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.diagnosis.residual import DiagnosisData, held_out_rms, remaining_residual, with_correctable_rows
+from inflight.diagnosis.residual import (
+    DiagnosisData,
+    contribution,
+    held_out_rms,
+    remaining_residual,
+    with_correctable_rows,
+)
 from inflight.diagnosis.result import Coefficient
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
 from inflight.diagnosis.verdict import column_unit
 from inflight.lsq import correlation_of, gram_inverse
-from inflight.residual import DEPENDENCE_SETTINGS, Curve, FieldResponse, curve_of, field_axes, field_response
+from inflight.residual import (
+    DEPENDENCE_SETTINGS,
+    Coordinate,
+    Curve,
+    FieldResponse,
+    axis_response,
+    curve_of,
+    field_axes,
+    field_response,
+    measure_dependences,
+)
 from inflight.time import DAY, SECOND, Int64, to_utc
 
 
@@ -141,6 +157,123 @@ def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEW_SETTINGS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
+
+
+# One effect.
+
+
+@dataclass(frozen=True)
+class EntryCurve:
+    """What one effect that was taken looks like: what is measured, what it makes, and what is left with it.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    coordinate, unit, axis : str
+        What it is drawn against, and the sensor axis of the field; without an axis it is the residual, drawn
+        against what the effect makes of it.
+    centre : ndarray, shape (bin,)
+        Mean coordinate.
+    measured, measured_sigma, made, left, left_sigma : ndarray, shape (bin,)
+        nT: measured with all else in the model, made by the effect, left with it in the model, too.
+    """
+
+    name: str
+    coordinate: str
+    unit: str
+    axis: str
+    centre: Floats
+    measured: Floats
+    measured_sigma: Floats
+    made: Floats
+    left: Floats
+    left_sigma: Floats
+
+
+def entry_curves(search: Search, data: DiagnosisData, seen: BeforeAfter) -> list[EntryCurve]:
+    """Return the curve of each effect that the search took, the strongest first; those of too few bins not.
+
+    Were the effect what is there, what is measured lies on what it makes, and what is left is flat.
+    """
+    known = with_correctable_rows(search, data)
+    out: list[tuple[float, EntryCurve]] = []
+    thin = seen.thinned()
+    step = -(-len(seen.before) // len(thin.before))
+    for option in search.accepted:
+        made = contribution(search, known, option)[::step]
+        curve = _curve_along_axis(thin, option, made) or _curve_of_sizes(thin, option, made)
+        if curve is not None:
+            out.append((-float(np.nanstd(made[thin.good])), curve))
+    return [curve for _, curve in sorted(out, key=lambda one: one[0])]
+
+
+#: Effects that are fields along fixed axes, by the beginnings of their names: drawn axis by axis.
+_FIELDS = ("channel_field", "channel_power", "function_of_channel", "hysteresis", "day_night", "offset_")
+
+
+def _curve_along_axis(seen: BeforeAfter, option: Option, made: Floats) -> EntryCurve | None:
+    """Return the curve of a field against the channel it follows, or time, along its strongest axis."""
+    series, good = seen.series, seen.good
+    if not (seen.is_scalar and option.name.startswith(_FIELDS)):
+        return None
+    units = dict(zip(series.features.names, series.features.units, strict=True))
+    channel = "time" if option.name.startswith("offset_") else next(iter(option.channels), "")
+    channel = channel.partition("@")[0]
+    if channel == "time":
+        unit, x = "d", (series.tt2000 - series.tt2000[0]) / DAY
+    elif len(option.channels) == 1 and channel in series.channels and series[channel].ndim == 1:
+        unit, x = units[channel], series[channel]
+    else:
+        return None
+    x = np.where(good, x, np.nan)
+    u = series.direction()[:, 0]
+    found = [
+        axis_response(channel, unit, x, values[:, 0], u, seen.block)
+        for values in (seen.after + made, made, seen.after)
+    ]
+    if any(one is None for one in found):
+        return None
+    measured, model, left = (one for one in found if one is not None)
+    axis = int(np.argmax(np.std(model.field, axis=0)))
+    return EntryCurve(
+        option.name,
+        channel,
+        unit,
+        "xyz"[axis],
+        model.centre,
+        measured.field[:, axis],
+        measured.sigma[:, axis],
+        model.field[:, axis],
+        left.field[:, axis],
+        left.sigma[:, axis],
+    )
+
+
+def _curve_of_sizes(seen: BeforeAfter, option: Option, made: Floats) -> EntryCurve | None:
+    """Return the curve of any effect against what it makes of the residual: a straight line."""
+    row = seen.row
+    x = np.where(seen.good, made[:, row], np.nan)
+    against = Coordinate(option.name, "nT", "", x)
+    parts = [
+        measure_dependences([against], values[:, row], seen.block)
+        for values in (seen.after + made, made, seen.after)
+    ]
+    if not all(parts):
+        return None
+    measured, model, left = (part[0] for part in parts)
+    return EntryCurve(
+        option.name,
+        "",
+        "nT",
+        "",
+        model.centre,
+        measured.mean,
+        measured.sigma,
+        model.mean,
+        left.mean,
+        left.sigma,
+    )
 
 
 # Heat maps.

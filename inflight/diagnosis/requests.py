@@ -253,15 +253,15 @@ def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Additi
 
 def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     """Return the addition of an effect that is in no library, at values that do nothing."""
-    kinds = type(entry.effect).parameters()
+    # Options such as the order of a tone decide how many components a parameter has.
     still = {
         key: replace(
             timed,
-            value=kinds[key].default_values[:, None],
-            sigma=np.full((kinds[key].size, 1), kinds[key].sigma),
+            value=timed.parameter.default_values[:, None],
+            sigma=np.full((timed.parameter.size, 1), timed.parameter.sigma),
             free=True,
         )
-        if np.isfinite(kinds[key].sigma) and timed.time == "constant"
+        if np.isfinite(timed.parameter.sigma) and timed.time == "constant"
         else timed
         for key, timed in entry.parameters.items()
     }

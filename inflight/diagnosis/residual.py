@@ -18,6 +18,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -168,24 +169,54 @@ def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = Tru
     """
     options, series = search.accepted if accepted else (), data.series
     terms, rows = _terms_and_rows(search, series, data.sensor_matrices, options)
+    factors = _factors_of_columns(search, options)
+    _spread_changes(factors, options)
+    return _with_columns(rows.residual.copy(), terms, rows, factors, series.block)
+
+
+def contribution(search: Search, data: DiagnosisData, option: Option) -> Floats:
+    """Return what an option that was taken makes of the residual of the series; nT, (sample, row)."""
+    series = data.series
+    terms, rows = _terms_and_rows(search, series, data.sensor_matrices, search.accepted)
+    every = _factors_of_columns(search, search.accepted)
+    factors = {name: -every[name] for name in option.columns}
+    _spread_changes(factors, [option])
+    return _with_columns(np.zeros_like(rows.residual), terms, rows, factors, series.block)
+
+
+def _factors_of_columns(search: Search, options: Sequence[Option]) -> dict[str, Floats]:
+    """Return what each column is multiplied by in each block, those of calibration and model among them."""
     values = joint_values(search, [name for option in options for name in option.columns])
     base = [name for term in search.library.base for name in term.columns]
-    # What each column is multiplied by in each block.
     factors: dict[str, Floats] = {}
     for group, (found, known) in zip(search.intervals, values, strict=True):
         for name, value in zip([*base, *known], found, strict=True):
             factors.setdefault(name, np.zeros(len(search.raw)))[np.asarray(group)] = value
+    return factors
+
+
+def _spread_changes(factors: dict[str, Floats], options: Sequence[Option]) -> None:
+    """Put what changes of some options are multiplied by on the columns that they are changes of."""
     for option in options:
         for name, (column, factor) in (option.change.functions if option.change else {}).items():
             factors[column] = factors.get(column, 0.0) + factors.pop(name) * np.asarray(factor)
-    out = rows.residual.copy()
+
+
+def _with_columns(
+    out: Floats,
+    terms: Sequence[Term],
+    rows: DesignRows,
+    factors: Mapping[str, Floats],
+    block: npt.NDArray[np.int64],
+) -> Floats:
+    """Add the columns of terms, each times its factor of the sample's block."""
     # One term at a time: of a long record all columns together are hundreds of megabytes.
     for term in terms:
         used = [place for place, name in enumerate(term.columns) if name in factors]
         if used:
             each = np.stack([factors[term.columns[place]] for place in used], axis=1)
             own = design_matrix([term], rows)[:, :, used]
-            out += np.einsum("trk,tk->tr", own, each[series.block])
+            out += np.einsum("trk,tk->tr", own, each[block])
     return out
 
 

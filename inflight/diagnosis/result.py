@@ -132,6 +132,15 @@ MEANING: dict[Verdict, str] = {
     "NOTHING_LEFT": "only noise remains",
 }
 
+#: A verdict in the words of a heading: what a person reads in its place.
+HEADING: dict[Verdict, str] = {
+    "FOUND": "found: the largest cause is beyond doubt",
+    "CONFOUNDED": "found, but causes look alike",
+    "NOT_IDENTIFIABLE": "something is there; these data cannot say what",
+    "UNKNOWN_EFFECT": "something is there that no effect of the library explains",
+    "NOTHING_LEFT": "only noise remains",
+}
+
 #: How sure an entry is: of its cause; that something is there, with rivals named, or with as much left that
 #: no effect explains, or with another answer where numbers are chosen otherwise; hardly; without a cause.
 Status = Literal["sure", "rivals", "stand-in", "fragile", "weak", "unknown"]
@@ -414,8 +423,8 @@ def sentence(facts: Mapping[str, Any]) -> str:
     residual = facts["residual"]
     floor = residual["noise_floor_nT"]
     sizes = (
-        f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
-        f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
+        f"residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT on days "
+        f"not used in the fit, noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
     bursts = _burst_text(facts.get("outliers", {})) + _lost_text(facts["blocks"].get("lost", {}))
     entries = ranked_entries(facts)
@@ -785,7 +794,8 @@ def _hint_text(signature: Signature) -> str:
         )
     if signature.gain:
         kind = (signature.shape or "").replace("_", " ")
-        return f"it looks most like a {kind} (held-out gain {signature.gain:.0%}), but not beyond doubt"
+        gain = f"which takes {signature.gain:.0%} off days not used in the fit"
+        return f"it looks most like a {kind} ({gain}), but not beyond doubt"
     return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
@@ -799,4 +809,7 @@ def stop_reason(facts: Mapping[str, Any], most: int, ran_out: bool) -> str:
         return "what is left is noise"
     if facts["remaining"] == "NOT_IDENTIFIABLE":
         return f"what is left cannot be told: {why_not_identifiable(facts)}"
-    return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"
+    return (
+        "no candidate is beyond doubt: the gain on days not used in the fit, sign flips and placebos must "
+        "all agree"
+    )

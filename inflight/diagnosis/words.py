@@ -77,6 +77,13 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "s": (("ms", 1e3, 0.5),),
 }
 
+#: Why another parameter is told after a change of the model, for a person (`Revision.moved`).
+WHY_MOVED = {
+    "cross-talk made": "less well known now",
+    "cross-talk removed": "better known now",
+    "moved": "",
+}
+
 #: Numbers that are listed; those of more, by size.
 _LISTED = 3
 

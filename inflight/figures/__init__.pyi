@@ -17,6 +17,7 @@ from .dependence import (
     along_field_figures,
     axis_figure,
     dependence_figure,
+    entry_figure,
     epoch_figure,
     fold_figure,
     lag_figure,
@@ -78,8 +79,8 @@ from .parameters import (
     shift_table,
     strongest_pairs,
 )
-from .residual import daily_figure, heat_map_figures, histogram_figure, series_figure
-from .spectra import axis_spectrum_figures, spectrum_figure
+from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
+from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
 from .spin import (
     SubintervalEstimates,
     correlation_figure,
@@ -142,7 +143,9 @@ __all__ = [
     "day_night_figure",
     "dependence_figure",
     "difference_figure",
+    "draw_floor",
     "entries_html",
+    "entry_figure",
     "epoch_figure",
     "error_band",
     "error_bars",
@@ -152,6 +155,7 @@ __all__ = [
     "excess_scatter_figure",
     "facts_list",
     "facts_table",
+    "fall_figure",
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",

@@ -33,13 +33,16 @@ from inflight.figures.style import (
 from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
 
 if TYPE_CHECKING:
-    from inflight.diagnosis import LagProfile
+    from inflight.diagnosis import EntryCurve, LagProfile
 
 
-def dependence_figure(found: Dependence, earlier: Dependence | None = None, name: str = "") -> figure:
+def dependence_figure(
+    found: Dependence, earlier: Dependence | None = None, name: str = "", level: float = float("nan")
+) -> figure:
     """Draw the mean residual in bins of a coordinate, its band of one sigma between blocks, its branches.
 
-    `earlier` is what another version of the model, called `name`, left: drawn behind it.
+    `earlier` is what another version of the model, called `name`, left: drawn behind it; within `level`, nT,
+    drawn as a band, is what does not matter.
 
     Branches (while the coordinate rises, while it falls) are drawn where they differ by five sigma
     or more; elsewhere they would only be noise.
@@ -49,6 +52,8 @@ def dependence_figure(found: Dependence, earlier: Dependence | None = None, name
         _axis(found.coordinate, found.unit),
         "nT",
     )
+    if np.isfinite(level):
+        plot.add_layout(BoxAnnotation(bottom=-level, top=level, fill_color=REFERENCE, fill_alpha=0.15))
     if earlier is not None:
         known = np.isfinite(earlier.mean)
         plot.line(
@@ -71,6 +76,33 @@ def dependence_figure(found: Dependence, earlier: Dependence | None = None, name
     curve_with_errors(plot, found.centre[met], found.mean[met], found.sigma[met], AFTER)
     if earlier is not None:
         legend_below(plot)
+    return plot
+
+
+def entry_figure(found: EntryCurve) -> figure:
+    """Draw one effect: what is measured with all else in the model, what the effect makes, and what is left.
+
+    Were it what is there, points lie on the line, and what is left is flat; bars are one sigma.
+    """
+    against = _axis(found.coordinate, found.unit) if found.axis else "what it makes (nT)"
+    plot = plain_figure(
+        f"{short_name(found.name)}{f': field along {found.axis}' if found.axis else ''}",
+        against,
+        "nT",
+        width=560,
+        height=300,
+    )
+    error_bars(plot, found.centre, found.measured, found.measured_sigma, BEFORE)
+    plot.scatter(
+        found.centre, found.measured, color=BEFORE, size=6, legend_label="measured, all else in the model"
+    )
+    plot.line(found.centre, found.made, color="#111111", legend_label="what it would make")
+    error_bars(plot, found.centre, found.left, found.left_sigma, AFTER)
+    plot.line(
+        found.centre, found.left, color=AFTER, line_dash="dotted", legend_label="left with it in the model"
+    )
+    plot.scatter(found.centre, found.left, color=AFTER, size=4)
+    legend_below(plot)
     return plot
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import MEANING, ErrorContribution, Trial
+from inflight.diagnosis import HEADING, MEANING, WHY_MOVED, ErrorContribution, Trial, quantity
 from inflight.figures.page import bullet_list, facts_table, html_table, paragraph, render
 from inflight.figures.style import (
     AFTER,
@@ -33,6 +33,8 @@ from inflight.figures.style import (
 )
 from inflight.residual import format_period
 
+_HEADINGS = {str(name): text for name, text in HEADING.items()}
+_MEANINGS = {str(name): text for name, text in MEANING.items()}
 _COLOURS = {
     "FOUND": "#1b6e4b",
     "CONFOUNDED": "#8a5a00",
@@ -42,6 +44,10 @@ _COLOURS = {
 }
 
 _WIDTH, _LEFT, _RIGHT = 1080, 10, 1070
+
+#: Heading of the part of an effect that no other parameter explains; where a coefficient acts, in words.
+NOT_ABSORBED = "share not absorbed by the calibration"
+AT_WORDS = {"difference": "vector minus scalar"}
 
 
 def explained(residual: Mapping[str, Any]) -> float:
@@ -71,12 +77,15 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
         ("with what was found", _size_text(residual["held_out_after_nT"])),
         (f"noise floor ({interval})", _size_text(residual["noise_floor_nT"])),
         ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
-        ("what is left", remaining),
+        (
+            "what is left",
+            "only noise" if remaining == "NOTHING_LEFT" else _HEADINGS.get(remaining, remaining),
+        ),
     ]
     return render(
         "verdict.html",
-        verdict=verdict,
-        meaning=next((text for name, text in MEANING.items() if name == verdict), ""),
+        verdict=_HEADINGS.get(verdict, verdict),
+        meaning="" if verdict in ("NOT_IDENTIFIABLE", "NOTHING_LEFT") else _MEANINGS.get(verdict, ""),
         colour=_COLOURS.get(verdict, REFERENCE),
         # Each of several findings on a line of its own.
         lines=sentence.replace("; ", ";\n").split("\n"),
@@ -143,11 +152,11 @@ def candidate_table(
     head = (
         "",
         "candidate",
-        "held-out gain, 95 %",
+        "gain on days not used in the fit, 95 %",
         "t",
         "p",
         "over placebo, t",
-        *(("retained", "W/k", "values, alone") if trials else ()),
+        *((NOT_ABSORBED, "raw to within-day", "values, alone") if trials else ()),
     )
     rows = [_row(one, trials, found, ghost, _BAR / wide) for one in real]
     colours = {"taken": AFTER, "rival": HIGHLIGHT, "ghost": _GHOST}
@@ -241,7 +250,7 @@ def gain_change_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
     after = np.array([float(one["gain_now"]) for one in real])
     plot = plain_figure(
         "Gain before and after the found effects",
-        "held-out gain (part of the mean square)",
+        "part of the mean square it takes off days not used in the fit",
         "",
         y_range=labels[::-1] or ["none"],
         height=110 + 19 * max(len(real), 1),
@@ -325,11 +334,12 @@ def found_effects_html(fields: Fields) -> list[str]:
     signature = _signature(fields["remaining"]["signature"])
     if not fields["effects"]:
         return [paragraph(f"No effect was added: {fields['stopped']}."), *signature]
-    head = ("found", "family", "value ± sigma", "at", "gain", "t", "p", "retained", "W/k", "rms, nT")
+    head = ["found", "family", "value +- sigma", "at", "rms, nT", "t", "p", NOT_ABSORBED]
+    head += ["raw to within-day"]
     rows = [row for one in fields["effects"] for row in _rows(one, len(head))]
     note = (
-        "Gain, t and family-wise p are held out, against the model without the effect; retained is the part "
-        "of its variance that no other parameter explains; W/k compares raw and within-day values, and large "
+        "t and p (over all that was tried) are of days not used in the fit, against the model without the "
+        "effect. The last column compares values of whole days and within them, in their errors: large "
         "ones hint at a wrong form."
     )
     stopped = f"The rounds ended: {fields['stopped']}."
@@ -345,17 +355,17 @@ def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
     shown = most_significant(one["coefficients"])
     rows: list[tuple[str, ...]] = []
     numbers: tuple[str, ...] = (
-        _formatted(one["gain"], ".1%"),
+        _formatted(one["rms_nT"], ".3g"),
         _formatted(one["t"], ".1f"),
         _formatted(one["flip_p"], ".2g"),
         _formatted(one["retained"], ".2g"),
         _formatted(one["consistency"], ".1f"),
-        _formatted(one["rms_nT"], ".3g"),
     )
     own = (short_name(one["name"]), str(one["family"]).replace("_", " "))
     for value in shown:
-        size = f"{_formatted(value['value'], '.4g')} ± {_formatted(value['sigma'], '.2g')} {value['unit']}"
-        rows.append((*own, f"{bare_parameter(value['name'])} {size}", value["at"], *numbers))
+        size = quantity(value["value"] or 0.0, value["sigma"] or 0.0, value["unit"])
+        at = str(AT_WORDS.get(value["at"], value["at"]))
+        rows.append((*own, f"{bare_parameter(value['name'])} {size}", at, *numbers))
         own, numbers = ("", ""), ("",) * len(numbers)
     if len(shown) < len(one["coefficients"]):
         hidden = len(one["coefficients"]) - len(shown)
@@ -415,8 +425,11 @@ def separating_blocks_html(fields: Fields) -> list[str]:
         for pair, blocks in pairs.items()
     ]
     return [
-        paragraph("What would tell the rivals apart: the blocks in which they differ most."),
-        html_table(("rivals", "blocks that begin (UTC)", "largest difference, nT rms"), rows),
+        paragraph(
+            "What would tell the rivals apart: more of such days as these, on which they differ most, or "
+            "less noise than they differ by."
+        ),
+        html_table(("rivals", "times that begin (UTC)", "largest difference, nT rms"), rows),
     ]
 
 
@@ -475,9 +488,9 @@ def waterfall_figure(
     """
     names = [f"{place}. {short_name(step.name)}" for place, step in enumerate(steps, 1)]
     plot = plain_figure(
-        "Held-out error, effect by effect",
+        "The error, effect by effect",
         "",
-        "rms, held out (nT)",
+        "rms on days not used in the fit (nT)",
         x_range=["as found", *names, "now left"],
         width=max(430, min(1130, 170 + 66 * (len(names) + 2))),
         height=360,
@@ -505,29 +518,25 @@ def waterfall_figure(
     return plot
 
 
-def order_figure(steps: Sequence[ErrorContribution], start: float) -> figure:
-    """Draw what each effect takes off the mean square when it is taken first, in its turn, and last.
+def order_figure(steps: Sequence[ErrorContribution]) -> figure:
+    """Draw what each effect takes off when it is taken first, in its turn, and last; nT rms.
 
     Effects that share what they explain lie far apart; what an effect takes off last is its own.
-
-    Parameters
-    ----------
-    start : float
-        Held-out rms before, nT.
     """
     names = unique_labels([short_name(step.name) for step in steps])
     plot = plain_figure(
         "Taken first, in its turn, or last",
-        "part of the mean square as found (%)",
+        "rms it takes off (nT)",
         "",
         y_range=names[::-1] or ["none"],
         width=450,
         height=max(200, 130 + 34 * len(names)),
     )
-    part = 100.0 / max(start**2, 1e-30)
+    # Of mean squares, what each takes off, as an rms: parts of the whole would sum to more than it.
     first, turn, last = (
-        part * np.array([getattr(step, kind) for step in steps])
+        np.sign(square) * np.sqrt(np.abs(square))
         for kind in ("first_in", "removed", "last_in")
+        for square in [np.array([getattr(step, kind) for step in steps])]
     )
     source = ColumnDataSource({"name": names, "first": first, "turn": turn, "last": last})
     plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
@@ -537,7 +546,7 @@ def order_figure(steps: Sequence[ErrorContribution], start: float) -> figure:
         plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=label)
     plot.hover.tooltips = [
         ("", "@name"),
-        *((kind, f"@{kind}{{0.00}} %") for kind in ("first", "turn", "last")),
+        *((kind, f"@{kind}{{0.0000}} nT") for kind in ("first", "turn", "last")),
     ]
     legend_below(plot)
     return plot
@@ -575,8 +584,8 @@ def error_figure(changes: Sequence[Fields]) -> figure:
     )
     plot.xaxis.major_label_orientation = 0.45
     for key, label, shift, colour in (
-        ("held_out_nT", "held out", -0.12, AFTER),
-        ("in_sample_nT", "in sample", 0.12, BEFORE),
+        ("held_out_nT", "days not used in the fit", -0.12, AFTER),
+        ("in_sample_nT", "all days", 0.12, BEFORE),
     ):
         before, after = (np.array([one["error"][key][end] for one in changes]) for end in (0, 1))
         place = [(name, shift) for name in names]
@@ -594,7 +603,7 @@ def change_tables(change: Fields) -> list[str]:
     model, error = change["model"], change["error"]
     sizes = "; ".join(
         f"{label} {error[key][0]:.4g} to {error[key][1]:.4g} nT"
-        for key, label in (("held_out_nT", "held out"), ("in_sample_nT", "in sample"))
+        for key, label in (("held_out_nT", "on days not used in the fit"), ("in_sample_nT", "on all days"))
     )
     out: list[str] = [
         paragraph(
@@ -604,23 +613,20 @@ def change_tables(change: Fields) -> list[str]:
     ]
     if change["coefficients"]:
         rows = [
-            (short_parameter(one["name"]), f"{one['value']:.5g} ± {one['sigma']:.2g}", one["unit"])
+            (short_parameter(one["name"]), quantity(one["value"], one["sigma"], one["unit"]))
             for one in change["coefficients"]
         ]
-        out.append(html_table(("its numbers", "value ± sigma", "unit"), rows))
+        out.append(html_table(("its numbers", "value +- sigma"), rows))
     if change["moved"]:
         others = [
             (
                 short_parameter(one["parameter"]),
-                f"{one['by']:+.3g}",
-                f"{one['sigma_before']:.2g}",
-                f"{one['sigma']:.2g}",
-                one["unit"],
-                one["why"],
+                quantity(one["by"], one["sigma"], one["unit"]),
+                WHY_MOVED.get(one["why"], one["why"]),
             )
             for one in change["moved"][:_MOVED]
         ]
-        out.append(html_table(("what else moved", "by", "sigma before", "sigma", "unit", ""), others))
+        out.append(html_table(("what else moved", "by", ""), others))
     if len(change["moved"]) > _MOVED:
         out.append(paragraph(f"and {len(change['moved']) - _MOVED} more", kind="quiet"))
     return out

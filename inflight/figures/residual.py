@@ -15,7 +15,16 @@ from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, BETWEEN, REFERENCE, log_ticks, place_legend, plain_figure
+from inflight.figures.style import (
+    AFTER,
+    BEFORE,
+    BETWEEN,
+    REFERENCE,
+    legend_below,
+    log_ticks,
+    place_legend,
+    plain_figure,
+)
 from inflight.time import to_utc
 
 if TYPE_CHECKING:
@@ -56,6 +65,27 @@ def daily_figure(
     if np.isfinite(floor) and floor > 0:
         plot.line(list(ends), [floor, floor], color=REFERENCE, line_dash="dashed", legend_label="noise floor")
     place_legend(plot, "center_right")
+    return plot
+
+
+def fall_figure(
+    day: Days, before: Floats, after: Floats, floor: float, labels: tuple[str, str], width: int = 560
+) -> figure:
+    """Draw each day's rms residual before and after a change of the model down to the noise; nT, from 0."""
+    plot = plain_figure(
+        "How the error falls, each day", "", "rms residual (nT)", x_axis_type="datetime", width=width
+    )
+    plot.varea(x=day, y1=after, y2=before, color=BETWEEN, alpha=0.15)
+    for values, colour, label in ((before, BETWEEN, labels[0]), (after, AFTER, labels[1])):
+        plot.line(day, values, color=colour, line_width=2)
+        plot.scatter(day, values, color=colour, size=5, legend_label=label)
+    ends = day[0] - _HALF_DAY, day[-1] + _HALF_DAY
+    plot.x_range = Range1d(*(int(end.astype("datetime64[ms]").astype(np.int64)) for end in ends))
+    most = float(np.nanmax(np.concatenate([before, after, [floor if np.isfinite(floor) else 0.0]])))
+    plot.y_range = Range1d(0.0, 1.15 * most)
+    if np.isfinite(floor) and floor > 0:
+        plot.line(list(ends), [floor, floor], color="#222222", line_dash="dashed", legend_label="noise floor")
+    legend_below(plot)
     return plot
 
 

@@ -71,6 +71,14 @@ def spectrum_figure(
     return plot
 
 
+def draw_floor(plot: figure, frequency: Floats, level: float) -> None:
+    """Draw the amplitude density of white noise of this rms, nT: what the spectrum falls to."""
+    if np.isfinite(level) and level > 0:
+        period = 1.0 / frequency[[0, -1]]
+        height = level / np.sqrt(frequency[-1])
+        plot.line(period, [height, height], color="#222222", line_dash="dashed", legend_label="noise floor")
+
+
 def _mark_known(plot: figure, known: Mapping[str, float]) -> None:
     """Draw dotted lines with their names, one height below the other so that neighbours stay readable."""
     for place, (name, seconds) in enumerate(sorted(known.items(), key=lambda item: -item[1])):

@@ -73,6 +73,9 @@ class LineSettings:
     comparable : float
         Part of the strongest line's amplitude from which a line at a multiple of its period is the
         fundamental. Assumed: of a switch a harmonic can be stronger along one axis.
+    slow : float
+        A weaker line within so many steps of the spectrum of a known one is a change of that one in an eighth
+        of the record or more. Assumed.
     """
 
     chance: float = 0.001
@@ -94,6 +97,7 @@ class LineSettings:
     family: float = 0.3
     multiples: int = 12
     comparable: float = 0.5
+    slow: float = 8.0
 
 
 LINE_SETTINGS = LineSettings()
@@ -613,6 +617,36 @@ def record_lines(
     if power is None:
         return None, []
     return power, resolve_lines(*record, find_lines(power, known, shortest=shortest), power)
+
+
+def name_slow_changes(
+    lines: Sequence[Line], step: float, settings: LineSettings = LINE_SETTINGS
+) -> list[Line]:
+    """Return the lines, new ones close beside a stronger known one told as what that does in time.
+
+    Parameters
+    ----------
+    step : float
+        Resolution of the record's spectrum, Hz. A line of the orbit whose size changes in the course of the
+        record, such as at the edges of calibration windows, has sidebands this close; they are no periods.
+    """
+    known = [line for line in lines if line.is_known]
+
+    def named(line: Line) -> Line:
+        if not line.is_new:
+            return line
+        near = [
+            one
+            for one in known
+            if abs(1.0 / one.period_s - 1.0 / line.period_s) <= settings.slow * step
+            and one.strength >= line.strength
+        ]
+        if not near:
+            return line
+        of = min(near, key=lambda one: abs(1.0 / one.period_s - 1.0 / line.period_s))
+        return replace(line, follows=f"{of.label}, changing within the record")
+
+    return [named(line) for line in lines]
 
 
 def strongest_new(lines: Sequence[Line], step: float, settings: LineSettings = LINE_SETTINGS) -> Line | None:

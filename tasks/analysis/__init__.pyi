@@ -4,7 +4,7 @@ from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import block_grams
 from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
 from .plumbing import check_plumbing
-from .revise import Revision, Workbench, diagnose_span, open_workbench
+from .revise import Revision, Workbench, diagnose_span, open_workbench, require_change
 from .settings import DiagnoseSettings, require_sampled
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "measure_comparison",
     "open_workbench",
     "report",
+    "require_change",
     "require_sampled",
 ]

@@ -27,6 +27,7 @@ from inflight.diagnosis import (
     before_after,
     calibration_biases,
     cross_talk,
+    entry_curves,
     error_waterfall,
     heat_maps,
     lag_profile,
@@ -45,6 +46,7 @@ from inflight.figures import (
     cross_talk_figure,
     daily_figure,
     entries_html,
+    entry_figure,
     epoch_figure,
     facts_list,
     fold_figure,
@@ -105,6 +107,20 @@ def where_it_fails(seen: BeforeAfter) -> Section:
     )
 
 
+def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData) -> Section:
+    """Return a figure of each effect that was found: what is measured, what it makes, and what is left."""
+    curves = entry_curves(search, data, seen)
+    note = (
+        "One figure an effect, the strongest first. Points are what is measured with everything else in the "
+        "model, the line is what the effect would make with the numbers found, and the dotted line what is "
+        "left with it in the model. Were the effect what is there, the points lie on the line and what is "
+        "left is flat; points that leave the line say that its form is another one. Fields along an axis are "
+        "drawn less their mean."
+    )
+    text = [paragraph(note, kind="quiet")] if curves else []
+    return "What each cause would make", text, [entry_figure(one) for one in curves]
+
+
 def what_it_follows(seen: BeforeAfter, found: Diagnosis) -> Section:
     """Return the responses to the channels of found effects and of the best candidates."""
     # Channels of found effects, then those of the best candidates.
@@ -151,10 +167,10 @@ def which_effect(search: Search, data: DiagnosisData, found: Diagnosis) -> Secti
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
     note = (
-        "Gain is the part of the mean square that a candidate alone takes off blocks it was not fitted to, "
+        "Gain is the part of the mean square that a candidate alone takes off days not used in the fit, "
         "with its 95 % interval; the grey bar behind it is the best placebo, a channel shifted in time, "
-        "which explains by chance. p is family-wise over all candidates and forms. Values are those of the "
-        "candidate alone."
+        "which explains by chance. p counts all candidates and forms that were tried. Values are those of "
+        "the candidate alone."
     )
     text = [
         paragraph(note, kind="quiet"),
@@ -177,12 +193,13 @@ def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: D
     states = _STATES if seen.changed else ("now", "now")
     plots = [
         waterfall_figure(steps, start, end, (floor[0], floor[1], floor[2])),
-        *([order_figure(steps, start)] if len(steps) > 1 else []),
+        *([order_figure(steps)] if len(steps) > 1 else []),
         daily_figure(to_utc(sizes.day), sizes.rms["before"], sizes.rms["after"], float("nan"), states),
         histogram_figure(sizes.edges, sizes.counts["before"], sizes.counts["after"], states),
     ]
     note = (
-        "Steps of the error are held out, and what a step removes depends on what was there before it: "
+        "Steps of the error are those on days not used in the fit, and what a step removes depends on what "
+        "was there before it: "
         "effects that share what they explain remove much when taken first and little when taken last. "
         f"Daily sizes and the distribution are those of means of {seen.series.step_s:g} s, "
         "so they lie below the sizes at the native cadence."
@@ -261,7 +278,8 @@ class DiagnosisReport:
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
         fields = self.diagnosis.as_json()
-        names = ("run", "context", "comparison", "model", "verdict", "sentence", "residual", "remaining")
+        names = ["run", "context", "comparison", "model", "blocks", "verdict", "sentence", "entries"]
+        names += ["residual", "remaining"]
         effects = [{"name": one["name"], "family": one["family"]} for one in fields["effects"]]
         return (
             {"command": "report", "path": str(self.path)}
@@ -347,6 +365,7 @@ def diagnosis_sections(
             [strip, *entries_html(fields), *found_effects_html(fields), *separating_blocks_html(fields)],
             [],
         ),
+        what_each_makes(seen, search, data),
         where_it_fails(seen),
         what_it_follows(seen, found),
         spectrum(seen, data),
@@ -395,7 +414,7 @@ def _ledger(
         "'inflight undo' returns to the version before it, 'inflight drop' takes out any effect."
     )
     text = [ledger_table(found.rounds), facts_list(listed), paragraph(note, kind="quiet")]
-    return "Ledger", text, []
+    return "Steps of the search", text, []
 
 
 def _outlier_text(outliers: Mapping[str, Any]) -> str:

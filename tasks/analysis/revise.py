@@ -106,6 +106,10 @@ class Revision:
         The effect's own numbers, when one was added.
     not_justified : str
         Why these data do not speak for what was added; empty when they do.
+    about : int
+        Version of the model about whose numbers the equations are made.
+    told_before : float or None
+        What the version before was told to leave of days not used in the fit when it was made, nT.
     """
 
     command: str
@@ -118,7 +122,9 @@ class Revision:
     floor: float = float("nan")
     days: int = 0
     values: list[dict[str, Any]] = field(default_factory=list)
+    about: int = 0
     not_justified: str = ""
+    told_before: float | None = None
     run: str = ""
     context: str = ""
 
@@ -132,10 +138,18 @@ class Revision:
             "model": {"name": self.model.model.name, "version": self.model.version, "parent": self.parent},
             "error": plain_json(self.change),
             "not_justified": self.not_justified,
+            "residual_rose": self.rose,
+            "told_before_nT": self.told_before,
             "moved": self.moved,
             "coefficients": self.values,
             "empirical": self.model.model.empirical,
         }
+
+    @property
+    def rose(self) -> bool:
+        """True when more is left of days not used in the fit than before, by what counts as a gain."""
+        before, after = self.held_out
+        return after**2 > (1.0 + Rules().keep_gain) * before**2
 
     @property
     def change(self) -> dict[str, Any]:
@@ -146,6 +160,7 @@ class Revision:
             "noise_floor_nT": self.floor,
             "above_floor_nT": [above_floor(one, self.floor) for one in self.held_out],
             "days": self.days,
+            "about": self.about,
         }
 
 
@@ -371,8 +386,10 @@ class Workbench:
         if own is None:
             return
         numbers = [f"{own.name}.{key}" for key, timed in own.parameters.items() if timed.free]
+        # The lag of a bank's first is none that was asked for.
+        name = request.addition.name.partition("@lag=")[0] if request.bank else request.addition.name
         raise ModelError(
-            f"the model has {request.addition.name} already, as '{own.name}': twice, its numbers would be "
+            f"the model has {name} already, as '{own.name}': twice, its numbers would be "
             "shared out between the two at random",
             remedy=f"'inflight refit {' '.join(numbers)}' fits its numbers anew; another response of its "
             "channel is added by its lag or width, such as channel_field(NAME)@lag=240s",
@@ -417,10 +434,7 @@ class Workbench:
             return self._revise("drop", f"drop {added[0].name}", rest, self.dropped)
         known = [entry.name for entry in self.current.model.effects]
         if name not in known:
-            raise ModelError(
-                f"model '{self.current.model.name}' has no effect {name!r}{did_you_mean(name, known)}",
-                remedy=f"it has {', '.join(known)}",
-            )
+            raise _no_effect(self.current.model, name, known)
         if isinstance(self.current.model.effect(name).effect, SENSOR_EQUATIONS):
             raise ModelError(
                 f"'{name}' holds the parameters every calibration fits",
@@ -487,10 +501,7 @@ class Workbench:
         for name, text in settings.items():
             known = [*numbers, *model.columns]
             if name not in known:
-                raise ModelError(
-                    f"model '{model.name}' has no number {name!r}{did_you_mean(name, known)}",
-                    remedy="'inflight model show' lists its values",
-                )
+                raise _no_number(model, name, known, "'inflight model show' lists its values")
             if name in numbers and numbers[name].path:
                 raise ModelError(
                     f"{name!r} is no number of the model",
@@ -540,8 +551,14 @@ class Workbench:
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         before, first = self._fit(setup, fixed, self.additions), self.current
         message = f"undo version {first.version}: back to version {found.version}"
-        # Fitted as the version it is, before it is saved with what that leaves.
+        # Fitted as the version it is, before it is saved with what that leaves; on other Gram blocks where
+        # those there are hold its numbers elsewhere.
         self.current = found
+        blocks = version_with_gram_blocks(self.cat, self.mission, found) or (found, self.mission)
+        if blocks[0].text != self.root.text:
+            self._measured, self._narrow = blocks[1], None
+            self.made = self._prepared(blocks[0], None)
+            self.__dict__.pop("_whole", None)
         self._restore()
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         after = self._fit(setup, fixed, self.additions)
@@ -671,8 +688,15 @@ class Workbench:
             effect=effect,
             model=self.current,
             parent=parent,
+            told_before=self._told(parent),
             moved=moved_parameters(before, after, units),
         )
+
+    def _told(self, version: int) -> float | None:
+        """Return what a version was told to leave of days not used in the fit, nT; None of a first one."""
+        name = self.current.model.name
+        made = next(one for one in self.cat.models() if (one.name, one.version) == (name, version))
+        return float(made.change["held_out_nT"][1]) if made.change else None
 
     def _sizes(self, before: JointFit, after: JointFit) -> Revision:
         """Return a revision that tells the residual before and after, and nothing else yet."""
@@ -692,6 +716,7 @@ class Workbench:
             moved=[],
             floor=loaded.floor.level_nT,
             days=sum(map(len, self.made.plan.blocks)) - len(self.made.failed),
+            about=self.root.version,
             run=self.made.run,
             context=self.made.context,
         )
@@ -884,3 +909,54 @@ def open_workbench(
     settings = DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
     span = asked.get("start"), asked.get("end")
     return Workbench(Catalog(workspace.root), mission, *span, settings, client=client, progress=progress)
+
+
+def require_change(workspace: Workspace, comparison: str, verb: str, *names: str) -> None:
+    """Refuse at once a change that names what the model has not; no measurement is read.
+
+    Parameters
+    ----------
+    verb : str
+        ``drop``, ``refit``, ``set`` or ``undo``.
+    names : str
+        What the verb was given. What only the Gram blocks can tell is left to the change itself.
+
+    Raises
+    ------
+    SettingsError, ModelError
+        As the change itself raises them.
+    """
+    mission = workspace.mission()
+    require_sampled(mission, comparison)
+    cat = Catalog(workspace.root)
+    current = current_model(cat, mission, comparison)
+    model = current.model
+    effects = [entry.name for entry in model.effects]
+    if verb == "undo":
+        version_before_change(cat, mission, current)
+    # Additions go by the name that a search gave them, too: it has more than a word.
+    if verb == "drop" and names[0].isidentifier() and names[0] not in effects:
+        raise _no_effect(model, names[0], effects)
+    if verb == "refit":
+        known = sorted({name.partition("[")[0] for name in model.columns})
+        if unknown := next((one for one in names if one not in known), None):
+            raise _no_number(model, unknown, known, f"it has {', '.join(known)}")
+    if verb == "set":
+        for name in dict(map(_setting, names)):
+            channels = {channel for _, channel, _ in mission.channel_instruments()}
+            owner = name.partition("[")[0].rpartition(".")[0]
+            if owner not in effects and not channels & set(owner.split(".")):
+                raise _no_number(model, name, model.columns, "'inflight model show' lists its values")
+
+
+def _no_effect(model: Model, name: str, known: Sequence[str]) -> ModelError:
+    return ModelError(
+        f"model '{model.name}' has no effect {name!r}{did_you_mean(name, known)}",
+        remedy=f"it has {', '.join(known)}",
+    )
+
+
+def _no_number(model: Model, name: str, known: Sequence[str], remedy: str) -> ModelError:
+    return ModelError(
+        f"model '{model.name}' has no number {name!r}{did_you_mean(name, known)}", remedy=remedy
+    )

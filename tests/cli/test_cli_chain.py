@@ -104,7 +104,8 @@ def test_compare_writes_a_page_and_prints_before_and_after(inflight, finished, t
     assert len(told.json["by_day"]) == 2
     assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html")
     shown = inflight("compare", "-w", finished)
-    assert "residual before" in shown.out
+    assert "residual  pre-flight model" in shown.out
+    assert "left above the noise floor" in shown.out
     assert str(finished / "reports" / "compare-main.html") in shown.out
 
 
@@ -123,6 +124,10 @@ def test_catalog_lists_shows_and_verifies(inflight, finished):
 def test_catalog_tells_the_same_to_a_person(inflight, finished):
     assert "l2/field" in inflight("catalog", "list", "-w", finished).out
     assert "2024-03-02" in inflight("catalog", "show", "l2/field", "-w", finished).out
+    # What the software keeps for itself is no dataset of a person's, and has no gaps.
+    listed = inflight("catalog", "list", "-w", finished).out
+    assert not [line for line in listed.splitlines() if line.startswith(("comparison/", "equations/"))]
+    assert listed.splitlines()[-1].startswith("next: inflight compare")
     assert "no gaps" in inflight("catalog", "gaps", "-w", finished).out
     assert "whole" in inflight("catalog", "verify", "-w", finished).out
 
@@ -159,9 +164,15 @@ def test_a_release_is_copied_out_once(inflight, copied):
 
 
 def test_the_demo_tells_residual_products_and_what_to_type_next(inflight, tmp_path):
-    told = inflight("demo", "--days", 1, "--no-prefect", "-w", tmp_path / "demo")
+    told = inflight("demo", tmp_path / "demo", "--days", 1, "--no-prefect")
     assert told.code == 0
-    for text in ("compare    residual", "of it noise", "diagnose", "What to type next", "compare-main.html"):
+    for text in (
+        "compare    residual",
+        "noise alone is",
+        "diagnose",
+        "What to type next",
+        "compare-main.html",
+    ):
         assert text in told.out
     again = inflight("demo", "--days", 1, "--no-prefect", "--json", "-w", tmp_path / "demo")
     assert again.json["days"]["unchanged"] == 1

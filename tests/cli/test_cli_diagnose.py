@@ -1,6 +1,7 @@
 """The missing effect by the command line: found, added, dropped, taken back, told to people and programs."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,9 @@ from heated_mission import make_heated_workspace
 from tiny_mission import TINY_YAML
 
 from inflight.catalog import Catalog, Workspace
+from inflight.cli.diagnose import only_moves_with
+from inflight.explorer.diagnosis_view import diagnosis_sections
+from inflight.explorer.session import ExplorerSession
 from inflight.tasks.analysis import last_diagnosis
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.models import current_model
@@ -190,7 +194,123 @@ def test_a_wrong_lag_is_told_set_and_taken_back(inflight, root):
     assert found["effect"] == "set leak.lag=0s"
     assert current_model(cat, mission).model.effect("leak").effect.channels == ("heater_current",)
     assert inflight("diagnose", "--no-prefect", "--json", "-w", root).json["verdict"] == "NOTHING_LEFT"
-    inflight("undo", "--json", "-w", root)
+    undone = inflight("undo", "--json", "-w", root).json
     assert current_model(cat, mission).model.effect("leak").effect.given["lag"] == "900 s"
+    # One model has one residual, whichever way led to it.
+    assert undone["error"]["held_out_nT"] == pytest.approx([after, before], rel=0.01)
+    inflight("set", "leak.lag=0s", "--json", "-w", root)
+    worse = inflight("set", "leak.lag=5000s", "-w", root).out
+    assert "more is left with this than before. next: inflight undo" in worse
     assert inflight("set", "leak.lag", "-w", root).code == 1
     assert inflight("set", "leak.log=3s", "-w", root).code == 1
+
+
+#: What a person does not read: names of the machine, and words of the search's own.
+MACHINE_WORDS = (
+    "held out",
+    "held-out",
+    "ledger",
+    "ghost",
+    "no_work",
+    "no work",
+    "repeatable",
+    "confounded",
+    "nothing_left",
+    "not_identifiable",
+    "unknown_effect",
+    "retained",
+)
+
+
+def test_the_loop_tells_each_step_the_next_one_and_never_what_is_stale(inflight, root):
+    """What a newcomer does, in order; every page and line in plain words."""
+    plain = ("--no-prefect", "-w", root)
+    told = [inflight("reprocess", *plain).out]
+    assert "next: inflight compare" in told[-1]
+    told.append(inflight("compare", "-w", root).out)
+    assert "next: inflight diagnose" in told[-1]
+    told.append(inflight("diagnose", *plain).out)
+    assert f'next: inflight add "{EFFECT}"' in told[-1]
+    told.append(inflight("compare", "-w", root).out)
+    assert "the diagnosis of model version 1: A field that follows heater_current" in told[-1]
+    assert f'next: inflight add "{EFFECT}"' in told[-1]
+    told.append(inflight("report", "-w", root).out)
+    assert told[-1].startswith("found: the largest cause is beyond doubt")
+    assert f'next: inflight add "{EFFECT}"' in told[-1]
+    told.append(inflight("add", EFFECT, "-w", root).out)
+    assert "next: inflight reprocess, then inflight compare" in told[-1]
+    stale = inflight("compare", "-w", root).out
+    assert "these products are of model version 1; in use is version 2. next: inflight reprocess" in stale
+    session = ExplorerSession(Workspace.open(root))
+    shown = session.last_diagnosis("main")
+    session.close()
+    assert shown["stale"] == "tiny-ideal version 2"
+    assert "Not of the model in use." in "".join(diagnosis_sections(shown)[0][1])
+    told.append(inflight("reprocess", *plain).out)
+    told.append(inflight("compare", "-w", root).out)
+    assert "The residual is at its noise floor" in told[-1]
+    assert "it could be" not in told[-1]
+    assert "next: inflight release VERSION" in told[-1]
+    told.append(inflight("model", "history", "-w", root).out)
+    assert "next: inflight" in told[-1]
+    twice = inflight("add", EFFECT, "-w", root)
+    assert twice.code == 1
+    assert f"the model has {EFFECT} already" in twice.err
+    told.append(inflight("release", "1.0", *plain).out)
+    pages = {
+        name: (root / "reports" / f"{name}-main.html").read_text("utf-8") for name in ("compare", "report")
+    }
+    for heading in (
+        "How the error falls, each day",
+        "What each change took off",
+        "left above the noise floor",
+    ):
+        assert heading in pages["compare"]
+    for heading in ("What each cause would make", "what it would make", "Steps of the search"):
+        assert heading in pages["report"]
+    read = [re.sub(r"<script.*?</script>|<[^>]+>", " ", page, flags=re.DOTALL) for page in pages.values()]
+    for text in (*told, *read):
+        found = [word for word in MACHINE_WORDS if word in text.lower()]
+        assert not found, text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("drop", "heter"), "has no effect 'heter'"),
+        (("refit", "nothing"), "has no number 'nothing'"),
+        (("set", "turning.nothing=3s"), "has no number"),
+        (("set", "nothing"), "sets no number"),
+        (("undo",), "where it began"),
+        (("release", "1 0"), "is no release version"),
+        (("release", "1.0"), "nothing is published that matches"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_any_work(
+    inflight, heated, tmp_path, monkeypatch, arguments, message
+):
+    def work(*arguments, **options):
+        raise AssertionError("no work may begin")
+
+    monkeypatch.setattr("inflight.tasks.analysis.revise.make_pass", work)
+    monkeypatch.setattr("inflight.flows.run_with_prefect", work)
+    empty = Workspace.create(tmp_path / "empty", heated.mission_file).root
+    told = inflight(*arguments, "--json", "-w", empty if arguments[0] == "release" else heated.root)
+    assert told.code == 1
+    assert message in told.json["error"]["message"]
+
+
+def test_what_only_moves_with_a_cause_is_told_as_that():
+    found = {
+        "effects": [{"channels": ["heater_current"]}],
+        "candidates": [{"placebo": False, "channels": ["coil"], "gain_now": 0.3}],
+        "remaining": {"verdict": "UNKNOWN_EFFECT"},
+    }
+    assert only_moves_with(found, ["heater_current", "coil"]) == ""
+    found["candidates"][0]["gain_now"] = 0.001
+    assert only_moves_with(found, ["heater_current", "coil"]).startswith(
+        "coil only moves with heater_current"
+    )
+    found["remaining"]["verdict"] = "NOTHING_LEFT"
+    assert "orbit phase and coil only move" in only_moves_with(found, ["orbit phase", "coil"])
+    assert only_moves_with({**found, "effects": []}, ["coil"]) == ""

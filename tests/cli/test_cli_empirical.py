@@ -65,6 +65,9 @@ def test_whatever_is_added_may_be_marked_empirical_and_stays_so(inflight, tmp_pa
     assert marks["channel_field_heater_current"] is True
     assert marks["channel_field_boom_temperature"] is None
     assert json.dumps(effects).count("empirical") == 1
+    # A wave with harmonics, as a diagnosis names what switches: two orders, sine and cosine, three axes.
+    waves = inflight("add", "tone(2460 s, order=2)", "--json", "-w", root).json
+    assert len(waves["coefficients"]) == 12
 
 
 @pytest.mark.parametrize("end", ["2024-03-05", "2024-03-09"])

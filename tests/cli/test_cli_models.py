@@ -22,7 +22,7 @@ def test_show_prints_every_effect_with_values_and_uncertainties(inflight, champ)
     assert told.code == 0
     assert told.out.startswith("champ-preflight version 2 (from version 1): clock refitted")
     row = next(line.split() for line in told.out.splitlines() if "time_shift" in line)
-    assert row == ["time_shift", "ovm", "seconds", "0.016", "0.002", "s", "constant", "free"]
+    assert row == ["time_shift", "ovm", "seconds", "0.0160", "0.0020", "s", "constant", "free"]
     assert "misalignment[xy]" in told.out
     assert "induced_second" not in told.out
 
@@ -76,7 +76,8 @@ def test_history_lists_versions_and_marks_the_one_in_use(inflight, champ):
     ]
     assert all(len(item["sha256"]) == 64 and item["created"] for item in items)
     lines = inflight("model", "history", "-w", champ.root).out.splitlines()
-    assert lines[-1].startswith("*")
+    assert [line for line in lines if line.startswith("*")] == [line for line in lines if "refitted" in line]
+    assert lines[-1].startswith("next: inflight")
 
 
 @pytest.mark.parametrize("named", ["9", "champ-preflight:9", "champ-prefligt"])

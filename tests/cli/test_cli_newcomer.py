@@ -33,6 +33,9 @@ def test_a_pattern_that_matches_nothing_is_named_with_its_folder(inflight, root)
     assert "nothing was ever taken in" in gaps
     again = inflight("ingest", "-w", root)
     assert again.code == 3  # and without a server, for there is nothing to do
+    assert "same again until you fix it" in again.out
+    assert "repeatable" not in again.out
+    assert "next: inflight reprocess" in again.out
 
 
 def test_where_no_pattern_matches_anything_the_ingest_fails(inflight, root):

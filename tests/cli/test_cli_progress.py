@@ -26,8 +26,16 @@ def test_a_short_stage_writes_no_line(clock, capsys):
     with command.Command().progress() as show:
         for done in range(11):
             show("pass", done, 10)
-            clock[0] += 0.5
+            clock[0] += 0.15
     assert capsys.readouterr().err == ""
+
+
+def test_a_stage_of_one_step_says_that_it_runs(clock, capsys):
+    with command.Command().progress() as show:
+        show("search", 0, 1)
+        clock[0] += 60.0
+        show("search", 1, 1)
+    assert capsys.readouterr().err.splitlines() == ["search: running"]
 
 
 def test_a_program_gets_no_progress(clock, capsys):

@@ -50,11 +50,15 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert found["verdict"] == "FOUND"
     assert last_diagnosis(workspace)["effects"] == found["effects"]
     headings = [heading for heading, _, _ in diagnosis_sections(session.last_diagnosis("main"))]
-    assert headings == ["Verdict", "Candidates", "Ledger"]
+    assert headings == ["Verdict", "Candidates", "Steps of the search"]
 
     added = session.change("main", "add", EFFECT, nobody)
     before, after = added["error"]["held_out_nT"]
     assert after < 0.5 * before
+    # What was found is in the model now: the diagnosis is of the one before, and says so.
+    stale = session.last_diagnosis("main")
+    assert stale["stale"].endswith("version 2")
+    assert "Not of the model in use." in "".join(diagnosis_sections(stale)[0][1])
     versions, effects = session.versions("main")
     assert [one["used"] for one in versions] == [False, True]
     assert len(effects) == 2
@@ -62,6 +66,7 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     undone = session.change("main", "undo", "", nobody)
     assert undone["error"]["held_out_nT"] == pytest.approx([after, before])
     assert session.changes["main"] == [added, undone]
+    assert "stale" not in session.last_diagnosis("main")
     paragraphs, figures = change_section(session.changes["main"])
     assert "undo version 2" in "".join(paragraphs)
     assert len(figures) == 1

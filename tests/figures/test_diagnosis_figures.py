@@ -11,6 +11,7 @@ from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
+    HEADING,
     MEANING,
     CalibrationBias,
     CrossTalk,
@@ -112,8 +113,8 @@ def sizes(before=0.2, after=0.1, floor=0.09, low=0.089, high=0.091):
 def test_the_strip_says_verdict_meaning_and_sizes_without_a_script(verdict):
     html = whole(verdict_strip(verdict, "First; second <b>.", sizes(), "NOTHING_LEFT"))
     for told in (
-        verdict,
-        MEANING[verdict],
+        HEADING[verdict],
+        "only noise",
         "0.2 nT",
         "0.1 nT",
         "0.09 nT",
@@ -122,6 +123,9 @@ def test_the_strip_says_verdict_meaning_and_sizes_without_a_script(verdict):
     ):
         assert told in html
     assert "<script" not in html
+    # Machine names stay in the JSON.
+    assert verdict not in html
+    assert "NOTHING_LEFT" not in html
 
 
 def test_explained_is_the_part_of_the_mean_square_above_the_floor():
@@ -355,11 +359,11 @@ def test_the_waterfall_of_nothing_and_of_no_floor():
     assert not [item for item in plot.center if isinstance(item, BoxAnnotation | Span)]
 
 
-def test_order_is_told_in_parts_of_the_mean_square():
-    first, turn, last = data_of(order_figure(STEPS, 0.2), "first", "turn", "last")
-    np.testing.assert_allclose(first, [50.0, 2.5])
-    np.testing.assert_allclose(turn, [100 * (0.04 - 0.0144) / 0.04, 100 * (0.0144 - 0.01) / 0.04])
-    np.testing.assert_allclose(last, [25.0, 10.0])
+def test_order_is_told_in_nt_not_in_parts_that_sum_to_more_than_the_whole():
+    first, turn, last = data_of(order_figure(STEPS), "first", "turn", "last")
+    np.testing.assert_allclose(first, np.sqrt([0.02, 0.001]))
+    np.testing.assert_allclose(turn, np.sqrt([0.04 - 0.0144, 0.0144 - 0.01]))
+    np.testing.assert_allclose(last, np.sqrt([0.01, 0.004]))
 
 
 @pytest.mark.parametrize(("best", "sigma"), [(100.0, 5.0), (10.0, 40.0), (0.0, 0.0)])

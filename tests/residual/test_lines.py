@@ -12,6 +12,7 @@ from inflight.residual import (
     finest_power,
     format_period,
     known_periods,
+    name_slow_changes,
     record_power,
     resolve_lines,
     stretch_power,
@@ -112,6 +113,23 @@ def test_lines_of_orbit_day_and_mission_are_known_by_name():
     residual = noise + waves + 0.1 * np.cos(2 * np.pi * t / DAY)
     lines = find_lines(record_power(t, residual, direction, STEP), KNOWN, shortest=240.0)
     assert {"orbit/3", "orbit/5 + 3/day", "day"} <= {line.label for line in lines}
+
+
+def test_a_known_line_that_changes_in_the_record_makes_no_unknown_periods():
+    """A wave of the orbit that jumps where a calibration window ends has sidebands, which are no periods."""
+    t, noise, direction = record(days=20)
+    size = np.where(t < 10 * DAY, 0.3, -0.1)
+    own = 0.2 * np.cos(2 * np.pi * t / 3300.0) * direction[:, 2]
+    residual = noise + size * np.cos(4 * np.pi * t / ORBIT) + own
+    lines = found_in(t, residual, direction)
+    assert len([line for line in lines if line.is_new]) > 1
+    named = name_slow_changes(lines, record_power(t, residual, direction, STEP).step)
+    told = [line.follows for line in named if line.follows]
+    assert len(told) > 1
+    assert all(text.startswith("orbit") and text.endswith(", changing within the record") for text in told)
+    own, *rest = sorted((line for line in named if line.is_new), key=lambda line: -line.strength)
+    assert own.period_s == pytest.approx(3300.0, rel=1e-3)
+    assert all(line.strength < 0.02 * own.strength for line in rest)
 
 
 def test_a_short_period_of_the_mission_is_known_with_its_multiples_and_sidebands():

@@ -33,12 +33,12 @@ def test_the_missing_effect_is_found_added_and_taken_back_by_clicks(serve, brows
     browser.press(".bk-tab", "The missing effect")
     browser.wait_for_text("There is no diagnosis yet")
     browser.press("button", "Diagnose this span")
-    browser.wait_for_text("FOUND", 180)
+    browser.wait_for_text("the largest cause is beyond doubt", 180)
     browser.wait_for_text("follows heater_current")
     browser.press("button", "Add")
     browser.wait_for_text("from version 1: add channel_field(heater_current)", 120)
     shown = browser.text()
-    sizes = shown.split("Residual held out ")[1].split(" nT")[0]
+    sizes = shown.split("Residual on days not used in the fit ")[1].split(" nT")[0]
     before, after = (float(one) for one in sizes.split(" to "))
     assert after < 0.5 * before
     assert "version 2" in shown.split("Comparison")[1].split("Model against")[0]

@@ -1,5 +1,6 @@
 from .compare_blocks import DigestPlan, iter_digests
 from .compare_report import (
+    MATTERS,
     CompareReport,
     CompareResult,
     EarlierResidual,
@@ -7,7 +8,10 @@ from .compare_report import (
     daily_residual_figure,
     day_summary,
     each_day,
+    fall_figure_of,
+    history_section,
     scatter_html,
+    sizes_html,
     structures_html,
     tables_in_use,
 )
@@ -49,6 +53,7 @@ from .tables import content_keys, month_edges, newest_record, newest_table, newe
 
 __all__ = [
     "ALL_DAYS_STATISTICS",
+    "MATTERS",
     "ONE_DAY",
     "Batch",
     "CompareReport",
@@ -82,7 +87,9 @@ __all__ = [
     "earlier_products",
     "equations_of",
     "failure_of",
+    "fall_figure_of",
     "geometry_means",
+    "history_section",
     "iter_digests",
     "make_days",
     "month_edges",
@@ -105,6 +112,7 @@ __all__ = [
     "run_plan",
     "scalar_channels",
     "scatter_html",
+    "sizes_html",
     "structures_html",
     "tables_in_use",
     "window_edges",

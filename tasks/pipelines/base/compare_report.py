@@ -12,14 +12,22 @@ import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, Day
-from inflight.figures import LazySection, Section, bullet_list, daily_figure, html_table
+from inflight.figures import (
+    LazySection,
+    Section,
+    bullet_list,
+    daily_figure,
+    error_figure,
+    fall_figure,
+    html_table,
+)
 from inflight.plumbing import Finding
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
 
 #: Structures below this part of the noise are not told, but listed on the page; assumed.
-_MATTERS = 0.1
+MATTERS = 0.1
 #: What is left above the noise, in parts of it, where the rms is within five percent of it: stated.
 _NEAR = (1.05**2 - 1.0) ** 0.5
 
@@ -99,6 +107,8 @@ class CompareReport:
         Of the model.
     earlier : EarlierResidual, optional
         What another version of the model left.
+    history : sequence of dict
+        Versions of the model and what each did to the residual, as `inflight.tasks.ModelHistory.items`.
     floor : NoiseFloor
         Of the residual after calibration.
     by_day : list of dict
@@ -142,6 +152,7 @@ class CompareReport:
     clear: float = float("nan")
     version: int = 0
     earlier: EarlierResidual | None = None
+    history: Sequence[dict[str, Any]] = ()
 
     @property
     def above_floor(self) -> float:
@@ -206,12 +217,19 @@ class CompareReport:
                     "  The residual is at its noise floor: nothing that it follows reaches a tenth of it."
                 )
             )
+        elif not told:
+            out.append(
+                TextLine(
+                    "  No single coordinate of these explains it: something fast, something that no channel "
+                    "records, or several causes at once."
+                )
+            )
         return out + [TextLine(f"  {one.sentence}") for one in told]
 
     def matters(self, structure: Structure) -> bool:
         """Return True for a structure of at least a tenth of the noise: half a percent of the rms."""
         floor = self.floor.level_nT
-        return not isfinite(floor) or structure.amplitude >= _MATTERS * floor
+        return not isfinite(floor) or structure.amplitude >= MATTERS * floor
 
     @property
     def is_at_floor(self) -> bool:
@@ -307,12 +325,80 @@ def daily_residual_figure(report: CompareReport) -> Any:
     return daily_figure(day, before, after, report.floor.level_nT, labels, earlier)
 
 
+def fall_figure_of(report: CompareReport) -> Any:
+    """Draw how the residual of each day fell with the last change of the model; None without one before."""
+    if report.earlier is None:
+        return None
+    known = {entry["day"]: entry["after_nT"] for entry in report.earlier.by_day}
+    days = [entry["day"] for entry in report.by_day]
+    before = np.array([known.get(day, np.nan) for day in days])
+    after = np.array([entry["after_nT"] for entry in report.by_day])
+    labels = f"model version {report.earlier.version}", f"model version {report.version}"
+    return fall_figure(np.array(days, dtype="datetime64[ns]"), before, after, report.floor.level_nT, labels)
+
+
+def sizes_html(report: CompareReport) -> str:
+    """Return the residual with each model, and how much of it is more than noise, as HTML."""
+    level = report.floor.level_nT
+    clear = report.clear if isfinite(report.clear) else report.after.rms
+    rows = [("pre-flight model", report.before.rms, above_floor(report.before.rms, level))]
+    if report.earlier is not None:
+        one = report.earlier
+        rows.append((f"model version {one.version}", one.rms, one.above_floor))
+    made = f" ({report.earlier.message})" if report.earlier and report.earlier.message else ""
+    name = f"model version {report.version}{made}" if report.version else "calibrated"
+    rows.append((name, clear, report.above_floor))
+    cells = [(name, f"{size:.4f}", f"{above:.3g}" if isfinite(above) else "") for name, size, above in rows]
+    cells.append(("noise floor", f"{level:.4f}" if isfinite(level) else "unknown", ""))
+    return html_table(("nT, outliers left out", "rms", "left above the noise floor"), cells)
+
+
+def history_section(report: CompareReport) -> tuple[list[str], list[Any]]:
+    """Return what each version of the model took off, on days not used in the fit; empty without changes."""
+    changed = [one for one in report.history if one["change"]]
+    if not changed:
+        return [], []
+    rows = [
+        (
+            f"{one['version']}",
+            one["message"],
+            *(
+                f"{pair[0]:.4g} to {pair[1]:.4g}" if pair and None not in pair else ""
+                for pair in (one["change"].get("held_out_nT"), one["change"].get("above_floor_nT"))
+            ),
+        )
+        for one in changed
+    ]
+    head = ("version", "what was done", "rms on days not used in the fit, nT", "above the noise, nT")
+    note = "Everything else was fitted anew before and after; the products above are as they were made."
+    drawn = [
+        {
+            "command": "",
+            "effect": one["message"],
+            "model": {"version": one["version"]},
+            "error": one["change"],
+        }
+        for one in changed
+    ]
+    return [html_table(head, rows), note], [error_figure(drawn)]
+
+
 def structures_html(report: CompareReport) -> list[str]:
-    """Return the structures of a residual as HTML."""
+    """Return the structures of a residual as HTML; those that do not matter by their names alone."""
     if not report.fails_where:
         return [f"No structure stands out by five sigma between blocks of one {report.block}."]
-    listed = bullet_list([one.sentence for one in report.fails_where], ordered=True)
-    return [listed, "Each structure is measured after the stronger ones were taken off."]
+    told = [one for one in report.fails_where if report.matters(one)]
+    small = [one for one in report.fails_where if not report.matters(one)]
+    out = []
+    if report.is_at_floor:
+        out.append("The residual is at its noise floor: nothing that it follows reaches a tenth of it.")
+    if told:
+        out.append(bullet_list([one.sentence for one in told], ordered=True))
+        out.append("Each structure is measured after the stronger ones were taken off.")
+    if small:
+        listed = ", ".join(f"{one.coordinate} {1000.0 * one.amplitude:.2g} pT" for one in small)
+        out.append(f"Below a tenth of the noise, with no cause to look for: {listed}.")
+    return out
 
 
 def scatter_html(report: CompareReport) -> str:

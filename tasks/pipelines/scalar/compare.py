@@ -31,12 +31,13 @@ from inflight.residual import (
     known_periods,
     measure_dependences,
     merge_statistics,
+    name_slow_changes,
     orbit_period,
     rank_dependences,
     record_lines,
     rising_or_falling,
 )
-from inflight.tasks.models import current_model
+from inflight.tasks.models import ModelHistory, current_model
 from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
@@ -183,6 +184,7 @@ def compare_samples(
         skipped=sum(one.skipped for one in digest.days),
         outliers=sum(one.outliers for one in digest.days),
         earlier=old,
+        history=ModelHistory(cat, mission, comparison).items(),
     )
     curves = {} if other is None else _dependences_of(other, found, mission)
     spectrum = None if other is None else finest_power(other.power)
@@ -312,6 +314,8 @@ def _spectra(digest: Digest, rows: dict[str, Floats], direction: Floats, mission
     )
     lines: list[Line] = find_lines(fast, known, longest=shortest if slow else np.inf) if fast else []
     lines += slow_lines
+    if slow is not None:
+        lines = name_slow_changes(lines, slow.step)
     lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
     return Spectra(fast, before, slow, lines, known)
 

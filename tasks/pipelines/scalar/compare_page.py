@@ -19,6 +19,7 @@ from inflight.figures import (
     axis_figure,
     bullet_list,
     dependence_figure,
+    draw_floor,
     excess_scatter_figure,
     histogram_figure,
     html_table,
@@ -36,7 +37,16 @@ from inflight.residual import (
     drawn_periods,
     format_period,
 )
-from inflight.tasks.pipelines.base import CompareReport, daily_residual_figure, scatter_html, structures_html
+from inflight.tasks.pipelines.base import (
+    MATTERS,
+    CompareReport,
+    daily_residual_figure,
+    fall_figure_of,
+    history_section,
+    scatter_html,
+    sizes_html,
+    structures_html,
+)
 from inflight.time import to_utc
 
 #: Points of the figure of the residual in time, at most: what a browser can draw.
@@ -95,6 +105,7 @@ def compare_parts(report: CompareReport, data: FigureData) -> list[LazySection]:
         ("Where it fails", lambda: (structures_html(report), list(map(axis_figure, along_axes)))),
         ("What the residual follows", lambda: _dependences(report, data)),
         ("Spectrum", lambda: (_lines(report), _spectrum_figures(report, data))),
+        ("What each change took off", lambda: history_section(report)),
         ("Parameters", lambda: _parameters(report, data)),
     ]
 
@@ -120,12 +131,14 @@ def _residual(report: CompareReport, data: FigureData) -> SectionBody:
         f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
     )
     counts = data.counts
+    fall = fall_figure_of(report)
     plots = [
+        *([] if fall is None else [fall]),
         daily_residual_figure(report),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
         series_figure(*thin_series(data.rows)),
     ]
-    return [html_table(head, cells), note], plots
+    return [sizes_html(report), html_table(head, cells), note], plots
 
 
 def thin_series(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
@@ -150,9 +163,12 @@ def _dependences(report: CompareReport, data: FigureData) -> SectionBody:
         f"blocks of one {report.block}. Where a channel's rising and falling branches differ by five sigma, "
         "both are drawn."
     )
+    level = MATTERS * report.floor.level_nT
+    if np.isfinite(level):
+        text += f" The grey band is a tenth of the noise floor, {1000.0 * level:.2g} pT either way."
     order = sorted(data.found, key=lambda one: (not one.is_clear, -one.amplitude))
     name = f"model version {report.earlier.version}" if report.earlier else ""
-    return [text], [dependence_figure(one, data.earlier.get(one.coordinate), name) for one in order]
+    return [text], [dependence_figure(one, data.earlier.get(one.coordinate), name, level) for one in order]
 
 
 def _parameters(report: CompareReport, data: FigureData) -> SectionBody:
@@ -186,11 +202,12 @@ def _spectrum_figures(report: CompareReport, data: FigureData) -> list[Any]:
             before = None
         for index, series in enumerate(SERIES):
             own = None if before is None else before.density[index]
-            plots.append(
-                spectrum_figure(
-                    fast.frequency, own, fast.density[index], periods, spectra.lines, series, labels
-                )
+            plot = spectrum_figure(
+                fast.frequency, own, fast.density[index], periods, spectra.lines, series, labels
             )
+            if series == "residual":
+                draw_floor(plot, fast.frequency, report.floor.level_nT)
+            plots.append(plot)
     if slow is not None:
         plots.append(spectrum_figure(slow.frequency, None, slow.density[0], periods, spectra.lines))
     return plots
