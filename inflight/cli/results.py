@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -170,11 +170,45 @@ def release(
     *,
     notes: Annotated[str, typer.Option(help="Text for the release notes.")] = "",
     destination: Annotated[Path | None, typer.Option(help="Folder (default: releases/)")] = None,
+    formats: Annotated[
+        list[Literal["zarr", "cdf", "netcdf"]] | None,
+        typer.Option("--format", help="May be repeated (default: zarr)", show_default=False),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only tell what would go in and what stands against it.")
+    ] = False,
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Freeze what is published and copy it out with manifest and notes."""
-    parameters = {"version": version, "notes": notes, "destination": destination}
+    chosen = tuple(dict.fromkeys(formats or ("zarr",)))
+    if dry_run:
+        from inflight.tasks import plan_release
+
+        plan = plan_release(command.open_workspace(), version, chosen)
+        command.emit(plan, lambda console: _print_plan(console, plan))
+        if plan["objections"]:
+            raise typer.Exit(1)
+        return
+    parameters = {"version": version, "notes": notes, "destination": destination, "formats": chosen}
     command.finish(run_flow(command, "release", parameters, workers=None, prefect=not no_prefect))
+
+
+def _print_plan(console: Console, plan: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    heads = ("dataset", "first day", "last day", "days", "missing", "format", "files", "MB")
+    table = Table(*heads, box=None, pad_edge=False)
+    for part in plan["parts"]:
+        cells = [part[key] for key in ("dataset", "first", "last", "days", "missing", "format", "files")]
+        table.add_row(*map(str, cells), f"{part['bytes'] / 1e6:.1f}")
+    console.print(table)
+    console.print(
+        f"{plan['tables']} calibration tables; MB of cdf and netcdf are before compression", soft_wrap=True
+    )
+    for item in plan["objections"]:
+        console.print(f"stands against it: {item['message']}; {item['remedy']}", soft_wrap=True, markup=False)
+    if not plan["objections"]:
+        console.print(f"nothing stands against release {plan['version']}")
 
 
 def chain(
