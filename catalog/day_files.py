@@ -169,14 +169,12 @@ def write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
 
     Raises
     ------
-    CatalogError
-        When the dataset has no samples in time.
     IntegrityError
         When what is read back is not what was written.
     OSError
         When the disk refuses it.
     """
-    content = _for_files(dataset, header)
+    content = _for_files(dataset)
     _write_cdf(path, content, header)
     _check_cdf(path, content, header)
 
@@ -189,7 +187,7 @@ def write_netcdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
     """
     import xarray as xr
 
-    content = _cf_dataset(_for_files(dataset, header), header)
+    content = _cf_dataset(_for_files(dataset), header)
     encoding = {
         name: {"zlib": True, "complevel": _NETCDF_LEVEL, "shuffle": True}
         | {"_FillValue": np.nan if array.dtype.kind == "f" and name != "time" else None}
@@ -202,14 +200,9 @@ def write_netcdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
             _require_equal(np.asarray(found[name].values), array.values, path, header, str(name))
 
 
-def _for_files(dataset: xr.Dataset, header: DayHeader) -> xr.Dataset:
+def _for_files(dataset: xr.Dataset) -> xr.Dataset:
     """Return the dataset with the meanings of its quality bits, which are the same for all."""
-    if "time" not in dataset.dims or "tt2000" not in dataset:
-        raise CatalogError(
-            f"'{header.dataset}' has no samples in time",
-            remedy="release it as zarr, or name other datasets",
-        )
-    if "flag" not in dataset or "flag_masks" in dataset["flag"].attrs:
+    if "flag" not in dataset or "flag_meanings" in dataset["flag"].attrs:
         return dataset
     masks, names = flag_meanings()
     return dataset.assign(flag=dataset["flag"].assign_attrs(units="", flag_masks=masks, flag_meanings=names))
@@ -387,6 +380,7 @@ def _epoch_attributes(stamps: Array, header: DayHeader) -> dict[str, Any]:
         "TIME_BASE": "J2000",
         "TIME_SCALE": "Terrestrial Time",
         "REFERENCE_POSITION": "Rotating Earth Geoid",
+        "FORMAT": "I20",
         "RESOLUTION": f"{usual_step(stamps, 0) / SECOND:g}s",
     }
 

@@ -42,7 +42,7 @@ from inflight.catalog.spans import Span
 from inflight.catalog.stores import open_store
 from inflight.catalog.upkeep import missing_days
 from inflight.catalog.validity import table_records
-from inflight.errors import CatalogError, IntegrityError, StorageError, did_you_mean
+from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
 from inflight.mission import Mission
 from inflight.time import to_utc
 
@@ -68,12 +68,12 @@ class ReleaseRequest:
 
     def __post_init__(self) -> None:
         if unknown := [name for name in self.formats if name not in FORMATS]:
-            raise CatalogError(
+            raise SettingsError(
                 f"{unknown[0]!r} is no format of a release{did_you_mean(unknown[0], FORMATS)}",
                 remedy=f"use {', '.join(FORMATS)}",
             )
         if not self.formats:
-            raise CatalogError("a release needs a format", remedy=f"use {', '.join(FORMATS)}")
+            raise SettingsError("a release needs a format", remedy=f"use {', '.join(FORMATS)}")
 
     @property
     def day_files(self) -> tuple[str, ...]:
@@ -119,7 +119,7 @@ class ReleasePlan:
 def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -> ReleasePlan:
     """Return what a release would hold; see `Catalog.plan_release`."""
     with database.read() as session:
-        collection, objections = _considered(session, request)
+        collection, objections = _considered(workspace, session, request)
     parts = _parts(workspace, collection)
     return ReleasePlan(
         version=request.version, parts=parts, tables=len(collection.tables), objections=tuple(objections)
@@ -129,7 +129,7 @@ def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -
 def freeze_release(workspace: Path, database: Database, request: ReleaseRequest, destination: Path) -> Path:
     """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
     with database.read() as session:
-        collection, objections = _considered(session, request)
+        collection, objections = _considered(workspace, session, request)
     if objections:
         raise objections[0]
     staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
@@ -148,7 +148,9 @@ def freeze_release(workspace: Path, database: Database, request: ReleaseRequest,
         shutil.rmtree(staged, ignore_errors=True)
 
 
-def _considered(session: Session, request: ReleaseRequest) -> tuple[_Collection, list[CatalogError]]:
+def _considered(
+    workspace: Path, session: Session, request: ReleaseRequest
+) -> tuple[_Collection, list[CatalogError]]:
     """Return the collection of a request and everything that stands against it, the gravest first."""
     checks: list[Callable[[], None]] = [
         lambda: _refuse_bad_version(request.version),
@@ -163,7 +165,11 @@ def _considered(session: Session, request: ReleaseRequest) -> tuple[_Collection,
     if request.day_files:
         parents = parent_names(session, edges, (day.id for day in collection.days))
         collection = replace(collection, parents=parents)
-        checks += [lambda: _refuse_without_keys(request), lambda: _refuse_file_version(request)]
+        checks += [
+            lambda: _refuse_without_keys(request),
+            lambda: _refuse_file_version(request),
+            lambda: _refuse_without_times(workspace, collection.days),
+        ]
     objections = []
     for check in checks:
         try:
@@ -194,6 +200,15 @@ def _refuse_without_keys(request: ReleaseRequest) -> None:
             f"files of format {named} need keys that the mission YAML lacks: {', '.join(missing)}",
             remedy="put them into mission.yaml, and run again; 'inflight new template' shows them",
         )
+
+
+def _refuse_without_times(workspace: Path, days: Sequence[Day]) -> None:
+    for name, group in groupby(days, key=lambda day: day.dataset):
+        if open_store(str(workspace / next(group).segment)).row_dim != "time":
+            raise CatalogError(
+                f"'{name}' has no samples in time to be a file",
+                remedy="release it as zarr, or other datasets",
+            )
 
 
 def _refuse_without_cause(absent: Sequence[Day]) -> None:
@@ -430,11 +445,7 @@ def _citation(version: str, mission: Mission) -> str:
         **({"doi": keys.doi} if keys.doi else {}),
         **({"url": keys.link} if keys.link else {}),
     }
-    people = [
-        "authors:",
-        f"  - name: {json.dumps(keys.pi_name)}",
-        f"    affiliation: {json.dumps(keys.pi_affiliation)}",
-    ]
+    people = ["authors:", *(f"  - name: {json.dumps(name)}" for name in (keys.pi_name, keys.pi_affiliation))]
     # A JSON string is a YAML string.
     return "\n".join([*(f"{key}: {json.dumps(value)}" for key, value in lines.items()), *people]) + "\n"
 

@@ -47,7 +47,8 @@ def make_release(
     folder = catalog.release(
         version, notes=notes, destination=destination, formats=formats, mission=workspace.mission()
     )
-    published = sum(item["days"] for item in catalog.inventory())
+    released = (item for item in catalog.inventory() if item["dataset"].startswith(("l1/", "l2/")))
+    published = sum(item["days"] for item in released)
     return RunReport(
         "release",
         days={"planned": published, "done": published},

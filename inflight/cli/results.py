@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -171,8 +171,13 @@ def release(
     notes: Annotated[str, typer.Option(help="Text for the release notes.")] = "",
     destination: Annotated[Path | None, typer.Option(help="Folder (default: releases/)")] = None,
     formats: Annotated[
-        list[Literal["zarr", "cdf", "netcdf"]] | None,
-        typer.Option("--format", help="May be repeated (default: zarr)", show_default=False),
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="zarr|cdf|netcdf",
+            help="What it is written as; may be repeated (default: zarr)",
+            show_default=False,
+        ),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only tell what would go in and what stands against it.")
