@@ -270,7 +270,7 @@ def version_with_gram_blocks(
     """
     dataset = f"equations/{current.model.comparison}/library"
     contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
-    words = {"effects", "description", "acknowledgement"}
+    words = {"effects", "description", "acknowledgement", "release"}
     versions = {}
     for record in (cat.context(str(context)) for context in contexts):
         before = mission if record.mission_text == mission.text else Mission.parse(record.mission_text)
