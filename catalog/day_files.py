@@ -194,7 +194,8 @@ def write_netcdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
         for name, array in content.variables.items()
         if array.dtype.kind in "fiu" and array.ndim
     }
-    content.to_netcdf(path, engine="h5netcdf", format="NETCDF4", encoding=encoding)
+    # In memory first: on a full disk the HDF5 library ends the process.
+    path.write_bytes(content.to_netcdf(engine="h5netcdf", format="NETCDF4", encoding=encoding))
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as found:
         for name, array in content.variables.items():
             _require_equal(np.asarray(found[name].values), array.values, path, header, str(name))

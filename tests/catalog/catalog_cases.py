@@ -207,6 +207,19 @@ def freeze_as_cdf(workspace: Path, version: str) -> None:
     Catalog(workspace).release(version, formats=("cdf",), mission=release_mission())
 
 
+def freeze_under_a_size_limit(workspace: Path, formats: Sequence[str], pipe: Connection) -> None:
+    """Release in each format where the kernel refuses files of more than 4000 bytes; tell the errors."""
+    catalog = Catalog(workspace)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
+    for form in formats:
+        try:
+            catalog.release("1.0", formats=(form,), mission=release_mission())
+        except StorageError as error:
+            pipe.send(error.message)
+        else:
+            pipe.send("written")
+
+
 def release_mission() -> Mission:
     """A mission with all that the files of a release state."""
     return Mission.parse(RELEASE_YAML)

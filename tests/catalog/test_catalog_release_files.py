@@ -1,6 +1,7 @@
 """Releases as files of a day: ISTP CDF and CF NetCDF, read back, refused without what they must say."""
 
 import logging
+import multiprocessing
 import re
 import signal
 import time
@@ -12,7 +13,16 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from catalog_cases import days_from, delivered, freeze_as_cdf, publish, release_mission, samples, spawn
+from catalog_cases import (
+    days_from,
+    delivered,
+    freeze_as_cdf,
+    freeze_under_a_size_limit,
+    publish,
+    release_mission,
+    samples,
+    spawn,
+)
 from istp_checks import istp_findings
 
 from inflight.catalog import Catalog
@@ -204,6 +214,16 @@ def test_a_release_killed_between_its_files_leaves_nothing_and_is_made_again(pub
     assert not (published.workspace / "releases" / "1.0").exists()
     folder = Catalog(published.workspace).release("1.0", formats=("cdf",), mission=MISSION)
     assert len(_files(folder, "cdf")) == 3
+
+
+def test_a_disk_that_refuses_a_file_is_told_and_leaves_nothing(published):
+    here, there = multiprocessing.Pipe()
+    process = spawn(freeze_under_a_size_limit, published.workspace, ("cdf", "netcdf"), there)
+    told = [here.recv() if here.poll(60) else "" for _ in range(2)]
+    process.join(timeout=60)
+    assert process.exitcode == 0
+    assert all("could not be written" in text for text in told)
+    assert list((published.workspace / "releases").iterdir()) == []
 
 
 def test_a_file_that_reads_back_differently_stops_the_release(published, monkeypatch):
