@@ -217,12 +217,16 @@ def test_a_release_killed_between_its_files_leaves_nothing_and_is_made_again(pub
 
 
 def test_a_disk_that_refuses_a_file_is_told_and_leaves_nothing(published):
+    with published.run("ingest") as run:
+        wide = samples("2006-01-02", step_s=30)
+        run.stage("l1/fgm", wide, day=np.datetime64("2006-01-02"), parents=["file:" + "a" * 64])
+        run.publish()
     here, there = multiprocessing.Pipe()
     process = spawn(freeze_under_a_size_limit, published.workspace, ("cdf", "netcdf"), there)
     told = [here.recv() if here.poll(60) else "" for _ in range(2)]
     process.join(timeout=60)
     assert process.exitcode == 0
-    assert all("could not be written" in text for text in told)
+    assert all("could not be written" in text for text in told), told
     assert list((published.workspace / "releases").iterdir()) == []
 
 
