@@ -12,6 +12,7 @@ from .records import (
     TableRecord,
     idempotency_key,
 )
+from .release import ReleasePlan
 from .runs import Run, failure_cause
 from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
@@ -24,6 +25,7 @@ __all__ = [
     "Edge",
     "FileRecord",
     "ModelRecord",
+    "ReleasePlan",
     "Run",
     "RunRecord",
     "Segment",

@@ -23,7 +23,7 @@ from inflight.catalog.days import (
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
-from inflight.catalog.release import freeze_release, require_releasable
+from inflight.catalog.release import ReleasePlan, ReleaseRequest, freeze_release, plan_release
 from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records, run_report
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
@@ -32,6 +32,8 @@ from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from inflight.mission import Mission
 
 _FOLDERS = ("staging", "stores", "releases")
 
@@ -397,10 +399,6 @@ class Catalog:
         """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
         return collect_garbage(self.workspace, self._database, dry_run=dry_run)
 
-    def require_releasable(self, version: str, datasets: Sequence[str] = ("l1/*", "l2/*")) -> None:
-        """Raise CatalogError when the version is no name or exists already, or nothing matches."""
-        require_releasable(self._database, version, datasets)
-
     def release(
         self,
         version: str,
@@ -408,13 +406,16 @@ class Catalog:
         datasets: Sequence[str] = ("l1/*", "l2/*"),
         notes: str = "",
         destination: Path | str | None = None,
+        *,
+        formats: Sequence[str] = ("zarr",),
+        mission: Mission | None = None,
     ) -> Path:
         """Freeze the published days of some datasets as a release and copy it out.
 
         Parameters
         ----------
         version : str
-            Such as ``1.0``; never given out twice.
+            Such as ``1.0``; never given out twice. Files of a day are named ``v01.00`` after it.
         context : str or None
             Take the newest revisions made in it; datasets without contexts give their present ones.
         datasets : sequence of str
@@ -423,15 +424,54 @@ class Catalog:
             Text of RELEASE_NOTES.md.
         destination : path
             Folder in which one named after the version appears, by one rename; ``releases`` by default.
+        formats : sequence of str
+            ``zarr``, ``cdf`` (ISTP, a file a day) and ``netcdf`` (CF, a file a day).
+        mission : Mission, optional
+            What the files of a day say of themselves; CDF and NetCDF need its key ``release``.
 
         Raises
         ------
         CatalogError
-            When the version exists, nothing matches, a day has no provenance, or a day is missing
-            without a recorded cause.
+            When the version exists, nothing matches, a day has no provenance, a day is missing
+            without a recorded cause, or files lack keys of the mission YAML.
         """
         target = Path(destination) if destination is not None else self.workspace / "releases"
-        return freeze_release(self.workspace, self._database, version, context, datasets, notes, target)
+        request = ReleaseRequest(
+            version=version,
+            context=context,
+            datasets=tuple(datasets),
+            notes=notes,
+            formats=tuple(formats),
+            mission=mission,
+        )
+        return freeze_release(self.workspace, self._database, request, target)
+
+    def plan_release(
+        self,
+        version: str,
+        context: str | None = None,
+        datasets: Sequence[str] = ("l1/*", "l2/*"),
+        *,
+        formats: Sequence[str] = ("zarr",),
+        mission: Mission | None = None,
+    ) -> ReleasePlan:
+        """Return what a release would hold and what stands against it; nothing is written.
+
+        The parameters are those of `release`.
+
+        Raises
+        ------
+        CatalogError
+            When nothing matches.
+        """
+        request = ReleaseRequest(
+            version=version,
+            context=context,
+            datasets=tuple(datasets),
+            formats=tuple(formats),
+            mission=mission,
+        )
+        return plan_release(self.workspace, self._database, request)
 
 
 def _require_data(day: Day) -> None:

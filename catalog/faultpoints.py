@@ -21,6 +21,7 @@ POINTS: Final = (
     "publish_begun",
     "publish_flushed",
     "published",
+    "release_file_written",
     "release_written",
     "release_renamed",
 )

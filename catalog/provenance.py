@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, sha256_text
-from inflight.catalog.schema import ContextRow, DayRow, EdgeRow, FileRow, ModelRow, TableRow
+from inflight.catalog.schema import ContextRow, DatasetRow, DayRow, EdgeRow, FileRow, ModelRow, TableRow
 from inflight.catalog.validity import require_tables
 from inflight.errors import CatalogError
 
@@ -169,6 +169,56 @@ def walk(session: Session, ids: Iterable[str], *, up: bool) -> list[Edge]:
         frontier = [item for item in frontier if item not in seen]
         seen.update(frontier)
     return list(found)
+
+
+def parent_names(session: Session, edges: Iterable[Edge], children: Iterable[str]) -> dict[str, list[str]]:
+    """Return child -> what it was made from, in words that hold in any workspace: ``kind>name``, sorted.
+
+    A day reads ``day>l1/fgm 2005-01-01 v01.00``, a file ``file>name sha256:...``, a table ``table>name key``
+    and a context the model it pins, ``model>name@version``.
+    """
+    wanted = set(children)
+    direct = [edge for edge in edges if edge.child in wanted]
+    by_kind: dict[str, set[str]] = {}
+    for edge in direct:
+        kind, _, rest = edge.parent.partition(":")
+        by_kind.setdefault(kind, set()).add(rest)
+    words: dict[str, str] = {}
+    for kind, found in by_kind.items():
+        items = sorted(found)
+        for first in range(0, len(items), _BATCH):
+            words |= _words_of(session, kind, items[first : first + _BATCH])
+    out: dict[str, set[str]] = {}
+    for edge in direct:
+        out.setdefault(edge.child, set()).add(words.get(edge.parent, edge.parent.replace(":", ">", 1)))
+    return {child: sorted(names) for child, names in out.items()}
+
+
+def _words_of(session: Session, kind: str, items: list[str]) -> dict[str, str]:
+    if kind == "day":
+        query = (
+            select(DayRow.id, DatasetRow.name, DayRow.day, DayRow.baseline, DayRow.revision)
+            .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+            .where(DayRow.id.in_(map(int, items)))
+        )
+        return {
+            f"day:{id}": f"day>{name} {day} "
+            + ("" if baseline is None else f"v{baseline:02d}.{revision:02d}")
+            for id, name, day, baseline, revision in session.execute(query)
+        }
+    if kind == "file":
+        files = select(FileRow.sha256, FileRow.path).where(FileRow.sha256.in_(items)).order_by(FileRow.id)
+        return {f"file:{sha256}": f"file>{path} sha256:{sha256}" for sha256, path in session.execute(files)}
+    if kind == "table":
+        tables = select(TableRow.id, TableRow.name, TableRow.key).where(TableRow.id.in_(map(int, items)))
+        return {f"table:{id}": f"table>{name} {key}".rstrip() for id, name, key in session.execute(tables)}
+    if kind == "context":
+        contexts = select(ContextRow).where(ContextRow.id.in_(items))
+        return {
+            f"context:{row.id}": f"model>{row.model_name}@{row.model_version}"
+            for row in session.scalars(contexts)
+        }
+    return {}
 
 
 def unknown_ids(session: Session, ids: Iterable[str]) -> list[str]:

@@ -1,7 +1,11 @@
-"""Releases: a collection frozen in the catalog and copied out whole, readable by any Zarr v3 reader.
+"""Releases: a collection frozen in the catalog and copied out whole, as Zarr, ISTP CDF or CF NetCDF.
 
 `freeze_release` collects days, tables and context, refuses what lacks provenance or a cause, writes the copy
 with its manifest, and registers the release in one transaction that ends with the rename of its folder.
+`plan_release` says what would go in and what stands against it, and writes nothing.
+
+Equal published days give equal files: nothing in them tells when or where they were written.
+`Generation_date` is the last UTC day of data in the release: the release cannot be older.
 """
 
 from __future__ import annotations
@@ -9,25 +13,28 @@ from __future__ import annotations
 import csv
 import datetime as dt
 import json
+import math
 import re
 import shutil
 import uuid
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from importlib.metadata import distributions
 from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
+from inflight.catalog.day_files import DayHeader, file_version, logical_file_id, write_cdf, write_netcdf
 from inflight.catalog.days import published_days, status_of_days
 from inflight.catalog.faultpoints import fault_point
-from inflight.catalog.manifest import flush, flush_files, write_manifest
+from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.opening import read_one_day
-from inflight.catalog.provenance import Edge, context_record, model_text, unknown_ids, walk
+from inflight.catalog.provenance import Edge, context_record, model_text, parent_names, unknown_ids, walk
 from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
 from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
@@ -35,54 +42,102 @@ from inflight.catalog.spans import Span
 from inflight.catalog.stores import open_store
 from inflight.catalog.upkeep import missing_days
 from inflight.catalog.validity import table_records
-from inflight.errors import CatalogError, IntegrityError, StorageError
+from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
+from inflight.mission import Mission
 from inflight.time import to_utc
 
 #: Days of one released store: bounds the memory a release needs.
 DAYS_PER_STORE: Final = 10
+#: What a release can be written as; the first is what it is written as when nothing is said.
+FORMATS: Final = ("zarr", "cdf", "netcdf")
+_WRITERS: Final = {"cdf": (write_cdf, "cdf"), "netcdf": (write_netcdf, "nc")}
 _MARKER: Final = "release.json"
 _WHOLE: Final = Span(None, None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseRequest:
+    """What is asked for; `mission` says what the files of a day say of themselves."""
+
+    version: str
+    context: str | None = None
+    datasets: tuple[str, ...] = ("l1/*", "l2/*")
+    notes: str = ""
+    formats: tuple[str, ...] = ("zarr",)
+    mission: Mission | None = None
+
+    def __post_init__(self) -> None:
+        if unknown := [name for name in self.formats if name not in FORMATS]:
+            raise SettingsError(
+                f"{unknown[0]!r} is no format of a release{did_you_mean(unknown[0], FORMATS)}",
+                remedy=f"use {', '.join(FORMATS)}",
+            )
+        if not self.formats:
+            raise SettingsError("a release needs a format", remedy=f"use {', '.join(FORMATS)}")
+
+    @property
+    def day_files(self) -> tuple[str, ...]:
+        """The formats that are written as one file a day, each once."""
+        return tuple(name for name in FORMATS if name in self.formats and name in _WRITERS)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Collection:
     """What goes into a release: the days, the days that are not there, the tables and the context."""
 
-    version: str
-    notes: str
+    request: ReleaseRequest
     days: tuple[Day, ...]
     absent: tuple[Day, ...]
     tables: tuple[TableRecord, ...]
     context: ContextRecord | None
     model: str
+    #: Id of a day -> what it was made from.
+    parents: Mapping[str, Sequence[str]]
 
 
-def freeze_release(
-    workspace: Path,
-    database: Database,
-    version: str,
-    context: str | None,
-    datasets: Sequence[str],
-    notes: str,
-    destination: Path,
-) -> Path:
-    """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
-    require_releasable(database, version, datasets)
+@dataclass(frozen=True, kw_only=True)
+class ReleasePlan:
+    """What a release would hold, and what stands against it.
+
+    Attributes
+    ----------
+    version : str
+    parts : list of dict
+        By dataset and format: ``dataset``, ``format``, ``first``, ``last``, ``days``, ``missing``, ``files``
+        and ``bytes``: of Zarr those of the workspace's own stores, of the others those before compression.
+    tables : int
+    objections : tuple of CatalogError
+        The release is made when there is none.
+    """
+
+    version: str
+    parts: tuple[Mapping[str, Any], ...]
+    tables: int
+    objections: tuple[CatalogError, ...]
+
+
+def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -> ReleasePlan:
+    """Return what a release would hold; see `Catalog.plan_release`."""
     with database.read() as session:
-        collection = _collect(session, version, context, datasets, notes)
-        _refuse_without_provenance(session, collection.days)
-    if unexplained := [day for day in collection.absent if not day.cause]:
-        listed = ", ".join(f"{day.dataset} {day.day} ({day.state})" for day in unexplained[:5])
-        raise CatalogError(
-            f"{len(unexplained)} missing days have no recorded cause, among them {listed}",
-            remedy="process them again, or record why they are missing",
-        )
-    staged = destination / f".{version}-{uuid.uuid4().hex[:8]}"
+        collection, objections = _considered(workspace, session, request)
+    parts = _parts(workspace, collection)
+    return ReleasePlan(
+        version=request.version, parts=parts, tables=len(collection.tables), objections=tuple(objections)
+    )
+
+
+def freeze_release(workspace: Path, database: Database, request: ReleaseRequest, destination: Path) -> Path:
+    """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
+    with database.read() as session:
+        collection, objections = _considered(workspace, session, request)
+    if objections:
+        raise objections[0]
+    staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
     try:
         destination.mkdir(parents=True, exist_ok=True)
         _write_release(workspace, staged, collection)
         fault_point("release_written")
-        return _register(database, collection, context, staged, destination / version)
+        return _register(database, collection, staged, destination / request.version)
     except OSError as error:
         if isinstance(error, CatalogError):
             raise
@@ -93,15 +148,109 @@ def freeze_release(
         shutil.rmtree(staged, ignore_errors=True)
 
 
-def require_releasable(database: Database, version: str, datasets: Sequence[str]) -> None:
-    """Raise CatalogError for what cannot be released: no version, one used before, or nothing to copy."""
+def _considered(
+    workspace: Path, session: Session, request: ReleaseRequest
+) -> tuple[_Collection, list[CatalogError]]:
+    """Return the collection of a request and everything that stands against it, the gravest first."""
+    checks: list[Callable[[], None]] = [
+        lambda: _refuse_bad_version(request.version),
+        lambda: _refuse_known_version(session, request.version),
+    ]
+    collection = _collect(session, request)
+    edges = walk(session, [day.id for day in collection.days], up=True)
+    checks += [
+        lambda: _refuse_without_provenance(session, collection.days, edges),
+        lambda: _refuse_without_cause(collection.absent),
+    ]
+    if request.day_files:
+        parents = parent_names(session, edges, (day.id for day in collection.days))
+        collection = replace(collection, parents=parents)
+        checks += [
+            lambda: _refuse_without_keys(request),
+            lambda: _refuse_file_version(request),
+            lambda: _refuse_without_times(workspace, collection.days),
+        ]
+    objections = []
+    for check in checks:
+        try:
+            check()
+        except CatalogError as error:
+            objections.append(error)
+    return collection, objections
+
+
+def _refuse_bad_version(version: str) -> None:
     if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
         raise CatalogError(
             f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
         )
-    with database.read() as session:
-        _refuse_known_version(session, version)
-        _collect(session, version, None, datasets, "")
+
+
+def _refuse_file_version(request: ReleaseRequest) -> None:
+    file_version(request.version)
+
+
+def _refuse_without_keys(request: ReleaseRequest) -> None:
+    """Files state who made them of what, and how they may be used: the mission YAML has to say it."""
+    named = " and ".join(request.day_files)
+    if request.mission is None:
+        raise CatalogError(f"files of format {named} need a mission", remedy="give the mission YAML's")
+    if missing := request.mission.missing_release_keys():
+        raise CatalogError(
+            f"files of format {named} need keys that the mission YAML lacks: {', '.join(missing)}",
+            remedy="put them into mission.yaml, and run again; 'inflight new template' shows them",
+        )
+
+
+def _refuse_without_times(workspace: Path, days: Sequence[Day]) -> None:
+    for name, group in groupby(days, key=lambda day: day.dataset):
+        if open_store(str(workspace / next(group).segment)).row_dim != "time":
+            raise CatalogError(
+                f"'{name}' has no samples in time to be a file",
+                remedy="release it as zarr, or other datasets",
+            )
+
+
+def _refuse_without_cause(absent: Sequence[Day]) -> None:
+    if unexplained := [day for day in absent if not day.cause]:
+        listed = ", ".join(f"{day.dataset} {day.day} ({day.state})" for day in unexplained[:5])
+        raise CatalogError(
+            f"{len(unexplained)} missing days have no recorded cause, among them {listed}",
+            remedy="process them again, or record why they are missing",
+        )
+
+
+def _parts(workspace: Path, collection: _Collection) -> tuple[dict[str, Any], ...]:
+    """Return the days, files and bytes of each dataset in each format."""
+    parts = []
+    for name, group in groupby(collection.days, key=lambda day: day.dataset):
+        days = list(group)
+        common = {
+            "dataset": name,
+            "first": str(days[0].day),
+            "last": str(days[-1].day),
+            "days": len(days),
+            "missing": sum(day.dataset == name for day in collection.absent),
+        }
+        stored = plain = stores = 0
+        for segment, members in groupby(days, key=lambda day: day.segment):
+            batch = list(members)
+            store, rows = open_store(str(workspace / segment)), sum(day.count for day in batch)
+            stored += folder_bytes(workspace / segment) * rows // max(1, sum(store.counts))
+            stores += -(-len(batch) // DAYS_PER_STORE)
+            plain += rows * sum(
+                store.variables[item].decoded_dtype().itemsize * math.prod(store.variables[item].shape[1:])
+                for item in store.variables
+                if store.in_rows(item)
+            )
+        for form in collection.request.formats:
+            sizes = (
+                {"files": len(days), "bytes": plain}
+                if form in _WRITERS
+                else {"files": stores, "bytes": stored}
+            )
+            parts.append({**common, "format": form, **sizes})
+    return tuple(parts)
 
 
 def _refuse_known_version(session: Session, version: str) -> None:
@@ -111,9 +260,8 @@ def _refuse_known_version(session: Session, version: str) -> None:
         )
 
 
-def _collect(
-    session: Session, version: str, context: str | None, patterns: Sequence[str], notes: str
-) -> _Collection:
+def _collect(session: Session, request: ReleaseRequest) -> _Collection:
+    context, patterns = request.context, request.datasets
     names = [
         name
         for name in session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
@@ -147,22 +295,20 @@ def _collect(
     ]
     model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
     return _Collection(
-        version=version,
-        notes=notes,
+        request=request,
         days=tuple(days),
         absent=tuple(absent),
         tables=tuple(tables),
         context=pinned,
         model=model,
+        parents={},
     )
 
 
-def _refuse_without_provenance(session: Session, days: Sequence[Day]) -> None:
+def _refuse_without_provenance(session: Session, days: Sequence[Day], edges: Sequence[Edge]) -> None:
     """Every day, and every day it was made from, states what it was made from, and that is known."""
-    ids = [day.id for day in days]
-    edges: list[Edge] = walk(session, ids, up=True)
     with_parents = {edge.child for edge in edges}
-    named = {*ids, *(edge.parent for edge in edges)}
+    named = {*(day.id for day in days), *(edge.parent for edge in edges)}
     orphans = sorted(item for item in named if item.startswith("day:") and item not in with_parents)
     unknown = unknown_ids(session, named)
     if orphans or unknown:
@@ -175,11 +321,15 @@ def _refuse_without_provenance(session: Session, days: Sequence[Day]) -> None:
 
 
 def _write_release(workspace: Path, folder: Path, collection: _Collection) -> None:
+    request = collection.request
+    folder.mkdir()
     # Days of one segment can share a released store: their variables and units are equal.
     for _, group in groupby(collection.days, key=lambda day: (day.dataset, day.segment)):
         members = list(group)
-        for first in range(0, len(members), DAYS_PER_STORE):
+        for first in range(0, len(members) if "zarr" in request.formats else 0, DAYS_PER_STORE):
             _copy_days(workspace, folder, members[first : first + DAYS_PER_STORE])
+        for day in members if request.day_files else ():
+            _write_day_files(workspace, folder, day, collection)
     for table in collection.tables:
         store = open_store(str(workspace / table.segment))
         dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
@@ -214,11 +364,14 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
         (folder / "mission.yaml").write_text(collection.context.mission_text, "utf-8")
         (folder / "model.yaml").write_text(collection.model, "utf-8")
     (folder / "README.md").write_text(_readme(collection), "utf-8")
-    notes = [f"# Release notes, {collection.version}", "", collection.notes.strip() or "No notes were given."]
+    (folder / "software.txt").write_text(_software(), "utf-8")
+    if request.mission is not None and not request.mission.missing_release_keys():
+        (folder / "CITATION.cff").write_text(_citation(request.version, request.mission), "utf-8")
+    notes = [f"# Release notes, {request.version}", "", request.notes.strip() or "No notes were given."]
     if collection.absent:
         notes += ["", f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
-    (folder / _MARKER).write_text(json.dumps({"version": collection.version}) + "\n", "utf-8")
+    (folder / _MARKER).write_text(json.dumps({"version": request.version}) + "\n", "utf-8")
     write_manifest(folder)
     flush_files(folder)
 
@@ -247,6 +400,59 @@ def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
             )
 
 
+def _write_day_files(workspace: Path, folder: Path, day: Day, collection: _Collection) -> None:
+    """Write one day in every format that has a file a day."""
+    request = collection.request
+    assert request.mission is not None  # `_refuse_without_keys` has seen to it
+    version = file_version(request.version)
+    released = {f"{item.dataset} {item.day} {item.version}": item for item in collection.days}
+    parents = []
+    for parent in collection.parents.get(day.id, ()):
+        item = released.get(parent.removeprefix("day>"))
+        parents.append(
+            f"CDF>{logical_file_id(request.mission, item.dataset, item.day, version)}" if item else parent
+        )
+    header = DayHeader(
+        mission=request.mission,
+        dataset=day.dataset,
+        day=day.day,
+        version=version,
+        day_version=day.version,
+        generated=str(max(item.day for item in collection.days)).replace("-", ""),
+        parents=tuple(parents),
+    )
+    dataset = read_one_day(workspace, day, None, dated=False)
+    for form in request.day_files:
+        target = folder / form / header.source / str(day.day)[:4]
+        target.mkdir(parents=True, exist_ok=True)
+        write, ending = _WRITERS[form]
+        write(target / f"{header.stem}.{ending}", dataset, header)
+        fault_point("release_file_written")
+
+
+def _software() -> str:
+    """Return the packages that made the release, one a line, as a requirements file has them."""
+    found = {item.metadata["Name"]: item.version for item in distributions()}
+    return "".join(f"{name}=={found[name]}\n" for name in sorted(found, key=str.lower))
+
+
+def _citation(version: str, mission: Mission) -> str:
+    keys = mission.release
+    lines = {
+        "cff-version": "1.2.0",
+        "type": "dataset",
+        "message": "If you use these data, cite them as below.",
+        "title": mission.description,
+        "version": version,
+        "abstract": mission.acknowledgement,
+        **({"doi": keys.doi} if keys.doi else {}),
+        **({"url": keys.link} if keys.link else {}),
+    }
+    people = ["authors:", *(f"  - name: {json.dumps(name)}" for name in (keys.pi_name, keys.pi_affiliation))]
+    # A JSON string is a YAML string.
+    return "\n".join([*(f"{key}: {json.dumps(value)}" for key, value in lines.items()), *people]) + "\n"
+
+
 def _write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
@@ -254,17 +460,33 @@ def _write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object
         writer.writerows(rows)
 
 
-def _readme(collection: _Collection) -> str:
-    lines = [
-        f"# Release {collection.version}",
-        "",
+_FORMAT_NOTES: Final = {
+    "zarr": (
         "`data/` holds one Zarr v3 store for up to ten days of one dataset: row `i` of day `k` is row",
         "`k * chunk + i` of every variable with a time; `chunk`, `days` and `counts` stand in the",
         "attribute `inflight` of the store. Packed variables follow the CF convention (`scale_factor`,",
         "`_FillValue`). `tt2000` counts nanoseconds since 2000-01-01T12:00:00 Terrestrial Time; rows",
         "beyond a day's count are fill.",
+    ),
+    "cdf": (
+        "`cdf/<source>/<year>/` holds one ISTP CDF file for each day: `Epoch` is TT2000, labels and units",
+        "stand with each variable, `Parents` names what a file was made from.",
+    ),
+    "netcdf": (
+        "`netcdf/<source>/<year>/` holds one CF NetCDF-4 file for each day: `time` counts UTC seconds of the",
+        "day, `tt2000` is exact.",
+    ),
+}
+
+
+def _readme(collection: _Collection) -> str:
+    lines = [
+        f"# Release {collection.request.version}",
+        "",
+        *(line for form in FORMATS if form in collection.request.formats for line in _FORMAT_NOTES[form]),
         "`tables/` holds the calibration tables; `tables.csv` says when each is valid (half-open).",
         "`days.csv` lists every day with version, coverage and, where it is missing, why.",
+        "`software.txt` lists the packages that made the release.",
         "Check the files with `sha256sum -c MANIFEST.sha256`.",
         "",
         "| dataset | first day | last day | days | missing |",
@@ -284,17 +506,16 @@ def _readme(collection: _Collection) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _register(
-    database: Database, collection: _Collection, context: str | None, staged: Path, target: Path
-) -> Path:
+def _register(database: Database, collection: _Collection, staged: Path, target: Path) -> Path:
     """Freeze the collection and rename its folder in one transaction, which ends with the rename."""
     created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
     with database.write() as session:
-        _refuse_known_version(session, collection.version)
+        request = collection.request
+        _refuse_known_version(session, request.version)
         row = ReleaseRow(
-            version=collection.version,
-            context=context,
-            notes=collection.notes,
+            version=request.version,
+            context=request.context,
+            notes=request.notes,
             path=str(target),
             created=created,
         )
@@ -307,7 +528,7 @@ def _register(
             # Left by a release that was killed between its rename and its commit; nothing else is removed.
             marker = target / _MARKER
             stated = json.loads(marker.read_text("utf-8")) if marker.exists() else {}
-            if stated.get("version") != collection.version:
+            if stated.get("version") != request.version:
                 raise CatalogError(
                     "the folder exists and is no release", file=str(target), remedy="move it away"
                 )

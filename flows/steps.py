@@ -143,7 +143,11 @@ def diagnose(
 
 
 def release(
-    workspace: Path, version: str, notes: str = "", destination: Path | None = None
+    workspace: Path,
+    version: str,
+    notes: str = "",
+    destination: Path | None = None,
+    formats: tuple[str, ...] = ("zarr",),
 ) -> dict[str, Any]:
     """Freeze the published collection under a version and copy it out with manifest and notes.
 
@@ -155,11 +159,13 @@ def release(
         Text for the release notes.
     destination : Path, optional
         Folder the release goes to; ``releases`` in the workspace when absent.
+    formats : tuple of str
+        ``zarr``, ``cdf`` and ``netcdf``.
     """
     from inflight.tasks import make_release
 
     place = Workspace.open(workspace)
-    report: RunReport = runner().run("copy out", make_release, place, version, notes, destination)
+    report: RunReport = runner().run("copy out", make_release, place, version, notes, destination, formats)
     return report.as_json()
 
 

@@ -53,6 +53,7 @@ __all__ = [
     "Positions",
     "Quaternion",
     "Reader",
+    "ReleaseHeader",
     "Role",
     "ScalarComparison",
     "SpinAxis",
@@ -201,6 +202,42 @@ Comparison = Annotated[
 ]
 
 
+def _short_and_long(text: str) -> str:
+    short, _, long = text.partition(">")
+    if text and not (re.fullmatch(r"[A-Za-z0-9-]+", short) and long.strip()):
+        raise ValueError(
+            "expected a short name, '>' and the whole one, as in 'CHAMP>Challenging Minisatellite'"
+        )
+    return text
+
+
+def _field_and_part(text: str) -> str:
+    if text and len([part for part in text.split(">") if part.strip()]) != 2:
+        raise ValueError("expected a field, '>' and its part, as in 'Space Physics>Magnetospheric Science'")
+    return text
+
+
+class ReleaseHeader(Strict):
+    """What the files of a release say of the mission: the words of ISTP's global attributes."""
+
+    #: Short and whole name of what flew; file names begin with the short one.
+    source_name: Annotated[str, AfterValidator(_short_and_long)] = ""
+    project: str = ""
+    discipline: Annotated[str, AfterValidator(_field_and_part)] = ""
+    pi_name: str = ""
+    pi_affiliation: str = ""
+    rules_of_use: str = ""
+    instrument_type: str = "Magnetic Fields (space)"
+    #: The short name of what flew when absent.
+    mission_group: str = ""
+    doi: str = ""
+    link: str = ""
+
+
+#: Keys of `ReleaseHeader` without which ISTP has no file.
+_NEEDED_FOR_FILES = ("source_name", "project", "discipline", "pi_name", "pi_affiliation", "rules_of_use")
+
+
 class Mission(Strict):
     """A whole mission, immutable; `text` is what it was read from."""
 
@@ -218,6 +255,7 @@ class Mission(Strict):
     events: list[Event] = Field(default_factory=list)
     #: Python files with the user's own effects.
     effects: list[str] = Field(default_factory=list)
+    release: ReleaseHeader = ReleaseHeader()
     _text: str = PrivateAttr(default="")
 
     @model_validator(mode="after")
@@ -298,6 +336,12 @@ class Mission(Strict):
         """Further files the mission names: pre-flight models and effects."""
         models = [self.preflight, *(comparison.preflight for comparison in self.comparisons.values())]
         return list(dict.fromkeys([*filter(None, models), *self.effects]))
+
+    def missing_release_keys(self) -> list[str]:
+        """Return the keys that CDF and NetCDF files need and the YAML leaves out."""
+        named = {key: getattr(self, key) for key in ("description", "acknowledgement")}
+        named |= {f"release.{key}": getattr(self.release, key) for key in _NEEDED_FOR_FILES}
+        return [key for key, value in named.items() if not value.strip()]
 
     def files(self, instrument: str) -> Files:
         """Return how an instrument's files are found; `same_as` is resolved, its own options win."""

@@ -10,7 +10,7 @@ from .archive import ingest, simulate
 from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
 from .models import ModelHistory, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
-from .release import make_release
+from .release import make_release, plan_release
 from .report import (
     Progress,
     RunReport,
@@ -45,6 +45,7 @@ __all__ = [
     "ingest",
     "location_of",
     "make_release",
+    "plan_release",
     "preflight_model",
     "print_report",
     "reprocess",

@@ -300,7 +300,7 @@ def version_with_gram_blocks(
     """
     dataset = f"equations/{current.model.comparison}/library"
     contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
-    words = {"effects", "description", "acknowledgement"}
+    words = {"effects", "description", "acknowledgement", "release"}
     records = _records(cat, current)
     versions: dict[int, tuple[int, Mission]] = {}
     for record in (cat.context(str(context)) for context in contexts):

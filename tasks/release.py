@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks.report import RunReport
 
 
 def make_release(
-    workspace: Workspace, version: str, notes: str = "", destination: Path | None = None
+    workspace: Workspace,
+    version: str,
+    notes: str = "",
+    destination: Path | None = None,
+    formats: Sequence[str] = ("zarr",),
 ) -> RunReport:
     """Freeze the published collection under a version and copy it out.
 
@@ -23,6 +29,8 @@ def make_release(
         Text for the release notes.
     destination : Path, optional
         Folder the release goes to; ``releases`` in the workspace when absent.
+    formats : sequence of str
+        ``zarr``, ``cdf`` and ``netcdf``.
 
     Returns
     -------
@@ -32,14 +40,38 @@ def make_release(
     Raises
     ------
     CatalogError
-        When the version was used before, or a day lacks its provenance or its cause.
+        When the version was used before, a day lacks its provenance or its cause, or files of a day lack keys
+        of the mission YAML.
     """
     catalog = Catalog(workspace.root)
-    folder = catalog.release(version, notes=notes, destination=destination)
-    published = sum(item["days"] for item in catalog.inventory())
+    folder = catalog.release(
+        version, notes=notes, destination=destination, formats=formats, mission=workspace.mission()
+    )
+    released = (item for item in catalog.inventory() if item["dataset"].startswith(("l1/", "l2/")))
+    published = sum(item["days"] for item in released)
     return RunReport(
         "release",
         days={"planned": published, "done": published},
         outputs=[workspace.relative(folder)],
-        extra={"version": version},
+        extra={"version": version, "formats": list(formats)},
     )
+
+
+def plan_release(workspace: Workspace, version: str, formats: Sequence[str] = ("zarr",)) -> dict[str, Any]:
+    """Return what `make_release` would copy out and what stands against it; nothing is written.
+
+    Returns
+    -------
+    dict
+        ``version``, ``formats``, ``tables``, ``parts`` (as `ReleasePlan` has them) and ``objections``: the
+        fields of an error each.
+    """
+    plan = Catalog(workspace.root).plan_release(version, formats=formats, mission=workspace.mission())
+    return {
+        "command": "release",
+        "version": version,
+        "formats": list(formats),
+        "tables": plan.tables,
+        "parts": [dict(part) for part in plan.parts],
+        "objections": [error.as_json() for error in plan.objections],
+    }

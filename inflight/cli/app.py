@@ -57,7 +57,12 @@ VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
         results.explore: ("inflight explore",),
         figures.figures: ("inflight figures",),
     },
-    "Deliver": {results.release: ('inflight release 1.0 --notes "first release"',)},
+    "Deliver": {
+        results.release: (
+            'inflight release 1.0 --notes "first release"',
+            "inflight release 1.0 --format cdf --format netcdf --dry-run",
+        )
+    },
 }
 
 app = typer.Typer(

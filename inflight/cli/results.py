@@ -193,14 +193,56 @@ def release(
     *,
     notes: Annotated[str, typer.Option(help="Text for the release notes.")] = "",
     destination: Annotated[Path | None, typer.Option(help="Folder (default: releases/)")] = None,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="zarr|cdf|netcdf",
+            help="What it is written as; may be repeated (default: zarr)",
+            show_default=False,
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only tell what would go in and what stands against it.")
+    ] = False,
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Freeze what is published and copy it out with manifest and notes."""
+    chosen = tuple(dict.fromkeys(formats or ("zarr",)))
+    workspace = command.open_workspace()
+    if dry_run:
+        from inflight.tasks import plan_release
+
+        plan = plan_release(workspace, version, chosen)
+        command.emit(plan, lambda console: _print_plan(console, plan))
+        if plan["objections"]:
+            raise typer.Exit(1)
+        return
     # What can be refused is, before any server starts.
-    command.open_catalog().require_releasable(version)
-    parameters = {"version": version, "notes": notes, "destination": destination}
+    mission = workspace.mission()
+    if refused := command.open_catalog().plan_release(version, formats=chosen, mission=mission).objections:
+        raise refused[0]
+    parameters = {"version": version, "notes": notes, "destination": destination, "formats": chosen}
     report = run_flow(command, "release", parameters, workers=None, prefect=not no_prefect)
     command.finish(report, ["next: read the notes in this folder, and hand it out as it is"])
+
+
+def _print_plan(console: Console, plan: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    heads = ("dataset", "first day", "last day", "days", "missing", "format", "files", "MB")
+    table = Table(*heads, box=None, pad_edge=False)
+    for part in plan["parts"]:
+        cells = [part[key] for key in ("dataset", "first", "last", "days", "missing", "format", "files")]
+        table.add_row(*map(str, cells), f"{part['bytes'] / 1e6:.1f}")
+    console.print(table)
+    console.print(
+        f"{plan['tables']} calibration tables; MB of cdf and netcdf are before compression", soft_wrap=True
+    )
+    for item in plan["objections"]:
+        console.print(f"stands against it: {item['message']}; {item['remedy']}", soft_wrap=True, markup=False)
+    if not plan["objections"]:
+        console.print(f"nothing stands against release {plan['version']}")
 
 
 def chain(

@@ -15,7 +15,28 @@ import xarray as xr
 
 from inflight.catalog import Catalog, DayData, FileRecord, Run, write_segment
 from inflight.errors import StorageError
+from inflight.mission import Mission
 from inflight.time import SECOND, day_bounds
+
+RELEASE_YAML = """\
+mission: probe
+description: A probe with one magnetometer
+acknowledgement: Thank you
+instruments:
+  fgm:
+    role: vector
+    cadence: 600 s
+    files: {pattern: "a_{day:%Y%m%d}.cdf", reader: cdf, time: Epoch}
+    channels: {field: {variable: B, unit: nT, axes: [x, y, z]}}
+comparisons: {main: {kind: spin, vector: fgm}}
+release:
+  source_name: PROBE>A Probe
+  project: Test>A test
+  discipline: Space Physics>Magnetospheric Science
+  pi_name: Someone
+  pi_affiliation: Somewhere
+  rules_of_use: Free
+"""
 
 
 def delivered(run: Run, sha256: str, *days: np.datetime64, **report: object) -> FileRecord:
@@ -180,3 +201,28 @@ def write_under_a_size_limit(workspace: Path, pipe: Connection) -> None:
 
 def freeze(workspace: Path, version: str) -> None:
     Catalog(workspace).release(version)
+
+
+def freeze_as_cdf(workspace: Path, version: str) -> None:
+    Catalog(workspace).release(version, formats=("cdf",), mission=release_mission())
+
+
+def freeze_under_a_size_limit(workspace: Path, formats: Sequence[str], pipe: Connection) -> None:
+    """Release in each format where the kernel refuses files of more than 60 kB; tell the errors.
+
+    The database's own files are smaller while it is only read.
+    """
+    catalog = Catalog(workspace)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+    for form in formats:
+        try:
+            catalog.release("1.0", formats=(form,), mission=release_mission())
+        except StorageError as error:
+            pipe.send(error.message)
+        else:
+            pipe.send("written")
+
+
+def release_mission() -> Mission:
+    """A mission with all that the files of a release state."""
+    return Mission.parse(RELEASE_YAML)

@@ -4,12 +4,23 @@ import shutil
 from pathlib import Path
 
 import pytest
+from istp_checks import istp_findings
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.flows import dask_client
 from inflight.flows.cluster import SCHEDULER_VARIABLE
 
 REPORT = {"command", "run", "context", "days", "problems", "outputs"}
+RELEASE_KEYS = """\
+acknowledgement: Thank you
+release:
+  source_name: TINY>A tiny mission
+  project: Test>A test
+  discipline: Space Physics>Magnetospheric Science
+  pi_name: Someone
+  pi_affiliation: Somewhere
+  rules_of_use: Free
+"""
 COUNTS = {"planned", "done", "unchanged", "failed", "no_work"}
 
 
@@ -161,6 +172,37 @@ def test_a_release_is_copied_out_once(inflight, copied):
     assert told.code == 0
     assert (copied / told.json["outputs"][0] / "days.csv").is_file()
     assert inflight(*command).code == 1
+
+
+def test_a_release_in_the_formats_that_teams_read_is_told_before_it_is_made(inflight, copied):
+    command = ("release", "1.0", "--format", "cdf", "--format", "netcdf", "--json", "-w", copied)
+    refused = inflight(*command, "--dry-run")
+    assert refused.code == 1
+    assert "release.discipline" in refused.json["objections"][0]["message"]
+    assert inflight(*command, "--no-prefect").code == 1
+    assert list((copied / "releases").iterdir()) == []
+    with (copied / "mission.yaml").open("a", encoding="utf-8") as mission:
+        mission.write(RELEASE_KEYS)
+    plan = inflight(*command, "--dry-run")
+    assert (plan.code, plan.json["objections"]) == (0, [])
+    assert {part["format"] for part in plan.json["parts"]} == {"cdf", "netcdf"}
+    told = inflight(*command, "--no-prefect")
+    assert told.code == 0
+    assert told.json["days"]["done"] == 6
+    folder = copied / told.json["outputs"][0]
+    files = [*folder.rglob("*.cdf"), *folder.rglob("*.nc")]
+    assert len(files) == sum(part["files"] for part in plan.json["parts"]) == 12
+    stated = (folder / "MANIFEST.sha256").read_text(encoding="utf-8")
+    assert all(path.name in stated for path in files)
+    assert "Someone" in (folder / "CITATION.cff").read_text(encoding="utf-8")
+    for path in folder.rglob("*.cdf"):
+        assert istp_findings(path) == []
+
+
+def test_a_format_that_there_is_not_is_wrong_usage(inflight, copied):
+    told = inflight("release", "1.0", "--format", "cfd", "--no-prefect", "-w", copied)
+    assert told.code == 2
+    assert "did you mean 'cdf'" in told.err
 
 
 def test_the_demo_tells_residual_products_and_what_to_type_next(inflight, tmp_path):

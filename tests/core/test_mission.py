@@ -35,7 +35,7 @@ def test_every_shipped_mission_parses_and_states_a_comparison(path):
 
 def test_the_template_shows_every_key():
     text = next(path for path in MISSIONS if path.stem == "template").read_text(encoding="utf-8")
-    for model in ("Files", "Channel", "ClockStep", "Instrument", "Mission", "Positions"):
+    for model in ("Files", "Channel", "ClockStep", "Instrument", "Mission", "Positions", "ReleaseHeader"):
         import inflight.mission
 
         for key in getattr(inflight.mission, model).model_fields:
