@@ -451,7 +451,12 @@ def block_grams(
             continue
         if day_white is not None:
             white = day_white if white is None else _sum_blocks(white, day_white)
-        rows = _with_gaps(rows, derived.reader.day(day))
+        recorded = derived.reader.day(day)
+        if plan.estimates:
+            # Of what is derived from a channel, that channel: columns are made again from the series.
+            own = {name: one for name, one in recorded.items() if name not in rows.samples}
+            rows = replace(rows, samples=rows.samples.assign(as_variables(mission, own, None)))
+        rows = _with_gaps(rows, recorded)
         features = features or features_of(rows, _series_channels(plan))
         thinned.append(thin_rows(rows, features, plan.series_step))
     blocks = FactoredGrams.of(raws[0], plan.base, raws[1:], plan.fits)

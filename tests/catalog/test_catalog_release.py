@@ -119,7 +119,7 @@ def test_a_missing_day_without_a_cause_stops_a_release(catalog):
 
 
 def test_nothing_to_release_is_told(catalog):
-    with pytest.raises(CatalogError, match="no published days match"):
+    with pytest.raises(CatalogError, match="nothing is published that matches"):
         catalog.release("1.0")
 
 
