@@ -152,7 +152,7 @@ def _considered(
     workspace: Path, session: Session, request: ReleaseRequest
 ) -> tuple[_Collection, list[CatalogError]]:
     """Return the collection of a request and everything that stands against it, the gravest first."""
-    checks: list[Callable[[], None]] = [
+    checks: list[Callable[[], object]] = [
         lambda: _refuse_bad_version(request.version),
         lambda: _refuse_known_version(session, request.version),
     ]
@@ -167,7 +167,7 @@ def _considered(
         collection = replace(collection, parents=parents)
         checks += [
             lambda: _refuse_without_keys(request),
-            lambda: _refuse_file_version(request),
+            lambda: file_version(request.version),
             lambda: _refuse_without_times(workspace, collection.days),
         ]
     objections = []
@@ -184,10 +184,6 @@ def _refuse_bad_version(version: str) -> None:
         raise CatalogError(
             f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
         )
-
-
-def _refuse_file_version(request: ReleaseRequest) -> None:
-    file_version(request.version)
 
 
 def _refuse_without_keys(request: ReleaseRequest) -> None:

@@ -288,24 +288,24 @@ def of_samples(search: Search, data: DiagnosisData, freed: Mapping[str, Freed]) 
         return out
     means = [Means.of(data.series, times) for times in settings.own_times]
     scales, columns = mean_columns(search, data, search.accepted, means)
-    noisy = [one for one in search.accepted if one.name in freed and freed[one.name].taken]
+    noisy = {one.name: freed[one.name] for one in search.accepted if one.name in freed}
+    noisy = {name: one for name, one in noisy.items() if one.taken}
     drawn = _drawn_columns(search, data) if noisy else None
+    # The variance is that of the source, whichever effect it matters for.
+    variances = {one.source: one.variance for one in noisy.values()}
+    raw = search.forms["raw"]
+    rows_fit = _fit_of(search, raw)
+    rows_gain = _gains(search, drawn, variances) if drawn is not None else {}
     for mean, some in zip(means, columns, strict=True):
         if int((mean.weight > 0).sum()) < settings.own_rows * len(scales):
             continue
         wide = _Wide(mean, gram_of_means(search, data, "raw", mean, scales, some))
+        means_fit = _fit_of(search, wide.grams)
+        means_gain = _gains(search, drawn, variances, wide) if drawn is not None else {}
         for option in search.accepted:
-            rows_gain, means_gain = None, None
-            if drawn is not None and option in noisy:
-                one = freed[option.name]
-                here = _moments(search, drawn, drawn.products(one.source), one.variance)
-                square = wide.products(drawn, one.source)
-                rows_gain, means_gain = (
-                    here.gain,
-                    _moments(search, drawn, square, one.variance, wide.grams).gain,
-                )
-            value, moved = _influences(search, option, search.forms["raw"], rows_gain)
-            other, moved_too = _influences(search, option, wide.grams, means_gain)
+            source = noisy[option.name].source if option.name in noisy else ""
+            value, moved = _influences(search, option, raw, rows_fit, rows_gain.get(source))
+            other, moved_too = _influences(search, option, wide.grams, means_fit, means_gain.get(source))
             scatter = np.diag(bartlett_covariance(moved - moved_too, SELECTION_SETTINGS.bartlett))
             away = np.abs(value - other)
             beyond = away > settings.own_apart * np.sqrt(np.clip(scatter, 0.0, None))
@@ -315,18 +315,35 @@ def of_samples(search: Search, data: DiagnosisData, freed: Mapping[str, Freed]) 
     return out
 
 
+def _gains(
+    search: Search, drawn: _Columns, variances: Mapping[str, Variance], wide: _Wide | None = None
+) -> dict[str, Floats]:
+    """Return what frees the model's values, in rows or in their means, of the noise of each source."""
+    out: dict[str, Floats] = {}
+    for source, variance in variances.items():
+        square = drawn.products(source) if wide is None else wide.products(drawn, source)
+        out[source] = _moments(search, drawn, square, variance, wide.grams if wide else None).gain
+    return out
+
+
+def _fit_of(search: Search, grams: GramBlocks) -> BlockwiseFit:
+    """Return the fit of everything in the model to the residual of the search."""
+    return BlockwiseFit.of(grams, search.present_in(grams), grams.residuals[search.residual])
+
+
 def _influences(
-    search: Search, option: Option, grams: GramBlocks, gain: Floats | None
+    search: Search, option: Option, grams: GramBlocks, fit: BlockwiseFit, gain: Floats | None
 ) -> tuple[Floats, Floats]:
     """Return values of an effect and what each block moves them by; (column,), (block, column), physical.
 
     Parameters
     ----------
+    fit : BlockwiseFit
+        Of the model's columns in these Gram blocks.
     gain : ndarray, shape (column, column), optional
         What frees the model's values of the attenuation.
     """
-    present, y = search.present_in(grams), grams.residuals[search.residual]
-    fit = BlockwiseFit.of(grams, present, y)
+    present = search.present_in(grams)
     value, moved = fit.value, fit.moved
     if gain is not None:
         value, moved = gain @ value, moved @ gain.T

@@ -453,9 +453,7 @@ def block_grams(
             white = day_white if white is None else _sum_blocks(white, day_white)
         recorded = derived.reader.day(day)
         if plan.estimates:
-            # Of what is derived from a channel, that channel: columns are made again from the series.
-            own = {name: one for name, one in recorded.items() if name not in rows.samples}
-            rows = replace(rows, samples=rows.samples.assign(as_variables(mission, own, None)))
+            rows = _with_sources(mission, rows, recorded)
         rows = _with_gaps(rows, recorded)
         features = features or features_of(rows, _series_channels(plan))
         thinned.append(thin_rows(rows, features, plan.series_step))
@@ -477,6 +475,12 @@ def _with_gaps(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
     known = [name for name, shape in shapes.items() if shape == recorded[name].shape]
     there = rows.samples.assign({name: rows.samples[name].copy(data=recorded[name]) for name in known})
     return replace(rows, samples=there)
+
+
+def _with_sources(mission: Mission, rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
+    """Return rows with the channels that others are derived from: columns are made again from the series."""
+    absent = {name: values for name, values in recorded.items() if name not in rows.samples}
+    return replace(rows, samples=rows.samples.assign(as_variables(mission, absent, None)))
 
 
 def _series_channels(plan: PassPlan) -> list[str]:
