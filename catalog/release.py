@@ -152,10 +152,8 @@ def _considered(
     workspace: Path, session: Session, request: ReleaseRequest
 ) -> tuple[_Collection, list[CatalogError]]:
     """Return the collection of a request and everything that stands against it, the gravest first."""
-    checks: list[Callable[[], object]] = [
-        lambda: _refuse_bad_version(request.version),
-        lambda: _refuse_known_version(session, request.version),
-    ]
+    _refuse_bad_version(request.version)
+    checks: list[Callable[[], object]] = [lambda: _refuse_known_version(session, request.version)]
     collection = _collect(session, request)
     edges = walk(session, [day.id for day in collection.days], up=True)
     checks += [
