@@ -187,6 +187,18 @@ def usual_step(stamps: Int64, alone: int = 1) -> int:
     return int(np.median(steps))
 
 
+def other_cadence(stamps: Int64, stated: int) -> str:
+    """Return in words that stamps lie at another distance than stated, ns; empty when they do not.
+
+    Samples further apart than one and a half stated cadences count as gaps (`GAP`), all of them here.
+    """
+    step = usual_step(np.sort(stamps), stated)
+    if step <= 0 or 1.0 / GAP < step / stated < GAP:
+        return ""
+    own, there = f"{step / SECOND:.3g} s", f"{stated / SECOND:.3g} s"
+    return f"samples are {own} apart, but the mission file states {there}: write 'cadence: {own}'"
+
+
 def as_day(day: DayLike) -> np.datetime64:
     """Return a UTC day as datetime64[D]."""
     return cast("np.datetime64", np.array(day, dtype="datetime64[D]")[()])

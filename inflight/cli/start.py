@@ -37,6 +37,8 @@ TWO_SENSOR_MISSION = "venus-express"
 #: Where the demo goes when no workspace is named.
 DEMO_FOLDER = Path("demo")
 DEMO_START = "2005-01-01"
+#: Seconds between the demo's samples: the story is that of 1 s, in a third of the time.
+DEMO_CADENCE = 5
 #: What the demo hides: a heater's cable whose field is ten times the simulator's usual one. The currents that
 #: its pre-flight model does not know either are left out, so that the story has one cause.
 DEMO_HIDDEN = {
@@ -190,6 +192,7 @@ def demo(
     ] = None,
     *,
     days: Annotated[int, typer.Option(min=1, help="Days to simulate.")] = 30,
+    cadence: Annotated[int, typer.Option(help="Seconds between samples: 1, 2, 5 or 10.")] = DEMO_CADENCE,
     seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
@@ -202,8 +205,10 @@ def demo(
     command = Command(folder, command.json, command.debug)
     exists = Workspace(folder).mission_file.exists()
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
+    if not exists:
+        _state_cadence(workspace.mission_file, cadence)
     story = _Story(command)
-    settings = {"start": DEMO_START, "days": days, "seed": seed, **DEMO_HIDDEN}
+    settings = {"start": DEMO_START, "days": days, "cadence": cadence, "seed": seed, **DEMO_HIDDEN}
     with command.progress() as progress:
         files = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
     story.line(
@@ -248,6 +253,12 @@ def demo(
     command.emit(total.as_json(), lambda console: _print_next(console, workspace, page, found, seconds))
     if total.exit_code:
         raise typer.Exit(total.exit_code)
+
+
+def _state_cadence(mission_file: Path, cadence: int) -> None:
+    """State in the demo's mission file how far apart the samples are that are simulated each second."""
+    text = mission_file.read_text(encoding="utf-8")
+    mission_file.write_text(text.replace("cadence: 1 s", f"cadence: {cadence} s"), encoding="utf-8")
 
 
 class _Story:

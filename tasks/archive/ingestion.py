@@ -41,7 +41,7 @@ from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
 from inflight.tasks.batches import iter_results
 from inflight.tasks.report import Progress, RunReport, problem, problem_of
-from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
+from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
 
 #: Bumped when the same files would give other archive days.
 INGEST_VERSION = 1
@@ -365,7 +365,8 @@ def _read_tables(
             error.file = name  # below the data folder, as the catalog names it
             broken[name] = problem_of(error)
             continue
-        notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
+        told = [*table.notes, other_cadence(table.times, job.instrument.cadence)]
+        notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(filter(None, told))}
         for day, part in split_days(table).items():
             if str(day) in job.keys:
                 tables.setdefault(str(day), []).append(part)

@@ -31,7 +31,7 @@ from inflight.flags import UNUSABLE, Flag, count_flags
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
 from inflight.tasks.pipelines.base import Batch
-from inflight.time import SECOND, day_bounds, usual_step
+from inflight.time import SECOND, day_bounds, other_cadence, usual_step
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,10 @@ def _too_few_samples(
         flags = count_flags(samples["flag"].values) or "a channel the model needs is missing"
         message = f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {flags}"
         remedy = "look at the day's deliveries, or exclude the day"
+        vector = batch.mission.comparisons[batch.model.comparison].instruments()["vector"]
+        cadence = batch.mission.instruments[vector].cadence
+        if apart := other_cadence(np.asarray(samples["tt2000"].values), cadence):
+            remedy = f"{vector}'s {apart}; or exclude the day"
     return CalibrationError(
         message,
         remedy=remedy,
