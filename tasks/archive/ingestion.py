@@ -366,7 +366,11 @@ def _read_tables(
             broken[name] = problem_of(error)
             continue
         told = [*table.notes, other_cadence(table.times, job.instrument.cadence)]
-        notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(filter(None, told))}
+        notes[name] = {
+            "rows": int(table.times.size),
+            "dropped": table.dropped,
+            "notes": list(filter(None, told)),
+        }
         for day, part in split_days(table).items():
             if str(day) in job.keys:
                 tables.setdefault(str(day), []).append(part)
