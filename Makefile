@@ -47,7 +47,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: setup  ## simulate a month, run the whole chain, show what came out (under 3 minutes)
+demo: setup  ## simulate a month, run the whole chain, show what came out (under 2 minutes)
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
 test: setup  ## run the tests

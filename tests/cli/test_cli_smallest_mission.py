@@ -13,8 +13,11 @@ YAML = re.search(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTA
 NOISE = 0.1
 
 
-def deliver(folder: Path) -> None:
-    """Write two days of a sensor with an offset that turns in a field of all directions, as the page says."""
+def deliver(folder: Path, late: int = 0) -> None:
+    """Write two days of a sensor with an offset that turns in a field of all directions, as the page says.
+
+    The absolute instrument's stamps are so many seconds late.
+    """
     generator = np.random.default_rng(5)
     folder.mkdir()
     for day in ("2024-03-01", "2024-03-02"):
@@ -28,7 +31,7 @@ def deliver(folder: Path) -> None:
         stamp = day.replace("-", "")
         rows = [f"{t},{x:.2f},{y:.2f},{z:.2f}" for t, (x, y, z) in zip(times, reading, strict=True)]
         (folder / f"mag_{stamp}.csv").write_text("\n".join(["time,BX,BY,BZ", *rows]) + "\n", encoding="utf-8")
-        rows = [f"{t},{value:.2f}" for t, value in zip(times, strength, strict=True)]
+        rows = [f"{t + late},{value:.2f}" for t, value in zip(times, strength, strict=True)]
         (folder / f"abs_{stamp}.csv").write_text("\n".join(["time,F", *rows]) + "\n", encoding="utf-8")
 
 
@@ -56,6 +59,18 @@ def test_a_wrong_column_is_answered_with_the_right_one(inflight, mine):
     path.write_text(path.read_text(encoding="utf-8").replace("BX, BY", "bx, BY"), encoding="utf-8")
     told = inflight("ingest", mine.parent / "files", "--no-prefect", "--json", "-w", mine).json
     assert "did you mean 'BX'?" in told["problems"][0]["message"]
+
+
+def test_a_cadence_that_is_stated_wrongly_is_told_with_the_right_one(inflight, mine):
+    path = mine / "mission.yaml"
+    path.write_text(path.read_text(encoding="utf-8").replace("60 s", "10 s"), encoding="utf-8")
+    deliver(mine.parent / "late", late=7)
+    taken = inflight("ingest", mine.parent / "late", "--no-prefect", "-w", mine)
+    assert taken.code == 0
+    answer = "samples are 60 s apart, but the mission file states 10 s: write 'cadence: 60 s'"
+    assert answer in taken.out
+    failed = inflight("reprocess", "--no-prefect", "--json", "-w", mine).json["problems"]
+    assert answer in failed[0]["remedy"]
 
 
 @pytest.mark.parametrize(
