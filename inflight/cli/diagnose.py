@@ -38,6 +38,8 @@ _COLOURS = {
     "UNKNOWN_EFFECT": "red",
     "NOTHING_LEFT": "green",
 }
+#: Sigmas from which on a difference is told.
+_SIGMAS = 3.0
 #: Rows shown before the rest is only counted; --json has all.
 _CANDIDATES, _PLACEBOS, _UNSCORABLE, _CHANGED, _COEFFICIENTS = 8, 3, 6, 10, 9
 #: Part by which two sizes of one residual may differ before it is told why.
@@ -291,6 +293,13 @@ def _print_details(console: Console, fields: Fields) -> None:
     """Print all coefficients, the candidates of the first round, and what could not be tried."""
     if fields["effects"]:
         console.print(_effects_table(fields["effects"]))
+    for one in fields["effects"]:
+        if (one["cadence_shift"] or 0.0) > _SIGMAS:
+            text = (
+                f"{one['name']}: its values are those of samples {one['cadence_s']:.3g} s apart; the search's "
+                f"own, of means, are up to {one['cadence_shift']:.1f} sigma from them"
+            )
+            console.print(text, soft_wrap=True, markup=False)
     residual = fields["residual"]
     sizes = residual["held_out_before_nT"], residual["held_out_after_nT"]
     console.print(_candidates_table(fields["candidates"], sizes))
@@ -335,15 +344,18 @@ def _sizes_text(residual: Fields) -> str:
 
 
 def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
-    """Yield a line on each parameter of the calibration that is not constant."""
+    """Yield a line on what is not constant of the calibration; parameters that do the same share one."""
+    alike: dict[str, list[str]] = {}
     for each in parameters:
         if each["form"] != "constant":
             times = f" at {', '.join(one[:16] for one in each['at'])}" if each["at"] else ""
             windows = f", windows of {each['window_s'] / 86_400:.3g} d" if each["window_s"] else ""
             gain, runs = _percent(each["gain"]), _percent(each["contiguous_gain"])
             taken = f": takes {gain} off days not used in the fit, one by one ({runs} off runs of them)"
-            what = f"in time: {each['parameter']}: {each['form']}{times}{windows}"
-            yield what + (taken if each["gain"] else ", as found above")
+            found = f"{each['form']}{times}{windows}" + (taken if each["gain"] else ", as found above")
+            alike.setdefault(found, []).append(each["parameter"])
+    for found, names in alike.items():
+        yield f"in time: {', '.join(names)}: {found}"
 
 
 def _entries_table(entries: Sequence[Fields]) -> Table:

@@ -441,7 +441,7 @@ def sentence(facts: Mapping[str, Any]) -> str:
             text = f"{text[0].upper()}{text[1:]} ({sizes})."
             text += f" Something is left, {rest.takes_off_nT:.3g} nT rms: {rest.words}." if rest else ""
         text += _substitute_text(facts) if rest else ""
-        text += _cadence_text(facts["effects"]) + _gap_text(residual.get("uncorrected", ()))
+        text += _gap_text(residual.get("uncorrected", ()))
         return text + bursts + _empirical_text(facts)
     # Whole mechanisms that these data cannot show, whether they are there or not.
     names = [str(one["name"]) for one in facts.get("unscorable", ())]
@@ -590,16 +590,6 @@ def _substitute_text(facts: Mapping[str, Any]) -> str:
     return (
         f" Slow structure of {left:.3g} nT is left, and {smallest.name} takes off {smallest.rms_nT:.3g} nT: "
         "it may stand in for part of a cause that is missing."
-    )
-
-
-def _cadence_text(effects: Sequence[FoundEffect]) -> str:
-    """Return a caution about values that depend on the cadence of the samples they are estimated from."""
-    fragile = [one for one in effects if (one.cadence_shift or 0.0) > SENTENCE_SETTINGS.sigmas]
-    return "".join(
-        f" Fragile: the values of {one.name} at the search's cadence are up to {one.cadence_shift:.1f} sigma "
-        f"from those at {one.cadence_s:.3g} s."
-        for one in fragile
     )
 
 

@@ -12,11 +12,14 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
+from inflight.design import BIN_SETTINGS
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
+from inflight.lsq import MAD_TO_SIGMA
 from inflight.mission import Mission
 from inflight.residual import (
     SERIES,
@@ -36,7 +39,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Raised by hand when the numbers of a digest change; it is part of the key of what is kept.
-DIGEST_VERSION = 2
+DIGEST_VERSION = 3
 
 #: What is read of a product.
 _VARIABLES = ("residual_preflight", "residual", "flag", "field_sensor")
@@ -182,7 +185,7 @@ def digest_block(
             for values, size in zip(states, sizes, strict=True)
         ]
         # Outliers belong to the size of the residual, but would hide its structure.
-        clear = (flag & np.uint32(Flag.OUTLIER)) == 0
+        clear = ~((flag & np.uint32(Flag.OUTLIER)).astype(bool) & _is_far(states[1]))
         before, after = (np.where(clear, values, np.nan) for values in states)
         direction = direction_of(product["field_sensor"].values)
         floor = _add_spectra(stamps, (before, after), direction, (power_before, power))
@@ -196,6 +199,19 @@ def digest_block(
         one.total = as_drawn(one.total)
     joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     return BlockDigest(joined, numbers, power_before, power, counts)
+
+
+def _is_far(residual: Floats) -> npt.NDArray[np.bool_]:
+    """Return which values stand out of a day's as far as what a search leaves out as spikes.
+
+    A fit lays aside more, the tails of the noise with it: without these, residual and noise floor would be
+    smaller here than where the model is searched.
+    """
+    known = residual[np.isfinite(residual)]
+    if not known.size:
+        return np.zeros(residual.shape, dtype=bool)
+    away = np.abs(residual - np.median(known))
+    return np.asarray(away > BIN_SETTINGS.spike * MAD_TO_SIGMA * np.nanmedian(away))
 
 
 def _add_spectra(
