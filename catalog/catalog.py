@@ -23,7 +23,7 @@ from inflight.catalog.days import (
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
-from inflight.catalog.release import ReleasePlan, ReleaseRequest, freeze_release, plan_release
+from inflight.catalog.release import Documents, ReleasePlan, ReleaseRequest, freeze_release, plan_release
 from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records, run_report
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
@@ -409,6 +409,7 @@ class Catalog:
         *,
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
+        documents: Documents | None = None,
     ) -> Path:
         """Freeze the published days of some datasets as a release and copy it out.
 
@@ -428,6 +429,9 @@ class Catalog:
             ``zarr``, ``cdf`` (ISTP, a file a day) and ``netcdf`` (CF, a file a day).
         mission : Mission, optional
             What the files of a day say of themselves; CDF and NetCDF need its key ``release``.
+        documents : callable, optional
+            Called with the folder and a `ReleaseContents` before the manifest is written; writes what else
+            goes with the data and returns lines for RELEASE_NOTES.md.
 
         Raises
         ------
@@ -444,7 +448,7 @@ class Catalog:
             formats=tuple(formats),
             mission=mission,
         )
-        return freeze_release(self.workspace, self._database, request, target)
+        return freeze_release(self.workspace, self._database, request, target, documents)
 
     def plan_release(
         self,

@@ -248,7 +248,7 @@ def _flag_notes(attributes: Mapping[str, Any]) -> str:
     return "Quality bits, 0 is good: " + ", ".join(f"{mask} {meaning}" for mask, meaning in pairs)
 
 
-def _components(array: xr.DataArray, dataset: xr.Dataset) -> list[str]:
+def components(array: xr.DataArray, dataset: xr.Dataset) -> list[str]:
     """Return the names of a vector's components."""
     dim, size = array.dims[-1], array.shape[-1]
     named = str(array.attrs.get("axes", "")).split()
@@ -284,7 +284,8 @@ def _sorted_names(dataset: xr.Dataset) -> list[str]:
 # --- CDF ---------------------------------------------------------------------------------------------
 
 
-def _write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
+def cdf_writer(path: Path) -> Any:
+    """Return cdflib's writer of a new file, as a context manager; its bytes do not tell when it was made."""
     import cdflib.cdfwrite
 
     class Writer(cdflib.cdfwrite.CDF):  # type: ignore[misc]
@@ -295,29 +296,34 @@ def _write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
             return int(super()._write_cvvr(f, data[:4] + bytes(4) + data[8:9] + b"\xff" + data[10:]))
 
     # Little-endian whatever the machine.
-    with Writer(path, {"Majority": "row_major", "Encoding": 6, "Checksum": True}) as writer:
+    return Writer(path, {"Majority": "row_major", "Encoding": 6, "Checksum": True})
+
+
+def _write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
+    with cdf_writer(path) as writer:
         writer.write_globalattrs(
             {key: dict(enumerate(map(_ascii, values))) for key, values in _istp(dataset, header).items()}
         )
         stamps = np.asarray(dataset["tt2000"].values, dtype=np.int64)
-        _put(writer, "Epoch", 33, stamps, _epoch_attributes(stamps, header), rows=True)
+        put_numbers(writer, "Epoch", 33, stamps, _epoch_attributes(stamps, header), rows=True)
         for name in _sorted_names(dataset):
             array = dataset[name]
             rows = array.dims[:1] == ("time",)
             inner = array.shape[1:] if rows else array.shape
             attributes = _variable_attributes(name, array, dataset, header)
             if array.dtype.kind not in "fiub":
-                _put_text(writer, name, np.asarray(array.values), attributes, rows=rows)
+                put_text(writer, name, np.asarray(array.values), attributes, rows=rows)
                 continue
             if len(inner) == 1:
                 attributes["LABL_PTR_1"] = f"{name}_label"
                 _put_labels(writer, name, array, dataset)
-            _put(writer, name, _cdf_type(array).number, _filled(array), attributes, rows=rows)
+            put_numbers(writer, name, cdf_type(array).number, filled(array), attributes, rows=rows)
 
 
-def _put(
+def put_numbers(
     writer: Any, name: str, number: int, values: Array, attributes: dict[str, Any], *, rows: bool
 ) -> None:
+    """Write a variable of numbers of a CDF type: values of each record, or of all."""
     inner = list(values.shape[1:] if rows else values.shape)
     specification = {
         "Variable": name,
@@ -330,7 +336,8 @@ def _put(
     writer.write_var(specification, var_attrs=attributes, var_data=np.ascontiguousarray(values))
 
 
-def _put_text(writer: Any, name: str, values: Array, attributes: dict[str, Any], *, rows: bool) -> None:
+def put_text(writer: Any, name: str, values: Array, attributes: dict[str, Any], *, rows: bool) -> None:
+    """Write a variable of texts, padded to the longest."""
     texts = [_ascii(text) for text in values.ravel().tolist()]
     width = max(1, *map(len, texts))
     specification = {
@@ -346,16 +353,18 @@ def _put_text(writer: Any, name: str, values: Array, attributes: dict[str, Any],
 
 
 def _put_labels(writer: Any, name: str, array: xr.DataArray, dataset: xr.Dataset) -> None:
-    labels = np.array([f"{name} {part}" for part in _components(array, dataset)])
+    labels = np.array([f"{name} {part}" for part in components(array, dataset)])
     attributes = {"CATDESC": f"Labels of {name}", "FIELDNAM": f"{name}_label", "VAR_TYPE": "metadata"}
-    _put_text(writer, f"{name}_label", labels, {**attributes, "FILLVAL": " "}, rows=False)
+    put_text(writer, f"{name}_label", labels, {**attributes, "FILLVAL": " "}, rows=False)
 
 
-def _cdf_type(array: xr.DataArray) -> _CdfType:
+def cdf_type(array: xr.DataArray) -> _CdfType:
+    """Return how an array's values are stored in a CDF."""
     return _CDF_TYPES[array.dtype.str[1:]]
 
 
-def _filled(array: xr.DataArray) -> Array:
+def filled(array: xr.DataArray) -> Array:
+    """Return an array's values as a CDF holds them: ISTP's fill for NaN, small integers for booleans."""
     values = np.asarray(array.values)
     if values.dtype.kind == "f":
         return np.where(np.isnan(values), values.dtype.type(CDF_FILL), values)
@@ -401,7 +410,7 @@ def _variable_attributes(
         out |= {"DEPEND_0": "Epoch", "DISPLAY_TYPE": "time_series"}
     if array.dtype.kind not in "fiub":
         return out | {"FILLVAL": " "}
-    kind, (low, high) = _cdf_type(array), _valid_range(name, array, header.mission)
+    kind, (low, high) = cdf_type(array), _valid_range(name, array, header.mission)
     if array.dtype.kind in "iub":
         limits = (0, 1) if array.dtype.kind == "b" else (np.iinfo(array.dtype).min, np.iinfo(array.dtype).max)
         low, high = max(int(low), int(limits[0])), min(int(high), int(limits[1]))
@@ -505,7 +514,7 @@ def _check_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
         array = dataset[name]
         values = np.asarray(found.varget(name))
         if array.dtype.kind in "fiub":
-            _require_equal(values, _filled(array), path, header, name)
+            _require_equal(values, filled(array), path, header, name)
 
 
 # --- NetCDF ------------------------------------------------------------------------------------------
@@ -555,7 +564,7 @@ def _cf_attributes(name: str, array: xr.DataArray, dataset: xr.Dataset, header: 
     if name.startswith("field") and "flag" in dataset:
         out["ancillary_variables"] = "flag uncertainty" if _takes_uncertainty(name, dataset) else "flag"
     if array.ndim == 2:
-        out["axes"] = " ".join(_components(array, dataset))
+        out["axes"] = " ".join(components(array, dataset))
     return out | {key: array.attrs[key] for key in ("frame", "applied") if array.attrs.get(key)}
 
 

@@ -17,8 +17,9 @@ import math
 import re
 import shutil
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from importlib.metadata import distributions
 from itertools import groupby
@@ -30,7 +31,8 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.day_files import DayHeader, file_version, logical_file_id, write_cdf, write_netcdf
-from inflight.catalog.days import published_days, status_of_days
+from inflight.catalog.days import published_days, released_days, status_of_days
+from inflight.catalog.differences import changed_days
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.opening import read_one_day
@@ -40,6 +42,7 @@ from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import Span
 from inflight.catalog.stores import open_store
+from inflight.catalog.table_files import write_table_cdf, write_table_csv
 from inflight.catalog.upkeep import missing_days
 from inflight.catalog.validity import table_records
 from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
@@ -82,8 +85,31 @@ class ReleaseRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Collection:
-    """What goes into a release: the days, the days that are not there, the tables and the context."""
+class PreviousRelease:
+    """The release before: its version and its days."""
+
+    version: str
+    days: tuple[Day, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseContents:
+    """What goes into a release.
+
+    Attributes
+    ----------
+    request : ReleaseRequest
+    days, absent : tuple of Day
+        Published days, and days between them that are not there.
+    tables : tuple of TableRecord
+    context : ContextRecord or None
+    model : str
+        Text of the context's model.
+    parents : mapping
+        Id of a day -> what it was made from.
+    previous : PreviousRelease or None
+        The last release before this one.
+    """
 
     request: ReleaseRequest
     days: tuple[Day, ...]
@@ -91,8 +117,32 @@ class _Collection:
     tables: tuple[TableRecord, ...]
     context: ContextRecord | None
     model: str
-    #: Id of a day -> what it was made from.
     parents: Mapping[str, Sequence[str]]
+    previous: PreviousRelease | None = None
+
+    def changes(self) -> Counter[str]:
+        """Return how many days were ``added``, ``removed`` and ``changed`` since the release before."""
+        before = self.previous.days if self.previous else ()
+        return Counter(one.kind for one in changed_days(before, self.days))
+
+    def next_version(self) -> str:
+        """Return the version that the rule gives: 1.0; a new first number when released days changed.
+
+        Who has release 1.4 may add the days of 1.5 to it, but has to fetch 2.0 whole. Empty when the last
+        release is not called by two numbers.
+        """
+        if self.previous is None:
+            return "1.0"
+        found = re.fullmatch(r"(\d+)\.(\d+)", self.previous.version)
+        if found is None:
+            return ""
+        first, second = map(int, found.groups())
+        count = self.changes()
+        return f"{first + 1}.0" if count["changed"] or count["removed"] else f"{first}.{second + 1}"
+
+
+#: Writes further documents into the folder of a release and returns lines for its notes.
+Documents = Callable[[Path, ReleaseContents], Sequence[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,12 +158,21 @@ class ReleasePlan:
     tables : int
     objections : tuple of CatalogError
         The release is made when there is none.
+    previous : str
+        Version of the last release; empty before the first.
+    changes : dict of str to int
+        Days ``added``, ``removed`` and ``changed`` since.
+    next_version : str
+        What the rule of versions gives (`ReleaseContents.next_version`).
     """
 
     version: str
     parts: tuple[Mapping[str, Any], ...]
     tables: int
     objections: tuple[CatalogError, ...]
+    previous: str = ""
+    changes: Mapping[str, int] = field(default_factory=dict)
+    next_version: str = ""
 
 
 def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -> ReleasePlan:
@@ -122,11 +181,23 @@ def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -
         collection, objections = _considered(workspace, session, request)
     parts = _parts(workspace, collection)
     return ReleasePlan(
-        version=request.version, parts=parts, tables=len(collection.tables), objections=tuple(objections)
+        version=request.version,
+        parts=parts,
+        tables=len(collection.tables),
+        objections=tuple(objections),
+        previous=collection.previous.version if collection.previous else "",
+        changes=dict(collection.changes()),
+        next_version=collection.next_version(),
     )
 
 
-def freeze_release(workspace: Path, database: Database, request: ReleaseRequest, destination: Path) -> Path:
+def freeze_release(
+    workspace: Path,
+    database: Database,
+    request: ReleaseRequest,
+    destination: Path,
+    documents: Documents | None = None,
+) -> Path:
     """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
     with database.read() as session:
         collection, objections = _considered(workspace, session, request)
@@ -135,7 +206,7 @@ def freeze_release(workspace: Path, database: Database, request: ReleaseRequest,
     staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
     try:
         destination.mkdir(parents=True, exist_ok=True)
-        _write_release(workspace, staged, collection)
+        _write_release(workspace, staged, collection, documents)
         fault_point("release_written")
         return _register(database, collection, staged, destination / request.version)
     except OSError as error:
@@ -150,7 +221,7 @@ def freeze_release(workspace: Path, database: Database, request: ReleaseRequest,
 
 def _considered(
     workspace: Path, session: Session, request: ReleaseRequest
-) -> tuple[_Collection, list[CatalogError]]:
+) -> tuple[ReleaseContents, list[CatalogError]]:
     """Return the collection of a request and everything that stands against it, the gravest first."""
     _refuse_bad_version(request.version)
     checks: list[Callable[[], object]] = [lambda: _refuse_known_version(session, request.version)]
@@ -214,7 +285,7 @@ def _refuse_without_cause(absent: Sequence[Day]) -> None:
         )
 
 
-def _parts(workspace: Path, collection: _Collection) -> tuple[dict[str, Any], ...]:
+def _parts(workspace: Path, collection: ReleaseContents) -> tuple[dict[str, Any], ...]:
     """Return the days, files and bytes of each dataset in each format."""
     parts = []
     for name, group in groupby(collection.days, key=lambda day: day.dataset):
@@ -254,7 +325,7 @@ def _refuse_known_version(session: Session, version: str) -> None:
         )
 
 
-def _collect(session: Session, request: ReleaseRequest) -> _Collection:
+def _collect(session: Session, request: ReleaseRequest) -> ReleaseContents:
     context, patterns = request.context, request.datasets
     names = [
         name
@@ -280,6 +351,14 @@ def _collect(session: Session, request: ReleaseRequest) -> _Collection:
             f"nothing is published that matches {' or '.join(patterns)}",
             remedy="first 'inflight ingest' and 'inflight reprocess'; see 'inflight catalog list'",
         )
+    last = session.scalar(select(ReleaseRow).order_by(ReleaseRow.id.desc()).limit(1))
+    previous = None
+    if last is not None:
+        # Days of datasets that were not asked for now are not gone.
+        before = [
+            day for day in released_days(session, last.version, None, _WHOLE) if day.dataset in set(names)
+        ]
+        previous = PreviousRelease(version=last.version, days=tuple(before))
     pinned = context_record(session, context) if context else None
     pinned_ids = set(pinned.tables.values()) if pinned else set()
     tables = [
@@ -288,7 +367,7 @@ def _collect(session: Session, request: ReleaseRequest) -> _Collection:
         if table.id in pinned_ids or any(scope in {None, context} for scope, _, _ in table.certified)
     ]
     model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
-    return _Collection(
+    return ReleaseContents(
         request=request,
         days=tuple(days),
         absent=tuple(absent),
@@ -296,6 +375,7 @@ def _collect(session: Session, request: ReleaseRequest) -> _Collection:
         context=pinned,
         model=model,
         parents={},
+        previous=previous,
     )
 
 
@@ -314,7 +394,9 @@ def _refuse_without_provenance(session: Session, days: Sequence[Day], edges: Seq
         )
 
 
-def _write_release(workspace: Path, folder: Path, collection: _Collection) -> None:
+def _write_release(
+    workspace: Path, folder: Path, collection: ReleaseContents, documents: Documents | None
+) -> None:
     request = collection.request
     folder.mkdir()
     # Days of one segment can share a released store: their variables and units are equal.
@@ -332,6 +414,11 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
         for part in (folder / "stores").iterdir():
             part.rename(folder / part.name)
         (folder / "stores").rmdir()
+    for table in collection.tables:
+        store = open_store(str(workspace / table.segment))
+        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+        write_table_csv(folder / "tables" / f"{table.name}-{table.id}.csv", dataset)
+        write_table_cdf(folder / "tables" / f"{table.name}-{table.id}.cdf", dataset)
     shutil.rmtree(folder / "staging", ignore_errors=True)
     ordered = sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day))
     _write_csv(
@@ -357,17 +444,22 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
     if collection.context:
         (folder / "mission.yaml").write_text(collection.context.mission_text, "utf-8")
         (folder / "model.yaml").write_text(collection.model, "utf-8")
-    (folder / "README.md").write_text(_readme(collection), "utf-8")
     (folder / "software.txt").write_text(_software(), "utf-8")
     if request.mission is not None and not request.mission.missing_release_keys():
         (folder / "CITATION.cff").write_text(_citation(request.version, request.mission), "utf-8")
     notes = [f"# Release notes, {request.version}", "", request.notes.strip() or "No notes were given."]
-    if collection.absent:
-        notes += ["", f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
+    notes += ["", *(documents(folder, collection) if documents else _notes_of_absent(collection))]
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
+    (folder / "README.md").write_text(_readme(collection, folder), "utf-8")
     (folder / _MARKER).write_text(json.dumps({"version": request.version}) + "\n", "utf-8")
     write_manifest(folder)
     flush_files(folder)
+
+
+def _notes_of_absent(collection: ReleaseContents) -> list[str]:
+    if not collection.absent:
+        return []
+    return [f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
 
 
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
@@ -394,7 +486,7 @@ def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
             )
 
 
-def _write_day_files(workspace: Path, folder: Path, day: Day, collection: _Collection) -> None:
+def _write_day_files(workspace: Path, folder: Path, day: Day, collection: ReleaseContents) -> None:
     """Write one day in every format that has a file a day."""
     request = collection.request
     assert request.mission is not None  # `_refuse_without_keys` has seen to it
@@ -473,15 +565,36 @@ _FORMAT_NOTES: Final = {
 }
 
 
-def _readme(collection: _Collection) -> str:
+#: What documents of a release hold, by the name of file or folder; listed where they are there.
+_DOCUMENTS: Final = {
+    "RELEASE_NOTES.md": "data, metadata, interface and known problems, against the release before",
+    "changes.csv": "days and variables that changed since the release before, and by how much",
+    "changes": "the same, drawn",
+    "validation": "residual, noise floor, and what is left in the residual",
+    "calendar": "a page a year with a thumbnail a day; click for the day",
+    "CITATION.cff": "how to cite these data",
+}
+
+_VERSION_RULE: Final = (
+    "Versions: the second number counts releases that only add days; the first counts those that change or",
+    "take away days which were released before. Who has release 1.4 may add the days of 1.5 to it, but",
+    "fetches 2.0 whole.",
+)
+
+
+def _readme(collection: ReleaseContents, folder: Path) -> str:
     lines = [
         f"# Release {collection.request.version}",
         "",
         *(line for form in FORMATS if form in collection.request.formats for line in _FORMAT_NOTES[form]),
-        "`tables/` holds the calibration tables; `tables.csv` says when each is valid (half-open).",
+        "`tables/` holds the calibration tables, each as Zarr, CSV and CDF; `tables.csv` says when each is",
+        "valid (half-open).",
         "`days.csv` lists every day with version, coverage and, where it is missing, why.",
         "`software.txt` lists the packages that made the release.",
+        *(f"`{name}`: {what}." for name, what in _DOCUMENTS.items() if (folder / name).exists()),
         "Check the files with `sha256sum -c MANIFEST.sha256`.",
+        "",
+        *_VERSION_RULE,
         "",
         "| dataset | first day | last day | days | missing |",
         "|---|---|---|---|---|",
@@ -500,7 +613,7 @@ def _readme(collection: _Collection) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _register(database: Database, collection: _Collection, staged: Path, target: Path) -> Path:
+def _register(database: Database, collection: ReleaseContents, staged: Path, target: Path) -> Path:
     """Freeze the collection and rename its folder in one transaction, which ends with the rename."""
     created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
     with database.write() as session:

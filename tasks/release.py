@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog, Workspace
+from inflight.tasks.release_documents import write_documents
 from inflight.tasks.report import RunReport
 
 
@@ -45,7 +47,12 @@ def make_release(
     """
     catalog = Catalog(workspace.root)
     folder = catalog.release(
-        version, notes=notes, destination=destination, formats=formats, mission=workspace.mission()
+        version,
+        notes=notes,
+        destination=destination,
+        formats=formats,
+        mission=workspace.mission(),
+        documents=partial(write_documents, workspace),
     )
     released = (item for item in catalog.inventory() if item["dataset"].startswith(("l1/", "l2/")))
     published = sum(item["days"] for item in released)
@@ -63,8 +70,8 @@ def plan_release(workspace: Workspace, version: str, formats: Sequence[str] = ("
     Returns
     -------
     dict
-        ``version``, ``formats``, ``tables``, ``parts`` (as `ReleasePlan` has them) and ``objections``: the
-        fields of an error each.
+        ``version``, ``formats``, ``tables``, ``parts``, ``previous``, ``changes``, ``next_version`` (as
+        `ReleasePlan` has them) and ``objections``: the fields of an error each.
     """
     plan = Catalog(workspace.root).plan_release(version, formats=formats, mission=workspace.mission())
     return {
@@ -73,5 +80,8 @@ def plan_release(workspace: Workspace, version: str, formats: Sequence[str] = ("
         "formats": list(formats),
         "tables": plan.tables,
         "parts": [dict(part) for part in plan.parts],
+        "previous": plan.previous,
+        "changes": dict(plan.changes),
+        "next_version": plan.next_version,
         "objections": [error.as_json() for error in plan.objections],
     }

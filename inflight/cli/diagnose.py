@@ -296,8 +296,8 @@ def _print_details(console: Console, fields: Fields) -> None:
     for one in fields["effects"]:
         if (one["cadence_shift"] or 0.0) > _SIGMAS:
             text = (
-                f"{one['name']}: its values are those of samples {one['cadence_s']:.3g} s apart; the search's "
-                f"own, of means, are up to {one['cadence_shift']:.1f} sigma from them"
+                f"{one['name']}: its values are those of samples {one['cadence_s']:.3g} s apart; the "
+                f"search's own, of means, are up to {one['cadence_shift']:.1f} sigma from them"
             )
             console.print(text, soft_wrap=True, markup=False)
     residual = fields["residual"]

@@ -239,6 +239,14 @@ def _print_plan(console: Console, plan: Mapping[str, Any]) -> None:
     console.print(
         f"{plan['tables']} calibration tables; MB of cdf and netcdf are before compression", soft_wrap=True
     )
+    if plan["previous"]:
+        counts = ", ".join(f"{count} {kind}" for kind, count in sorted(plan["changes"].items()))
+        rule = f"; by the rule of versions the next one is {plan['next_version']}" * bool(
+            plan["next_version"]
+        )
+        console.print(
+            f"days against release {plan['previous']}: {counts or 'all the same'}{rule}", soft_wrap=True
+        )
     for item in plan["objections"]:
         console.print(f"stands against it: {item['message']}; {item['remedy']}", soft_wrap=True, markup=False)
     if not plan["objections"]:

@@ -257,6 +257,18 @@ def test_the_loop_tells_each_step_the_next_one_and_never_what_is_stale(inflight,
     assert twice.code == 1
     assert f"the model has {EFFECT} already" in twice.err
     told.append(inflight("release", "1.0", *plain).out)
+    folder = root / "releases" / "1.0"
+    notes = (folder / "RELEASE_NOTES.md").read_text("utf-8")
+    for heading in ("## Data", "## Metadata", "## Interface", "## Known problems"):
+        assert heading in notes
+    assert "model tiny-ideal version 2" in notes
+    assert "the diagnosis is of model version 1, the products are of 2" in notes
+    assert "The residual is at its noise floor" in (folder / "validation" / "VALIDATION.md").read_text(
+        "utf-8"
+    )
+    assert {path.suffix for path in (folder / "tables").iterdir()} == {".zarr", ".csv", ".cdf"}
+    days = len(list((folder / "calendar" / "l2-field").rglob("*.svg")))
+    assert days == inflight("catalog", "show", "l2/field", "--json", "-w", root).out.count('"published"')
     pages = {
         name: (root / "reports" / f"{name}-main.html").read_text("utf-8") for name in ("compare", "report")
     }

@@ -1,0 +1,130 @@
+"""What changed between two collections of days: which days, and by how much their values.
+
+In go days as the catalog knows them, before and after; out come `DayChange` records. Days that were made of
+the same things by the same software (`Day.key`) are equal and not read; of the others both revisions are
+read, one day at a time, and compared where their samples have the same stamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from inflight.catalog.opening import read_one_day
+from inflight.catalog.records import Day
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariableChange:
+    """By how much a variable changed where both revisions have a value; vectors by the length of the change.
+
+    Attributes
+    ----------
+    variable, units : str
+    rms, largest : float
+    samples : int
+        Samples with a value in both.
+    """
+
+    variable: str
+    units: str
+    rms: float
+    largest: float
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class DayChange:
+    """A day that is there in one collection only, or is another revision in the other.
+
+    Attributes
+    ----------
+    dataset : str
+    day : datetime64[D]
+    kind : {'added', 'removed', 'changed'}
+    before, after : Day or None
+    variables : tuple of VariableChange
+        Variables whose values differ; empty when the day was made anew and came out the same.
+    gained, lost : tuple of str
+        Variables that only the later, or only the earlier revision has.
+    """
+
+    dataset: str
+    day: np.datetime64
+    kind: Literal["added", "removed", "changed"]
+    before: Day | None
+    after: Day | None
+    variables: tuple[VariableChange, ...] = field(default=())
+    gained: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+
+
+def changed_days(before: Sequence[Day], after: Sequence[Day]) -> list[DayChange]:
+    """Return days that differ by what they were made of, ordered by dataset and day; nothing is read."""
+    old = {(day.dataset, day.day): day for day in before}
+    new = {(day.dataset, day.day): day for day in after}
+    out = []
+    for key in sorted(old.keys() | new.keys()):
+        one, other = old.get(key), new.get(key)
+        if one is None or other is None:
+            kind: Literal["added", "removed"] = "added" if one is None else "removed"
+            out.append(DayChange(dataset=key[0], day=key[1], kind=kind, before=one, after=other))
+        elif one.id != other.id and (one.key != other.key or not one.key):
+            out.append(DayChange(dataset=key[0], day=key[1], kind="changed", before=one, after=other))
+    return out
+
+
+def measured_changes(workspace: Path, before: Sequence[Day], after: Sequence[Day]) -> Iterator[DayChange]:
+    """Yield `changed_days`, the changed ones with the sizes of their changes; reads one day at a time."""
+    for one in changed_days(before, after):
+        if one.before is None or one.after is None:
+            yield one
+            continue
+        first, second = (read_one_day(workspace, day, None, dated=False) for day in (one.before, one.after))
+        old, new = set(map(str, first.data_vars)), set(map(str, second.data_vars))
+        yield DayChange(
+            dataset=one.dataset,
+            day=one.day,
+            kind="changed",
+            before=one.before,
+            after=one.after,
+            variables=tuple(_variable_changes(first, second)),
+            gained=tuple(sorted(new - old)),
+            lost=tuple(sorted(old - new)),
+        )
+
+
+def _variable_changes(before: xr.Dataset, after: xr.Dataset) -> Iterator[VariableChange]:
+    rows = next((name for name in ("tt2000", "start") if name in before and name in after), None)
+    if rows is None:
+        return
+    dim = before[rows].dims[0]
+    _, old, new = np.intersect1d(
+        before[rows].values, after[rows].values, assume_unique=True, return_indices=True
+    )
+    for name in map(str, before.data_vars):
+        one = before[name]
+        if name not in after or name == rows or one.dims[:1] != (dim,) or one.dtype.kind != "f":
+            continue
+        other = after[name]
+        if other.shape[1:] != one.shape[1:]:
+            continue
+        # Both are stored to a resolution: equal numbers are equal bits.
+        apart = (other.values[new] - one.values[old]).reshape(new.size, -1)
+        size = np.sqrt(np.sum(apart**2, axis=1))
+        size = size[np.isfinite(size)]
+        if size.size and size.max() > 0:
+            yield VariableChange(
+                variable=name,
+                units=str(one.attrs.get("units", "")),
+                rms=float(np.sqrt(np.mean(size**2))),
+                largest=float(size.max()),
+                samples=int(size.size),
+            )
