@@ -1,4 +1,6 @@
 from .catalog import Catalog
+from .day_files import components
+from .differences import DayChange, VariableChange, measured_changes
 from .provenance import Edge
 from .records import (
     ContextRecord,
@@ -12,7 +14,7 @@ from .records import (
     TableRecord,
     idempotency_key,
 )
-from .release import ReleasePlan
+from .release import ReleaseContents, ReleasePlan
 from .runs import Run, failure_cause
 from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
@@ -21,19 +23,24 @@ __all__ = [
     "Catalog",
     "ContextRecord",
     "Day",
+    "DayChange",
     "DayData",
     "Edge",
     "FileRecord",
     "ModelRecord",
+    "ReleaseContents",
     "ReleasePlan",
     "Run",
     "RunRecord",
     "Segment",
     "SegmentRow",
     "TableRecord",
+    "VariableChange",
     "Workspace",
+    "components",
     "failure_cause",
     "idempotency_key",
+    "measured_changes",
     "shipped_missions",
     "write_segment",
     "write_table",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from inflight.catalog.days import (
     revisions_of_days,
     status_of_days,
 )
+from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
@@ -449,6 +450,28 @@ class Catalog:
             mission=mission,
         )
         return freeze_release(self.workspace, self._database, request, target, documents)
+
+    def differences(
+        self, before: str, after: str = NOW, datasets: Sequence[str] = ("l1/*", "l2/*")
+    ) -> Iterator[DayChange]:
+        """Yield the days that differ between two collections, with the sizes of their changes.
+
+        Parameters
+        ----------
+        before, after : str
+            Version of a release; ``model:2``, the newest products made with that version of the model; or
+            ``now``, what is published.
+        datasets : sequence of str
+            Patterns, such as ``l2/*``.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such release, or nothing was published with such a model.
+        """
+        with self._database.read() as session:
+            old, new = (days_of_collection(session, name, datasets) for name in (before, after))
+        return measured_changes(self.workspace, old, new)
 
     def plan_release(
         self,

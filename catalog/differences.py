@@ -9,16 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from sqlalchemy import select
 
+from inflight.catalog.days import published_days, released_days
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.records import Day
+from inflight.catalog.schema import ContextRow, DatasetRow
+from inflight.catalog.spans import Span
+from inflight.errors import CatalogError
 
 if TYPE_CHECKING:
     import xarray as xr
+    from sqlalchemy.orm import Session
+
+#: The collection of what is published now.
+NOW = "now"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +74,49 @@ class DayChange:
     variables: tuple[VariableChange, ...] = field(default=())
     gained: tuple[str, ...] = ()
     lost: tuple[str, ...] = ()
+
+
+def days_of_collection(session: Session, name: str, patterns: Sequence[str]) -> list[Day]:
+    """Return the days of a release, of what is published ``now``, or of a model's version (``model:2``).
+
+    Parameters
+    ----------
+    patterns : sequence of str
+        Of datasets, such as ``l2/*``.
+
+    Raises
+    ------
+    CatalogError
+        When there is no such release, or nothing was published with such a model.
+    """
+    names = [
+        one
+        for one in session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
+        if any(fnmatchcase(one, pattern) for pattern in patterns)
+    ]
+    whole = Span(None, None)
+    if name == NOW:
+        return [day for one in names for day in published_days(session, one, whole, None)]
+    version = name.removeprefix("model:")
+    if version == name:
+        return [day for day in released_days(session, name, None, whole) if day.dataset in set(names)]
+    contexts = select(ContextRow.id).where(
+        ContextRow.model_version == (int(version) if version.isdigit() else -1)
+    )
+    newest: dict[tuple[str, np.datetime64], Day] = {}
+    for context in session.scalars(contexts):
+        for one in names:
+            for day in published_days(session, one, whole, context):
+                key = day.dataset, day.day
+                if key not in newest or newest[key].revision < day.revision:
+                    newest[key] = day
+    if not newest:
+        known = sorted(set(session.scalars(select(ContextRow.model_version))))
+        raise CatalogError(
+            f"nothing that matches {' or '.join(patterns)} was published with model version {version!r}",
+            remedy=f"'inflight model history' lists versions; products were made with {known or 'none'}",
+        )
+    return [newest[key] for key in sorted(newest)]
 
 
 def changed_days(before: Sequence[Day], after: Sequence[Day]) -> list[DayChange]:

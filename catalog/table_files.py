@@ -9,7 +9,7 @@ import csv
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
     ``value[scale_factor[x]]`` is one parameter's value; ``start_utc`` and ``end_utc`` say in UTC what
     ``start`` and ``end`` say in TT2000. What does not depend on the interval is repeated in each row.
     """
-    rows = "interval" if "interval" in table.dims else next(iter(table.dims), None)
+    rows = _row_dimension(table)
     columns: dict[str, list[str]] = {}
     count = int(table.sizes[rows]) if rows else 1
     for name in sorted(map(str, table.data_vars), key=lambda one: (one not in _TIMES, one == "end", one)):
@@ -44,9 +44,13 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
         writer.writerows(zip(*columns.values(), strict=True))
 
 
-def _columns(
-    name: str, array: xr.DataArray, rows: str | None, count: int
-) -> Iterator[tuple[str, list[object]]]:
+def _row_dimension(table: xr.Dataset) -> str | None:
+    """Return the dimension of a table whose entries are rows: its intervals, or else its first."""
+    dims = [str(dim) for dim in table.dims]
+    return "interval" if "interval" in dims else next(iter(dims), None)
+
+
+def _columns(name: str, array: xr.DataArray, rows: str | None, count: int) -> Iterator[tuple[str, list[Any]]]:
     """Yield a variable's columns: label, and a value of each row."""
     values = array if rows in array.dims else array.expand_dims({rows or "row": count})
     values = values.transpose(rows or "row", ...)
@@ -59,7 +63,8 @@ def _columns(
         if tuple(inner) == _SQUARE and place[1] > place[0]:
             continue
         picked = ", ".join(one[at] for one, at in zip(labels, place, strict=True))
-        yield (f"{name}[{picked}]" if inner else name), values.values[(slice(None), *place)].tolist()
+        column = np.moveaxis(values.values, 0, -1)[place]
+        yield (f"{name}[{picked}]" if inner else name), column.tolist()
 
 
 def _text(value: object) -> str:
@@ -70,7 +75,7 @@ def write_table_cdf(path: Path, table: xr.Dataset) -> None:
     """Write a table as CDF: one record an interval, ``start`` and ``end`` as TT2000, names as labels."""
     from inflight.catalog.day_files import CDF_FILL, cdf_type, cdf_writer, filled, put_numbers, put_text
 
-    rows = "interval" if "interval" in table.dims else next(iter(table.dims), None)
+    rows = _row_dimension(table)
     with cdf_writer(path) as writer:
         title = {"TITLE": {0: "Calibration table"}, "Project": {0: str(table.attrs.get("mission", ""))}}
         writer.write_globalattrs(title)

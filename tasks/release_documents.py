@@ -17,9 +17,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inflight.catalog import Catalog, ContextRecord, Day, Workspace
-from inflight.catalog.day_files import components
-from inflight.catalog.differences import DayChange, VariableChange, measured_changes
+from inflight.catalog import (
+    Catalog,
+    ContextRecord,
+    Day,
+    DayChange,
+    VariableChange,
+    Workspace,
+    components,
+    measured_changes,
+)
 from inflight.errors import InflightError
 from inflight.flags import UNUSABLE
 from inflight.time import day_bounds
@@ -27,8 +34,8 @@ from inflight.time import day_bounds
 if TYPE_CHECKING:
     import xarray as xr
 
-    from inflight.catalog.release import ReleaseContents
-    from inflight.figures.quicklook import Panel
+    from inflight.catalog import ReleaseContents
+    from inflight.figures import Panel
 
 #: Days of a kind that are listed by name in the notes; `changes.csv` and `days.csv` have all.
 _LISTED = 5
@@ -47,7 +54,7 @@ def write_documents(workspace: Workspace, folder: Path, contents: ReleaseContent
     catalog = Catalog(workspace.root)
     changes = _write_changes(workspace, folder, contents)
     checked = _write_validation(workspace, catalog, folder, contents)
-    _write_calendars(workspace, folder, contents)
+    _write_calendars(catalog, folder, contents)
     return [
         *_data_notes(contents, changes),
         *_metadata_notes(catalog, contents),
@@ -84,7 +91,7 @@ def _write_changes(workspace: Workspace, folder: Path, contents: ReleaseContents
 
 
 def _draw_changes(folder: Path, contents: ReleaseContents, changes: Sequence[DayChange]) -> None:
-    from inflight.figures.quicklook import by_day_picture
+    from inflight.figures import by_day_picture
 
     for dataset, group in groupby(changes, key=lambda one: one.dataset):
         main = [(one.day, part) for one in group if (part := _main_change(one)) is not None]
@@ -132,8 +139,8 @@ def _data_notes(contents: ReleaseContents, changes: Sequence[DayChange]) -> Iter
         return one.dataset, one.kind
 
     for (name, kind), some in groupby(sorted(changes, key=kind_of), key=kind_of):
-        days = list(some)
-        sizes = [part for one in days if (part := _main_change(one)) is not None]
+        changed = list(some)
+        sizes = [part for one in changed if (part := _main_change(one)) is not None]
         by = ""
         if sizes:
             worst = max(sizes, key=lambda part: part.rms)
@@ -144,7 +151,7 @@ def _data_notes(contents: ReleaseContents, changes: Sequence[DayChange]) -> Iter
             )
         elif kind == "changed":
             by = "; made anew, with the same values"
-        yield f"- `{name}`: {_days_in_words([one.day for one in days])} {kind}{by}"
+        yield f"- `{name}`: {_days_in_words([one.day for one in changed])} {kind}{by}"
     yield ""
     own = contents.request.version
     if rule and rule != own:
@@ -237,7 +244,7 @@ def _write_validation(
     workspace: Workspace, catalog: Catalog, folder: Path, contents: ReleaseContents
 ) -> list[dict[str, Any]]:
     """Write residual, noise floor and verdict of each comparison whose product is released."""
-    from inflight.figures.quicklook import by_day_picture
+    from inflight.figures import by_day_picture
 
     released = {day.dataset for day in contents.days}
     mission = workspace.mission()
@@ -344,10 +351,9 @@ def _validated(
 # Pictures.
 
 
-def _write_calendars(workspace: Workspace, folder: Path, contents: ReleaseContents) -> None:
+def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) -> None:
     """Write for each product a page a year with a thumbnail a day, and a picture of each day."""
-    from inflight.catalog.opening import read_one_day
-    from inflight.figures.quicklook import (
+    from inflight.figures import (
         THUMBNAIL_BINS,
         CalendarDay,
         calendar_page,
@@ -362,7 +368,7 @@ def _write_calendars(workspace: Workspace, folder: Path, contents: ReleaseConten
         cells: dict[np.datetime64, CalendarDay] = {}
         what = ""
         for day in group:
-            dataset = read_one_day(workspace.root, day, None, dated=False)
+            dataset = catalog.read(day, with_time=False)
             if "tt2000" not in dataset:
                 continue
             panels = _panels(dataset)
@@ -397,7 +403,7 @@ def _write_calendars(workspace: Workspace, folder: Path, contents: ReleaseConten
 
 def _panels(dataset: xr.Dataset) -> list[Panel]:
     """Return the curves of a day's product: its field, in Earth's axes if it has them, and the residual."""
-    from inflight.figures.quicklook import Panel
+    from inflight.figures import Panel
 
     in_time = [str(name) for name, array in dataset.data_vars.items() if array.dims[:1] == ("time",)]
     fields = sorted(

@@ -1,8 +1,9 @@
-"""Verbs about the catalog: ``catalog list``, ``show``, ``verify``, ``repair`` and ``gaps``."""
+"""Verbs about the catalog: ``catalog list``, ``show``, ``verify``, ``repair``, ``diff`` and ``gaps``."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from inflight.catalog import Catalog, Day
+    from inflight.catalog import Catalog, Day, DayChange
 
 group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Datasets that hold neither measurements nor products: equations, and what is kept of comparisons.
@@ -258,6 +259,70 @@ def _table_fields(record: Any) -> dict[str, Any]:
     fields |= {"start": utc(record.start), "end": utc(record.end)}
     spans = [f"{utc(start)} to {utc(end)}" for _, start, end in record.certified]
     return fields | {"valid": ", ".join(spans) or "not certified"}
+
+
+@verb(group, "diff")
+def diff(
+    command: Command,
+    before: Annotated[
+        str, typer.Argument(help="A release, such as 1.0; model:2, the products of that version; or now.")
+    ],
+    after: Annotated[str, typer.Argument(help="The same.", show_default=True)] = "now",
+    *,
+    datasets: Annotated[
+        list[str] | None,
+        typer.Option("--dataset", help="Only datasets like this; may be repeated (default: l2/*)"),
+    ] = None,
+) -> None:
+    """Tell which days differ between two releases or versions, and by how much."""
+    found = command.open_catalog().differences(before, after, datasets or ["l2/*"])
+    items = [_change_fields(one) for one in found]
+
+    def show(console: Console) -> None:
+        if not items:
+            console.print(f"{before} and {after} have the same days with the same values")
+            return
+        rows = [
+            {
+                **one,
+                "change": one["kind"],
+                **part,
+                "rms": f"{part['rms']:.4g}",
+                "largest": f"{part['largest']:.4g}",
+            }
+            if part
+            else {**one, "change": one["kind"]}
+            for one in items[:SHOWN_DAYS]
+            for part in [_largest_change(one["variables"])]
+        ]
+        columns = ("dataset", "day", "change", "variable", "units", "rms", "largest", "samples")
+        console.print(_table(columns, rows))
+        count = Counter(one["kind"] for one in items)
+        parts = ", ".join(f"{number} {kind}" for kind, number in sorted(count.items()))
+        console.print(
+            f"{parts}; --json lists all variables of all days, vectors by the length of their change"
+        )
+
+    command.emit({"command": "catalog diff", "before": before, "after": after, "items": items}, show)
+
+
+def _change_fields(change: DayChange) -> dict[str, Any]:
+    return {
+        "dataset": change.dataset,
+        "day": str(change.day),
+        "kind": change.kind,
+        "before": change.before.version if change.before else "",
+        "after": change.after.version if change.after else "",
+        "variables": [_plain_fields(part) for part in change.variables],
+        "gained": list(change.gained),
+        "lost": list(change.lost),
+    }
+
+
+def _largest_change(variables: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
+    """Return the change of the field, or else of what changed most."""
+    fields = [part for part in variables if part["variable"].startswith("field")]
+    return max(fields or variables, key=lambda part: float(part["rms"]), default=None)
 
 
 def _plain_fields(record: Any) -> dict[str, Any]:

@@ -79,6 +79,15 @@ from .parameters import (
     shift_table,
     strongest_pairs,
 )
+from .quicklook import (
+    THUMBNAIL_BINS,
+    CalendarDay,
+    Panel,
+    by_day_picture,
+    calendar_page,
+    day_picture,
+    ranges,
+)
 from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
 from .spin import (
@@ -119,7 +128,10 @@ __all__ = [
     "PARTS",
     "PLANES",
     "REFERENCE",
+    "THUMBNAIL_BINS",
+    "CalendarDay",
     "LazySection",
+    "Panel",
     "Section",
     "SectionBody",
     "SubintervalEstimates",
@@ -130,6 +142,8 @@ __all__ = [
     "before_after_figure",
     "boundary_steps_figure",
     "bullet_list",
+    "by_day_picture",
+    "calendar_page",
     "candidate_table",
     "change_tables",
     "clock_figure",
@@ -141,6 +155,7 @@ __all__ = [
     "cross_talk_figure",
     "daily_figure",
     "day_night_figure",
+    "day_picture",
     "dependence_figure",
     "difference_figure",
     "draw_floor",
@@ -181,6 +196,7 @@ __all__ = [
     "parameter_spectrum_figure",
     "plain_figure",
     "prior_figure",
+    "ranges",
     "relation_days_figure",
     "relation_figure",
     "render",

@@ -10,6 +10,7 @@ from catalog_cases import days_from, publish, samples, table
 from inflight.catalog import Catalog
 from inflight.catalog.differences import changed_days, measured_changes
 from inflight.catalog.table_files import write_table_cdf, write_table_csv
+from inflight.errors import CatalogError
 
 DAYS = days_from("2005-01-01", 3)
 
@@ -68,6 +69,18 @@ def test_before_the_first_release_the_version_is_one(catalog):
     publish(catalog, "l2/field", DAYS, key="a")
     plan = catalog.plan_release("1.0")
     assert (plan.previous, plan.next_version) == ("", "1.0")
+
+
+def test_collections_are_releases_models_and_what_is_published(catalog):
+    released(catalog)
+    publish(catalog, "l2/field", DAYS[2:], seed=1, key="b")
+    assert [(one.kind, one.day) for one in catalog.differences("1.0")] == [("changed", DAYS[2])]
+    assert not list(catalog.differences("1.0", "1.0"))
+    assert not list(catalog.differences("1.0", datasets=["l1/*"]))
+    with pytest.raises(CatalogError, match=r"release '2\.0' does not exist; released: 1\.0"):
+        catalog.differences("2.0")
+    with pytest.raises(CatalogError, match="was published with model version '7'"):
+        catalog.differences("model:7")
 
 
 def test_tables_are_the_same_as_csv_and_as_cdf(tmp_path):
