@@ -25,7 +25,16 @@ from inflight.catalog.opening import open_days, read_one_day, read_table, read_v
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import Documents, ReleasePlan, ReleaseRequest, freeze_release, plan_release
-from inflight.catalog.runs import Run, baseline_of, close_dead_runs, raise_baseline, run_records, run_report
+from inflight.catalog.runs import (
+    Run,
+    RunRate,
+    baseline_of,
+    close_dead_runs,
+    measured_rate,
+    raise_baseline,
+    run_records,
+    run_report,
+)
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
 from inflight.catalog.validity import certify_table, table_records, valid_table
@@ -74,8 +83,9 @@ class Catalog:
     6
     """
 
-    def __init__(self, workspace: Path | str, create: bool = True) -> None:
+    def __init__(self, workspace: Path | str, create: bool = True, *, reason: str = "") -> None:
         self.workspace = Path(workspace).expanduser().resolve()
+        self.reason = reason
         if not create and not (self.workspace / "catalog.db").exists():
             raise CatalogError(
                 "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
@@ -106,12 +116,18 @@ class Catalog:
         context : str or None
             Id of the context; it becomes a parent of all the run's days and tables.
         """
-        return Run(self.workspace, self._database, kind, settings or {}, context)
+        why = {"reason": self.reason} if self.reason else {}
+        return Run(self.workspace, self._database, kind, {**(settings or {}), **why}, context)
 
     def runs(self, kind: str | None = None) -> list[RunRecord]:
         """Return all runs, or those of one kind, oldest first, with state, cause and message."""
         with self._database.read() as session:
             return run_records(session, kind)
+
+    def rate(self, kind: str) -> RunRate | None:
+        """Return how long the largest run of a kind took and how much it wrote; None when none made a day."""
+        with self._database.read() as session:
+            return measured_rate(session, kind)
 
     def run_report(self, run: str) -> Mapping[str, Any] | None:
         """Return the fields that a run kept when it was done (`Run.report`); None when there are none."""

@@ -14,6 +14,7 @@ import socket
 import subprocess
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -61,6 +62,9 @@ if TYPE_CHECKING:
 _RECORDED = ("planned", "running", "failed", "no_work")
 #: Setting that holds the release baseline, the XX of ``vXX.YY``.
 BASELINE_SETTING: Final = "baseline"
+
+#: Runs that a rate is taken from, the last ones.
+_RUNS_OF_A_RATE: Final = 20
 
 
 class Run:
@@ -409,6 +413,40 @@ def run_records(session: Session, kind: str | None) -> list[RunRecord]:
     if kind is not None:
         query = query.where(RunRow.kind == kind)
     return [row.as_record(RunRecord) for row in session.scalars(query)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRate:
+    """What a run cost: days of the dataset it made most of, seconds, and bytes of all its stores."""
+
+    run: str
+    days: int
+    seconds: float
+    bytes: int
+
+    def cost(self, days: int) -> dict[str, float]:
+        """Return the ``seconds`` and ``bytes`` of so many days at this rate; a start is in it."""
+        return {
+            "seconds": round(self.seconds * days / self.days, 1),
+            "bytes": round(self.bytes * days / self.days),
+        }
+
+
+def measured_rate(session: Session, kind: str) -> RunRate | None:
+    """Return the rate of the largest of the last runs of a kind that were done; None without one.
+
+    Small runs tell little: of a day most is the start of the processes.
+    """
+    query = select(RunRow).where(RunRow.kind == kind, RunRow.state == "done").order_by(RunRow.started.desc())
+    found = []
+    for row in session.scalars(query.limit(_RUNS_OF_A_RATE)):
+        counted = select(func.count()).where(DayRow.run_id == row.id, DayRow.state == "published")
+        days = max(session.scalars(counted.group_by(DayRow.dataset_id)), default=0)
+        if days and row.ended:
+            spent = dt.datetime.fromisoformat(row.ended) - dt.datetime.fromisoformat(row.started)
+            size = session.scalar(select(func.sum(StoreRow.bytes)).where(StoreRow.run_id == row.id))
+            found.append(RunRate(run=row.id, days=days, seconds=spent.total_seconds(), bytes=int(size or 0)))
+    return max(found, key=lambda one: one.days, default=None)
 
 
 def run_report(session: Session, run_id: str) -> Mapping[str, Any] | None:

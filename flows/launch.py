@@ -143,7 +143,8 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
     -------
     dict
         ``context``; ``days`` with the counts ``planned``, ``unchanged`` and ``no_work``; ``batches`` with
-        first day, last day and number of days of each.
+        first day, last day and number of days of each; ``cost`` with ``seconds`` and ``bytes`` at the rate of
+        the largest of the last runs, and that ``run``; None when none was made yet.
     """
     span = DaySpan.model_validate({"start": start, "end": end}).as_text()
     checked = ReprocessSettings.model_validate(settings)
@@ -151,8 +152,11 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
     pipeline = pipeline_of(mission, checked.comparison, checked)
     planned = pipeline.make_plan(catalog, mission, checked, span)
     days, unchanged = pipeline.days_to_do(catalog, planned)
+    rate = catalog.rate("reprocess")
+    cost = {"run": rate.run, **rate.cost(len(days))} if rate else None
     return {
         "context": planned.context,
+        "cost": cost,
         "days": {"planned": len(days), "unchanged": len(unchanged), "no_work": len(planned.no_work)},
         "batches": [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.in_batches(days)],
     }

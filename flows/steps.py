@@ -84,13 +84,19 @@ def backfill(
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     data: Path | None = None,
     workers: int | None = None,
+    reason: str = "",
 ) -> dict[str, Any]:
     """Take in what was delivered late for a span, then reprocess the days whose inputs changed.
 
     The days of the result are those of the products; ``ingest`` in it reports what was taken in.
+
+    Parameters
+    ----------
+    reason : str
+        Why; kept with the runs in the catalog.
     """
     span = DaySpan(start=start, end=end)
-    return _ingest_and_reprocess("backfill", workspace, (span, span), settings, data, workers)
+    return _ingest_and_reprocess("backfill", workspace, (span, span), settings, data, workers, reason)
 
 
 def monthly(
@@ -235,6 +241,7 @@ def _backfill_if_idle(
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     data: Path | None = None,
     workers: int | None = None,
+    reason: str = "",
 ) -> RunReport | None:
     ingested = _ingest_if_idle(workspace, data, None, start, end, workers)
     report = ingested and _reprocess_if_idle(workspace, start, end, settings, workers)
@@ -279,13 +286,14 @@ def _ingest_span(
     span: DaySpan,
     client: Client,
     files: list[str] | None = None,
+    reason: str = "",
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
     from inflight.tasks import ingest as ingest_files
 
     def take_in(client: Client) -> RunReport:
         return ingest_files(
-            Catalog(place.root),
+            Catalog(place.root, reason=reason),
             place.mission(),
             data or place.data,
             instruments,
@@ -299,14 +307,13 @@ def _ingest_span(
 
 
 def _reprocess_span(
-    place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client
+    place: Workspace, span: DaySpan, settings: ReprocessSettings, client: Client, reason: str = ""
 ) -> RunReport:
     from inflight.tasks import reprocess as reprocess_days
 
     mapper = runner().mapper(client)
-    return reprocess_days(
-        Catalog(place.root), place.mission(), *span.as_text(), settings=settings, mapper=mapper
-    )
+    cat = Catalog(place.root, reason=reason)
+    return reprocess_days(cat, place.mission(), *span.as_text(), settings=settings, mapper=mapper)
 
 
 def _ingest_and_reprocess(
@@ -316,10 +323,11 @@ def _ingest_and_reprocess(
     settings: ReprocessSettings,
     data: Path | None,
     workers: int | None,
+    reason: str = "",
 ) -> dict[str, Any]:
     """Take in the first span and reprocess the second one; `command` names the report."""
     place, (delivered, reprocessed) = Workspace.open(workspace), spans
     with lazy_client(workers) as client:
-        ingested = _ingest_span(place, data, None, delivered, client)
-        report = _reprocess_span(place, reprocessed, settings, client)
+        ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
+        report = _reprocess_span(place, reprocessed, settings, client, reason)
     return ingested.followed_by(report, command).as_json()

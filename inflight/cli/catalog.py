@@ -1,8 +1,9 @@
-"""Verbs about the catalog: ``catalog list``, ``show``, ``verify``, ``repair``, ``diff`` and ``gaps``."""
+"""Verbs about the catalog: ``list``, ``show``, ``verify``, ``repair``, ``runs``, ``diff`` and ``gaps``."""
 
 from __future__ import annotations
 
 import dataclasses
+import datetime as dt
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from inflight.catalog import Catalog, Day, DayChange
+    from inflight.catalog import Catalog, Day, DayChange, RunRecord
 
 group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Datasets that hold neither measurements nor products: equations, and what is kept of comparisons.
@@ -259,6 +260,41 @@ def _table_fields(record: Any) -> dict[str, Any]:
     fields |= {"start": utc(record.start), "end": utc(record.end)}
     spans = [f"{utc(start)} to {utc(end)}" for _, start, end in record.certified]
     return fields | {"valid": ", ".join(spans) or "not certified"}
+
+
+@verb(group, "runs")
+def runs(
+    command: Command,
+    kind: Annotated[str | None, typer.Argument(help="Only runs of this kind, such as reprocess.")] = None,
+) -> None:
+    """List what was run: when, how long, how it ended, and the reason that was given."""
+    items = [_run_fields(record) for record in command.open_catalog().runs(kind)]
+
+    def show(console: Console) -> None:
+        if not items:
+            console.print(f"there is no run{f' of kind {kind!r}' if kind else ''}")
+            return
+        columns = ("run", "kind", "state", "started", "seconds", "reason", "message")
+        rows = [
+            one | {"started": one["started"][:16], "seconds": _seconds(one)} for one in items[-SHOWN_DAYS:]
+        ]
+        console.print(_table(columns, rows))
+        if len(items) > SHOWN_DAYS:
+            console.print(f"the last {SHOWN_DAYS} of {len(items)} runs; --json lists all")
+
+    command.emit({"command": "catalog runs", "items": items}, show)
+
+
+def _run_fields(record: RunRecord) -> dict[str, Any]:
+    reason = str(record.settings.get("reason", ""))
+    return {"run": record.id, **_plain_fields(record), "settings": dict(record.settings), "reason": reason}
+
+
+def _seconds(item: Mapping[str, Any]) -> str:
+    if not item["ended"]:
+        return ""
+    spent = dt.datetime.fromisoformat(item["ended"]) - dt.datetime.fromisoformat(item["started"])
+    return f"{spent.total_seconds():.0f}"
 
 
 @verb(group, "diff")

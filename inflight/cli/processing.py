@@ -229,7 +229,10 @@ def backfill(
     end: Annotated[str, typer.Option(help="Day after the last one, YYYY-MM-DD.")],
     comparison: ComparisonOption = "main",
     batch_days: BatchOption = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print the plan.")] = False,
+    reason: Annotated[str, typer.Option(help="Why; kept with the runs: see 'catalog runs'.")] = "",
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only print the plan, and what it would cost.")
+    ] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
@@ -237,7 +240,7 @@ def backfill(
     """Take in and reprocess a past span: planned first, then only what is needed."""
     settings = _given(comparison=comparison, batch_days=batch_days)
     if not dry_run:
-        parameters = {"start": start, "end": end, "settings": settings}
+        parameters = {"start": start, "end": end, "settings": settings, **_given(reason=reason or None)}
         report = run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect)
         there = report.days["done"] + report.days["unchanged"]
         command.finish(report, [_NEXT_REPROCESS] if there else [], details)
@@ -252,6 +255,12 @@ def backfill(
             f"backfill {start} to {end}: {days['planned']} days to do in {len(fields['batches'])} batches, "
             f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
         )
+        if (cost := fields["cost"]) and days["planned"]:
+            console.print(
+                f"  some {cost['seconds']:.0f} s and {cost['bytes'] / 1e6:.0f} MB, at the rate of run "
+                f"{cost['run']}; files that have to be taken in first are not counted",
+                soft_wrap=True,
+            )
         for first, last, count in fields["batches"]:
             console.print(f"  {first} to {last}  ({count} days)")
 

@@ -100,8 +100,16 @@ def test_the_plan_of_a_backfill_is_printed_and_nothing_is_done(inflight, copied)
     assert told.json["days"] == {"planned": 1, "unchanged": 2, "no_work": 1}
     assert told.json["batches"] == [["2024-03-03", "2024-03-03", 1]]
     assert len(inflight("catalog", "show", "l2/field", "--json", "-w", copied).json["items"]) == 2
-    done = inflight("backfill", *span, "--no-prefect", "--json", "-w", copied)
+    rate = inflight("catalog", "runs", "reprocess", "--json", "-w", copied).json["items"][-1]
+    assert told.json["cost"]["run"] == rate["run"]
+    assert told.json["cost"]["seconds"] >= 0
+    assert told.json["cost"]["bytes"] > 0
+    assert "at the rate of run" in inflight("backfill", *span, "--dry-run", "-w", copied).out
+    done = inflight("backfill", *span, "--reason", "late attitude", "--no-prefect", "--json", "-w", copied)
     assert done.code == 0
+    listed = inflight("catalog", "runs", "--json", "-w", copied).json["items"]
+    assert [one["kind"] for one in listed if one["reason"] == "late attitude"] == ["reprocess"]
+    assert "late attitude" in inflight("catalog", "runs", "reprocess", "-w", copied).out
     assert done.json["days"]["done"] >= 1
     assert len(inflight("catalog", "show", "l2/field", "--json", "-w", copied).json["items"]) >= 3
 
