@@ -570,6 +570,7 @@ _DOCUMENTS: Final = {
     "RELEASE_NOTES.md": "data, metadata, interface and known problems, against the release before",
     "changes.csv": "days and variables that changed since the release before, and by how much",
     "changes": "the same, drawn",
+    "gaps.csv": "of each day of a product: gaps between samples, values that are missing, flags by kind",
     "validation": "residual, noise floor, and what is left in the residual",
     "calendar": "a page a year with a thumbnail a day; click for the day",
     "CITATION.cff": "how to cite these data",
