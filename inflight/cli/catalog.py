@@ -1,4 +1,4 @@
-"""Verbs about the catalog: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``repair``, ``gc``."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``repair``, ``gc``."""
 
 from __future__ import annotations
 
@@ -374,10 +374,8 @@ def collect_garbage(
     from inflight.catalog import folder_bytes
 
     catalog = command.open_catalog()
-    items = [
-        {"path": path, "MB": folder_bytes(catalog.workspace / path) / 1e6}
-        for path in catalog.gc(dry_run=True)
-    ]
+    sizes = {path: folder_bytes(catalog.workspace / path) / 1e6 for path in catalog.gc(dry_run=True)}
+    items: list[dict[str, Any]] = [{"path": path, "MB": size} for path, size in sizes.items()]
     if not dry_run:
         catalog.gc(dry_run=False)
 
@@ -386,8 +384,7 @@ def collect_garbage(
             console.print("everything that is stored is in use")
             return
         console.print(_table(("path", "MB"), items))
-        total = sum(float(one["MB"]) for one in items)
-        console.print(f"{total:.1f} MB {'would be removed' if dry_run else 'were removed'}")
+        console.print(f"{sum(sizes.values()):.1f} MB {'would be removed' if dry_run else 'were removed'}")
 
     command.emit({"command": "catalog gc", "dry_run": dry_run, "items": items}, show)
 
