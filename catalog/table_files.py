@@ -28,7 +28,8 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
     """Write one row an interval: when it is, then every number of it under its name.
 
     ``value[scale_factor[x]]`` is one parameter's value; ``start_utc`` and ``end_utc`` say in UTC what
-    ``start`` and ``end`` say in TT2000; numbers that stand for words are written as these. What does not depend on the interval is repeated in each row.
+    ``start`` and ``end`` say in TT2000; numbers that stand for words are written as these. What does not
+    depend on the interval is repeated in each row.
     """
     rows = _row_dimension(table)
     columns: dict[str, list[str]] = {}
