@@ -200,12 +200,12 @@ def test_a_release_in_the_formats_that_teams_read_is_told_before_it_is_made(infl
     assert told.code == 0
     assert told.json["days"]["done"] == 6
     folder = copied / told.json["outputs"][0]
-    files = [*folder.rglob("*.cdf"), *folder.rglob("*.nc")]
+    files = [*(folder / "cdf").rglob("*.cdf"), *folder.rglob("*.nc")]
     assert len(files) == sum(part["files"] for part in plan.json["parts"]) == 12
     stated = (folder / "MANIFEST.sha256").read_text(encoding="utf-8")
     assert all(path.name in stated for path in files)
     assert "Someone" in (folder / "CITATION.cff").read_text(encoding="utf-8")
-    for path in folder.rglob("*.cdf"):
+    for path in (folder / "cdf").rglob("*.cdf"):
         assert istp_findings(path) == []
 
 
