@@ -1,5 +1,5 @@
 from .catalog import Catalog
-from .day_files import components
+from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
 from .provenance import Edge
 from .records import (
@@ -8,6 +8,7 @@ from .records import (
     DayData,
     FileRecord,
     ModelRecord,
+    ReleaseRecord,
     RunRecord,
     Segment,
     SegmentRow,
@@ -15,6 +16,7 @@ from .records import (
     idempotency_key,
 )
 from .release import ReleaseContents, ReleasePlan
+from .release_folder import MissionStatement, ReleaseFolder
 from .runs import Run, failure_cause
 from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
@@ -22,20 +24,25 @@ from .workspace import Workspace, shipped_missions
 __all__ = [
     "Catalog",
     "ContextRecord",
+    "DatasetDescription",
     "Day",
     "DayChange",
     "DayData",
     "Edge",
     "FileRecord",
+    "MissionStatement",
     "ModelRecord",
     "ReleaseContents",
+    "ReleaseFolder",
     "ReleasePlan",
+    "ReleaseRecord",
     "Run",
     "RunRecord",
     "Segment",
     "SegmentRow",
     "TableRecord",
     "VariableChange",
+    "VariableDescription",
     "Workspace",
     "components",
     "failure_cause",

@@ -125,6 +125,15 @@ class Day:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReleaseRecord:
+    """A release: its version, when it was made (ISO 8601, UTC), and the datasets that have days in it."""
+
+    version: str
+    created: str
+    datasets: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,27 +43,26 @@ from inflight.catalog.spans import Span
 def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
     """Describe each dataset; see `Catalog.inventory`."""
     names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
-    summaries = []
-    for name in names:
-        days = status_of_days(session, name, span, None)
-        states = Counter(day.state for day in days)
-        published = [day for day in days if day.state == "published"]
-        coverages = [day.coverage for day in published if day.coverage is not None]
-        summaries.append(
-            {
-                "dataset": name,
-                "first": str(published[0].day) if published else "",
-                "last": str(published[-1].day) if published else "",
-                "days": states["published"],
-                "failed": states["failed"],
-                "no_work": states["no_work"],
-                "gaps": [str(day) for day in missing_days(published)],
-                "versions": dict(sorted(Counter(day.version for day in published).items())),
-                "coverage": float(np.mean(coverages)) if coverages else None,
-                "samples": sum(day.count for day in published),
-            }
-        )
-    return summaries
+    return [summary_of_days(name, status_of_days(session, name, span, None)) for name in names]
+
+
+def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
+    """Describe the days of one dataset; see `Catalog.inventory`."""
+    states = Counter(day.state for day in days)
+    published = [day for day in days if day.state == "published"]
+    coverages = [day.coverage for day in published if day.coverage is not None]
+    return {
+        "dataset": name,
+        "first": str(published[0].day) if published else "",
+        "last": str(published[-1].day) if published else "",
+        "days": states["published"],
+        "failed": states["failed"],
+        "no_work": states["no_work"],
+        "gaps": [str(day) for day in missing_days(published)],
+        "versions": dict(sorted(Counter(day.version for day in published).items())),
+        "coverage": float(np.mean(coverages)) if coverages else None,
+        "samples": sum(day.count for day in published),
+    }
 
 
 def find_faults(workspace: Path, session: Session, name: str | None) -> list[dict[str, str]]:
