@@ -248,6 +248,7 @@ class Catalog:
         """
         span = parse_span(time)
         if self._release is not None and context is None:
+            self._release.require(name)
             days = self._release.days(name, span, ("published",), release)
         elif release is not None:
             days = self.days(name, time, release=release)

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any
 
-from sqlalchemy import Select, select
+from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.records import DAY_STATES, Day, ReleaseRecord, parse_version, utc_day, version_text
@@ -176,19 +176,18 @@ def released_days(session: Session, version: str, name: str | None, span: Span) 
 def release_records(session: Session) -> list[ReleaseRecord]:
     """Return all releases, the oldest first."""
     held = (
-        select(ReleaseDayRow.release_id, DatasetRow.name)
+        select(ReleaseDayRow.release_id, DatasetRow.name, func.min(DayRow.day), func.max(DayRow.day))
         .join(DayRow, DayRow.id == ReleaseDayRow.day_id)
         .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
-        .distinct()
+        .group_by(ReleaseDayRow.release_id, DatasetRow.name)
         .order_by(DatasetRow.name)
     )
-    datasets: dict[int, list[str]] = defaultdict(list)
-    for release, name in session.execute(held):
-        datasets[release].append(name)
+    datasets: dict[int, dict[str, tuple[dt.date, dt.date]]] = defaultdict(dict)
+    for release, name, first, last in session.execute(held):
+        datasets[release][name] = first, last
     rows = session.scalars(select(ReleaseRow).order_by(ReleaseRow.id))
     return [
-        ReleaseRecord(version=row.version, created=row.created, datasets=tuple(datasets[row.id]))
-        for row in rows
+        ReleaseRecord(version=row.version, created=row.created, datasets=datasets[row.id]) for row in rows
     ]
 
 

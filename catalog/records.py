@@ -126,11 +126,11 @@ class Day:
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseRecord:
-    """A release: its version, when it was made (ISO 8601, UTC), and the datasets that have days in it."""
+    """A release: its version, when it was made (ISO 8601, UTC), first and last day of each dataset in it."""
 
     version: str
     created: str
-    datasets: tuple[str, ...]
+    datasets: Mapping[str, tuple[dt.date, dt.date]]
 
 
 @dataclass(frozen=True, kw_only=True)

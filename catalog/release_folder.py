@@ -123,17 +123,33 @@ class ReleaseFolder:
     def record(self) -> ReleaseRecord:
         """Return the release as a catalog lists it; it was made when the folder was written."""
         written = dt.datetime.fromtimestamp((self.folder / MARKER).stat().st_mtime, dt.UTC)
+        days = {
+            name: [as_date(day.day) for day in listed if day.state == "published"]
+            for name, listed in self._listed.items()
+        }
         return ReleaseRecord(
             version=self.version,
             created=written.isoformat(timespec="seconds"),
-            datasets=tuple(
-                name for name, days in self._listed.items() if any(day.state == "published" for day in days)
-            ),
+            datasets={name: (dates[0], dates[-1]) for name, dates in days.items() if dates},
         )
 
     def names(self) -> list[str]:
         """Return the datasets of the release."""
         return list(self._listed)
+
+    def require(self, name: str) -> None:
+        """Refuse a dataset that is not in the release.
+
+        Raises
+        ------
+        CatalogError
+            The message names those there are.
+        """
+        if name not in self._listed:
+            raise CatalogError(
+                f"release {self.version} has no dataset '{name}'; it has: {', '.join(self._listed)}",
+                remedy="check the name",
+            )
 
     def days(
         self, name: str, span: Span, states: Iterable[str] | None = None, release: str | None = None
