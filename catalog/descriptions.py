@@ -106,7 +106,7 @@ class DatasetDescription:
 def describe_dataset(workspace: Path, days: Sequence[Day]) -> DatasetDescription:
     """Describe the days of one dataset of a collection; see `Catalog.describe`.
 
-    The metadata of every store is read, the values of the first day of each that brings new variables.
+    The metadata of every store is read, and the times of the first day.
     """
     name, known = days[0].dataset, _Known()
     for segment, (start, _) in {day.segment: day.rows for day in reversed(days)}.items():
@@ -150,9 +150,7 @@ class _Known:
         for name in store.variables.keys() - of_rows - {"tt2000"} - store.coordinates:
             self.left_out.setdefault(name, "it is the same for all samples of a day")
         if of_rows - self._described.keys():
-            index = start // store.chunk
-            empty = store.dataset_of_day(index, list(store.variables), start, start)
-            found = described(empty)
+            found = described(_without_samples(store, start // store.chunk))
         else:
             found = {name: self._described[name] for name in of_rows}
         for name in of_rows:
@@ -185,6 +183,22 @@ class _Known:
             for name in sorted_names(self._described)
             if name not in self.left_out
         )
+
+
+def _without_samples(store: Store, index: int) -> xr.Dataset:
+    """Return a day of a store with its attributes and coordinates, for which no sample is read."""
+    import xarray as xr
+
+    variables = {}
+    for name, stored in store.variables.items():
+        if store.in_rows(name):
+            values = np.empty((0, *stored.shape[1:]), dtype=stored.decoded_dtype())
+        elif name in store.coordinates:
+            values = store.whole(name)
+        else:
+            continue
+        variables[name] = xr.Variable(stored.dims, values, store.attributes_on(name, index))
+    return xr.Dataset(variables).set_coords(store.coordinates & variables.keys())
 
 
 def described(dataset: xr.Dataset) -> dict[str, VariableDescription]:

@@ -178,7 +178,7 @@ def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:
     """Remove stores and staging folders that nothing refers to; see `Catalog.gc`."""
     # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
-    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").iterdir())
+    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").glob("*"))
     with database.read() as session:
         alive = set(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
         needed = _needed_stores(session)
