@@ -61,9 +61,11 @@ def test_one_line_opens_what_the_workspace_opens(copied, original, span, variabl
 
 def test_days_are_those_of_the_release_with_what_is_missing(copied, original):
     here, there = Catalog(copied), original
-    assert [
-        (day.day, day.state, day.version, day.cause, day.count, day.key) for day in here.days("l1/fgm")
-    ] == [(day.day, day.state, day.version, day.cause, day.count, day.key) for day in there.days("l1/fgm")]
+    told, expected = (
+        [(day.day, day.state, day.version, day.cause, day.count, day.key) for day in catalog.days("l1/fgm")]
+        for catalog in (here, there)
+    )
+    assert told == expected
     assert [day.message for day in here.days("l1/fgm", states=["failed"])] == ["file is cut"]
     assert here.days("l1/nothing") == []
     summary = [{**item, "coverage": None} for item in there.inventory()]
@@ -81,7 +83,7 @@ def test_a_day_is_read_by_itself_or_by_its_record(copied, original):
         here.read_variable(found, "flag")[0], original.read_day("l1/fgm", "2005-12-31")["flag"]
     )
     assert here.current("l1/fgm", "2006-01-03") is None
-    assert here.read_day("l1/fgm", DAYS[0], version="v01.00").sizes["time"] == found.count - 1
+    assert here.read_day("l1/fgm", DAYS[0], version="v01.00").sizes["time"] == 144
     with pytest.raises(CatalogError, match=r"has no v01\.01"):
         here.read_day("l1/fgm", DAYS[0], version="v01.01")
 
@@ -147,7 +149,9 @@ def test_a_release_without_zarr_says_how_it_is_read(published, tmp_path, formats
     assert all(way in refused.value.remedy for way in ways)
     if "netcdf" in formats:
         files = str(copied / "netcdf" / "probe_l1_fgm" / "*" / "*.nc")
-        with xr.open_mfdataset(files, engine="h5netcdf", data_vars="minimal") as opened:
+        with xr.open_mfdataset(
+            files, engine="h5netcdf", data_vars="minimal", compat="no_conflicts"
+        ) as opened:
             assert opened.sizes["time"] == published.open("l1/fgm").sizes["time"]
 
 
