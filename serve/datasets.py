@@ -62,7 +62,7 @@ class Served:
 
     @property
     def id(self) -> str:
-        """Mission, version and dataset: ``champ-sim/1.0/l2/field``."""
+        """Mission, version and dataset: ``champ/1.0/l2/field``."""
         return f"{self.statement.mission or 'mission'}/{self.release.version}/{self.dataset}"
 
     @property
