@@ -1,6 +1,7 @@
 from .catalog import Catalog
 from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
+from .manifest import folder_bytes
 from .provenance import Edge
 from .records import (
     ContextRecord,
@@ -46,6 +47,7 @@ __all__ = [
     "Workspace",
     "components",
     "failure_cause",
+    "folder_bytes",
     "idempotency_key",
     "measured_changes",
     "shipped_missions",

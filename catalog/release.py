@@ -109,6 +109,10 @@ class ReleaseContents:
         Id of a day -> what it was made from.
     previous : PreviousRelease or None
         The last release before this one.
+    used : mapping
+        Id of a day -> ids of the calibration tables it was made with.
+    models : mapping
+        Id of a context -> model and version, such as ``champ-preflight@2``.
     """
 
     request: ReleaseRequest
@@ -119,6 +123,8 @@ class ReleaseContents:
     model: str
     parents: Mapping[str, Sequence[str]]
     previous: PreviousRelease | None = None
+    used: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    models: Mapping[str, str] = field(default_factory=dict)
 
     def changes(self) -> Counter[str]:
         """Return how many days were ``added``, ``removed`` and ``changed`` since the release before."""
@@ -231,6 +237,15 @@ def _considered(
         lambda: _refuse_without_provenance(session, collection.days, edges),
         lambda: _refuse_without_cause(collection.absent),
     ]
+    used: dict[str, list[int]] = {}
+    for edge in edges:
+        kind, _, number = edge.parent.partition(":")
+        if kind == "table":
+            used.setdefault(edge.child, []).append(int(number))
+    named = sorted({day.context for day in collection.days if day.context is not None})
+    contexts = [context_record(session, one) for one in named]
+    models = {one.id: f"{one.model_name}@{one.model_version}" for one in contexts}
+    collection = replace(collection, used=used, models=models)
     if request.day_files:
         parents = parent_names(session, edges, (day.id for day in collection.days))
         collection = replace(collection, parents=parents)
@@ -423,11 +438,16 @@ def _write_release(
     ordered = sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day))
     _write_csv(
         folder / "days.csv",
-        ("dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"),
+        (
+            *("dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"),
+            *("model", "tables"),
+        ),
         (
             (
                 *(day.dataset, day.day, day.version, "" if day.coverage is None else f"{day.coverage:.6f}"),
                 *(day.count, day.state, day.cause, day.message, day.key),
+                collection.models.get(day.context or "", ""),
+                " ".join(map(str, sorted(collection.used.get(day.id, ())))),
             )
             for day in ordered
         ),
@@ -570,6 +590,7 @@ _DOCUMENTS: Final = {
     "RELEASE_NOTES.md": "data, metadata, interface and known problems, against the release before",
     "changes.csv": "days and variables that changed since the release before, and by how much",
     "changes": "the same, drawn",
+    "gaps.csv": "of each day of a product: gaps between samples, values that are missing, flags by kind",
     "validation": "residual, noise floor, and what is left in the residual",
     "calendar": "a page a year with a thumbnail a day; click for the day",
     "CITATION.cff": "how to cite these data",
@@ -589,7 +610,9 @@ def _readme(collection: ReleaseContents, folder: Path) -> str:
         *(line for form in FORMATS if form in collection.request.formats for line in _FORMAT_NOTES[form]),
         "`tables/` holds the calibration tables, each as Zarr, CSV and CDF; `tables.csv` says when each is",
         "valid (half-open).",
-        "`days.csv` lists every day with version, coverage and, where it is missing, why.",
+        "`days.csv` lists every day with version, coverage, the model and the tables it was made with and,",
+        "where it is missing, why. `tables/NAME-NUMBER.csv` says of each parameter where it came from",
+        "(`source`: prior, combination, data).",
         "`software.txt` lists the packages that made the release.",
         *(f"`{name}`: {what}." for name, what in _DOCUMENTS.items() if (folder / name).exists()),
         "Check the files with `sha256sum -c MANIFEST.sha256`.",

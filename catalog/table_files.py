@@ -28,14 +28,16 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
     """Write one row an interval: when it is, then every number of it under its name.
 
     ``value[scale_factor[x]]`` is one parameter's value; ``start_utc`` and ``end_utc`` say in UTC what
-    ``start`` and ``end`` say in TT2000. What does not depend on the interval is repeated in each row.
+    ``start`` and ``end`` say in TT2000; numbers that stand for words are written as these. What does not
+    depend on the interval is repeated in each row.
     """
     rows = _row_dimension(table)
     columns: dict[str, list[str]] = {}
     count = int(table.sizes[rows]) if rows else 1
     for name in sorted(map(str, table.data_vars), key=lambda one: (one not in _TIMES, one == "end", one)):
         for label, values in _columns(name, table[name], rows, count):
-            columns[label] = [_text(value) for value in values]
+            meanings = str(table[name].attrs.get("flag_meanings", "")).split()
+            columns[label] = [meanings[value] if meanings else _text(value) for value in values]
             if name in _TIMES:
                 columns[f"{label}_utc"] = [str(to_utc(np.int64(value))) for value in values]
     with path.open("w", encoding="utf-8", newline="") as stream:

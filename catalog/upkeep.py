@@ -11,6 +11,7 @@ whole is not touched.
 from __future__ import annotations
 
 import shutil
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -38,6 +39,9 @@ from inflight.catalog.schema import (
     TableRow,
 )
 from inflight.catalog.spans import Span
+
+#: After which a release that nothing was written to any more is taken for killed, s; assumed.
+_ABANDONED_S = 86_400.0
 
 
 def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
@@ -188,8 +192,11 @@ def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> li
         run_id = path.split("/")[1]
         if run_id not in alive and path not in needed:
             garbage.append(path)
+    abandoned = _abandoned_releases(workspace)
     if dry_run:
-        return garbage
+        return garbage + abandoned
+    for path in abandoned:
+        shutil.rmtree(workspace / path, ignore_errors=True)
     with database.write() as session:
         # Asked again under the write lock: a run may have adopted a store meanwhile.
         needed = _needed_stores(session)
@@ -206,7 +213,15 @@ def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> li
         shutil.rmtree(workspace / path, ignore_errors=True)
         if not any((workspace / path).parent.iterdir()) and path.startswith("stores/"):
             (workspace / path).parent.rmdir()
-    return garbage
+    return garbage + abandoned
+
+
+def _abandoned_releases(workspace: Path) -> list[str]:
+    """Return folders of releases that were killed before they were whole: hidden, and a day old."""
+    before = time.time() - _ABANDONED_S
+    folders = (workspace / "releases").glob(".*-*") if (workspace / "releases").is_dir() else ()
+    old = (one for one in folders if one.is_dir() and one.stat().st_mtime < before)
+    return sorted(one.relative_to(workspace).as_posix() for one in old)
 
 
 def _needed_stores(session: Session) -> set[str]:

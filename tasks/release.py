@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog, Workspace
-from inflight.tasks.release_documents import write_documents
 from inflight.tasks.report import RunReport
 
 
@@ -45,6 +44,8 @@ def make_release(
         When the version was used before, a day lacks its provenance or its cause, or files of a day lack keys
         of the mission YAML.
     """
+    from inflight.tasks.release_documents import write_documents  # draws: figures are slow to load
+
     catalog = Catalog(workspace.root)
     folder = catalog.release(
         version,

@@ -1,8 +1,8 @@
 """What goes with a release beside the data: notes on what changed, validation, and a calendar of pictures.
 
 `write_documents` is called by the catalog with the folder of a release and its contents (`ReleaseContents`).
-It writes ``changes.csv`` with a picture, ``validation/`` and ``calendar/``, and returns the lines of
-RELEASE_NOTES.md. All of it is written from what the catalog and the workspace know.
+It writes ``changes.csv`` with pictures, ``gaps.csv``, ``validation/`` and ``calendar/``, and returns lines
+of RELEASE_NOTES.md. All of it is written from what the catalog and the workspace know.
 """
 
 from __future__ import annotations
@@ -28,14 +28,22 @@ from inflight.catalog import (
     measured_changes,
 )
 from inflight.errors import InflightError
-from inflight.flags import UNUSABLE
-from inflight.time import day_bounds
+from inflight.figures import (
+    THUMBNAIL_BINS,
+    CalendarDay,
+    Panel,
+    by_day_picture,
+    calendar_page,
+    day_picture,
+    ranges,
+)
+from inflight.flags import UNUSABLE, Flag
+from inflight.time import GAP, SECOND, day_bounds, usual_step
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.catalog import ReleaseContents
-    from inflight.figures import Panel
 
 #: Days of a kind that are listed by name in the notes; `changes.csv` and `days.csv` have all.
 _LISTED = 5
@@ -91,8 +99,6 @@ def _write_changes(workspace: Workspace, folder: Path, contents: ReleaseContents
 
 
 def _draw_changes(folder: Path, contents: ReleaseContents, changes: Sequence[DayChange]) -> None:
-    from inflight.figures import by_day_picture
-
     for dataset, group in groupby(changes, key=lambda one: one.dataset):
         main = [(one.day, part) for one in group if (part := _main_change(one)) is not None]
         if main:
@@ -244,8 +250,6 @@ def _write_validation(
     workspace: Workspace, catalog: Catalog, folder: Path, contents: ReleaseContents
 ) -> list[dict[str, Any]]:
     """Write residual, noise floor and verdict of each comparison whose product is released."""
-    from inflight.figures import by_day_picture
-
     released = {day.dataset for day in contents.days}
     mission = workspace.mission()
     checked = [
@@ -352,59 +356,87 @@ def _validated(
 
 
 def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) -> None:
-    """Write for each product a page a year with a thumbnail a day, and a picture of each day."""
-    from inflight.figures import (
-        THUMBNAIL_BINS,
-        CalendarDay,
-        calendar_page,
-        day_picture,
-        ranges,
-    )
+    """Write for each product a page a year with a thumbnail a day, and a picture of each day.
 
+    Each day is read once: what is missing of it goes into ``gaps.csv``.
+    """
     pages: dict[str, list[str]] = {}
+    missing = []
     products = [day for day in contents.days if day.dataset.startswith("l2/")]
     for (name, year), group in groupby(products, key=lambda day: (day.dataset, str(day.day)[:4])):
         place = folder / "calendar" / name.replace("/", "-")
-        cells: dict[np.datetime64, CalendarDay] = {}
-        what = ""
+        what, cells = "", {}
         for day in group:
             dataset = catalog.read(day, with_time=False)
             if "tt2000" not in dataset:
                 continue
-            panels = _panels(dataset)
-            if not panels:
-                continue
-            start, end = day_bounds(day.day)
-            part = (dataset["tt2000"].values - start) / (end - start)
-            flags = dataset["flag"].values if "flag" in dataset else np.zeros(part.size, dtype=np.uint32)
-            title = f"{name} {day.day} {day.version}, release {contents.request.version}"
-            (place / year).mkdir(parents=True, exist_ok=True)
-            picture = day_picture(title, part, panels, (flags & np.uint32(UNUSABLE)) != 0)
-            (place / year / f"{day.day}.svg").write_text(picture, "utf-8")
-            covered = "" if day.coverage is None else f", {day.coverage:.1%} there"
-            words = f"{day.version}, {day.count} samples{covered}"
-            low, high = ranges(part, panels[-1].values[:, 0], THUMBNAIL_BINS)
-            cells[day.day] = CalendarDay(words, f"{year}/{day.day}.svg", low, high)
-            what = f"{panels[-1].title} {panels[-1].names[0]}".strip()
-        for day in contents.absent:
-            if day.dataset == name and str(day.day)[:4] == year:
-                cells[day.day] = CalendarDay(day.cause or day.state)
+            missing.append(_missing_of_day(day, dataset))
+            if panels := _panels(dataset):
+                what = f"{panels[-1].title} {panels[-1].names[0]}".strip()
+                cells[day.day] = _drawn_day(place, day, dataset, panels, contents.request.version)
         if cells:
+            absent = [one for one in contents.absent if one.dataset == name and str(one.day)[:4] == year]
+            cells |= {one.day: CalendarDay(one.cause or one.state) for one in absent}
             (place / f"{year}.html").write_text(calendar_page(f"{name}, {year}", what, cells), "utf-8")
             pages.setdefault(name, []).append(year)
+    if missing:
+        with (folder / "gaps.csv").open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, list(missing[0]))
+            writer.writeheader()
+            writer.writerows(missing)
     if pages:
         lines = ["# Pictures", ""]
         for name, years in pages.items():
-            lines.append(
-                f"- {name}: " + ", ".join(f"[{year}]({name.replace('/', '-')}/{year}.html)" for year in years)
-            )
+            links = (f"[{year}]({name.replace('/', '-')}/{year}.html)" for year in years)
+            lines.append(f"- {name}: {', '.join(links)}")
         (folder / "calendar" / "README.md").write_text("\n".join(lines) + "\n", "utf-8")
+
+
+def _drawn_day(
+    place: Path, day: Day, dataset: xr.Dataset, panels: Sequence[Panel], version: str
+) -> CalendarDay:
+    """Write the picture of a day and return what the calendar shows of it."""
+    start, end = day_bounds(day.day)
+    part = (dataset["tt2000"].values - start) / (end - start)
+    flags = dataset["flag"].values if "flag" in dataset else np.zeros(part.size, dtype=np.uint32)
+    target = place / str(day.day)[:4] / f"{day.day}.svg"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    title = f"{day.dataset} {day.day} {day.version}, release {version}"
+    target.write_text(day_picture(title, part, panels, (flags & np.uint32(UNUSABLE)) != 0), "utf-8")
+    covered = "" if day.coverage is None else f", {day.coverage:.1%} there"
+    low, high = ranges(part, panels[-1].values[:, 0], THUMBNAIL_BINS)
+    link = f"{target.parent.name}/{target.name}"
+    return CalendarDay(f"{day.version}, {day.count} samples{covered}", link, low, high)
+
+
+def _missing_of_day(day: Day, dataset: xr.Dataset) -> dict[str, object]:
+    """Return what is missing of a day: gaps between its samples, values that are not there, flags by kind."""
+    start, end = day_bounds(day.day)
+    stamps = dataset["tt2000"].values
+    step = usual_step(stamps, end - start)
+    # From midnight to midnight: a day that begins late has a gap, too.
+    apart = np.diff(np.concatenate([[start - step], stamps, [end]]))
+    wide = apart[apart > GAP * step]
+    fields = [name for name in map(str, dataset.data_vars) if name.startswith("field")]
+    lost = {
+        name: int(np.sum(~np.isfinite(dataset[name].values).reshape(stamps.size, -1).all(axis=1)))
+        for name in fields[:1]
+    }
+    flags = dataset["flag"].values if "flag" in dataset else np.zeros(stamps.size, dtype=np.uint32)
+    return {
+        "dataset": day.dataset,
+        "day": str(day.day),
+        "samples": stamps.size,
+        "gaps": wide.size,
+        "gaps_s": round(float((wide - step).sum()) / SECOND, 3),
+        "longest_gap_s": round(float((wide - step).max(initial=0)) / SECOND, 3),
+        "without_field": next(iter(lost.values()), 0),
+        **{str(bit.name).lower(): int(np.count_nonzero(flags & np.uint32(bit))) for bit in Flag if bit},
+    }
 
 
 def _panels(dataset: xr.Dataset) -> list[Panel]:
     """Return the curves of a day's product: its field, in Earth's axes if it has them, and the residual."""
-    from inflight.figures import Panel
-
     in_time = [str(name) for name, array in dataset.data_vars.items() if array.dims[:1] == ("time",)]
     fields = sorted(
         (name for name in in_time if name.startswith("field")),

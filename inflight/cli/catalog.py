@@ -1,4 +1,4 @@
-"""Verbs about the catalog: ``list``, ``show``, ``verify``, ``repair``, ``runs``, ``diff`` and ``gaps``."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``repair``, ``gc``."""
 
 from __future__ import annotations
 
@@ -359,6 +359,34 @@ def _largest_change(variables: Sequence[dict[str, Any]]) -> dict[str, Any] | Non
     """Return the change of the field, or else of what changed most."""
     fields = [part for part in variables if part["variable"].startswith("field")]
     return max(fields or variables, key=lambda part: float(part["rms"]), default=None)
+
+
+@verb(group, "gc")
+def collect_garbage(
+    command: Command,
+    *,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be removed.")] = False,
+) -> None:
+    """Remove what nothing refers to: stores of runs that failed, releases that were killed.
+
+    What is or ever was published, and what a release holds, stays.
+    """
+    from inflight.catalog import folder_bytes
+
+    catalog = command.open_catalog()
+    sizes = {path: folder_bytes(catalog.workspace / path) / 1e6 for path in catalog.gc(dry_run=True)}
+    items: list[dict[str, Any]] = [{"path": path, "MB": size} for path, size in sizes.items()]
+    if not dry_run:
+        catalog.gc(dry_run=False)
+
+    def show(console: Console) -> None:
+        if not items:
+            console.print("everything that is stored is in use")
+            return
+        console.print(_table(("path", "MB"), items))
+        console.print(f"{sum(sizes.values()):.1f} MB {'would be removed' if dry_run else 'were removed'}")
+
+    command.emit({"command": "catalog gc", "dry_run": dry_run, "items": items}, show)
 
 
 def _plain_fields(record: Any) -> dict[str, Any]:

@@ -267,7 +267,7 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
     if fields.get("entries"):
-        console.print(_entries_table(fields["entries"]))
+        _print_entries(console, fields["entries"])
     units = (unit["sentence"] for unit in fields.get("units", ()))
     left = fields["effects"] and fields["remaining"]["verdict"] == "NOTHING_LEFT"
     for text in (
@@ -358,22 +358,32 @@ def _in_time(parameters: Sequence[Fields]) -> Iterator[str]:
         yield f"in time: {', '.join(names)}: {found}"
 
 
-def _entries_table(entries: Sequence[Fields]) -> Table:
-    """Everything that is in the residual, the largest first, one row each."""
-    rows = []
-    for each in entries:
-        first = each["first_in_nT"]
-        rows.append(
-            (
-                each["name"],
-                _number(each["takes_off_nT"], 2),
-                _number(first, 2),
-                each["how_sure"],
-                each["command"],
-            )
-        )
+def _print_entries(console: Console, entries: Sequence[Fields]) -> None:
+    """Print everything that is in the residual, the largest first, one row each, and what to type.
+
+    A name or a command is never broken, so that it can be copied: where the window is too narrow for a column
+    of commands they come below.
+    """
     columns = ("in the residual", "takes off, nT", "alone, nT", "how sure", "type")
-    return text_table(columns, rows, right=("takes off, nT", "alone, nT"), folded=("in the residual", "type"))
+    rows = [
+        (
+            each["name"],
+            _number(each["takes_off_nT"], 2),
+            _number(each["first_in_nT"], 2),
+            each["how_sure"],
+            each["command"],
+        )
+        for each in entries
+    ]
+    widths = (max(map(len, column)) for column in zip(columns, *rows, strict=True))
+    fits = sum(widths) + 2 * (len(columns) - 1) <= console.width
+    shown = slice(None if fits else -1)
+    right = ("takes off, nT", "alone, nT")
+    console.print(text_table(columns[shown], [row[shown] for row in rows], right=right, folded=("how sure",)))
+    if not fits:
+        for *_, command in rows:
+            if command:
+                console.print(f"  type: {command}", soft_wrap=True, markup=False)
 
 
 def _effects_table(effects: Sequence[Fields]) -> Table:

@@ -429,8 +429,8 @@ class Search:
         that are not factored are made so.
         """
         groups = [list(map(int, group)) for group in intervals]
-        variance = row_variance(white, library.base, residual)
         base, sigma = base_columns(library)
+        variance = row_variance(white, base, residual)
         factored = [
             one if isinstance(one, FactoredGrams) else FactoredGrams.of(one, base) for one in (raw, white)
         ]
@@ -921,11 +921,13 @@ class Search:
         library : Library
             What its columns are.
         """
-        variance = row_variance(raw, library.base, self.residual)
         base, sigma = base_columns(library)
         for option in self.accepted:
             if option.change is not None and option.change.functions:
                 raw = raw.expand(option.change.functions)
+        # Nothing is whitened here: what was taken is structure, and would make what is known of the model's
+        # numbers beforehand weigh more than it does.
+        variance = row_variance(raw, [*base, *replace(self, library=library).model_columns()], self.residual)
         precision = prior_precision(raw, base, sigma, variance)
         shared = replace(
             self.shared,
@@ -1000,18 +1002,19 @@ def prior_precision(grams: BlockProducts, names: Sequence[str], sigma: Floats, v
         return np.asarray(np.where(np.isfinite(sigma), variance * (scale / sigma) ** 2, 0.0))
 
 
-def row_variance(white: GramBlocks, base: Sequence[Term], residual: int = 0) -> float:
-    """Return the variance of a row that the calibration alone leaves: the median of the blocks, nT^2.
+def row_variance(grams: GramBlocks, fitted: Sequence[str], residual: int = 0) -> float:
+    """Return the variance of a row that columns fitted to the whole span leave: the median of blocks, nT^2.
 
     Parameters
     ----------
-    white : GramBlocks
-        Prewhitened.
-    base : sequence of Term
-        The calibration's own; they are marginalised over the whole span.
+    grams : GramBlocks
+        Prewhitened, or with all that has structure among what is fitted.
+    fitted : sequence of str
+        The calibration's own, and what else.
     """
-    names = [name for term in base for name in term.columns]
-    free = white.marginalise(names, [range(len(white))], np.zeros(len(names)))
+    names = list(fitted)
+    free = grams.select(names) if isinstance(grams, FactoredGrams) else grams
+    free = free.marginalise(names, [range(len(free))], np.zeros(len(names)))
     y = free.residuals[residual]
     each = free.squares[:, y] / np.maximum(free.count, 1.0)
     return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0

@@ -57,6 +57,9 @@ class SelectionSettings:
         known; assumed (MISSING_EFFECT 2.4 warns below 0.01).
     large_gain : float
         Held-out gain from which an addition may make others weakly known; assumed.
+    most_taken : float
+        Factor by which an addition of less gain may lower what the model leaves of another effect; stated:
+        its error doubles.
     near : int
         Other mechanisms, those that lose by least, that an effect is held against again with other choices of
         numbers; a bound on time, assumed.
@@ -78,6 +81,7 @@ class SelectionSettings:
     contained: float = 0.9999
     weak: float = 0.02
     large_gain: float = 0.1
+    most_taken: float = 4.0
     near: int = 6
     exchanges: int = 3
     most_sigmas: float = 30.0
@@ -614,14 +618,19 @@ def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: O
     search = _drop_superfluous(search)
     if option.mechanism not in {one.mechanism for one in search.accepted}:
         search = search.with_banned(option.mechanism)
-    # A wide form can hold what is left of several causes and, for a small gain, take them over.
+    # A form much like another effect, or a wide one, can for a small gain take over what is known of it.
     if gain < SELECTION_SETTINGS.large_gain and any(
-        before.get(one, 0.0) >= SELECTION_SETTINGS.weak > estimate(search, one).retained
-        for one in search.accepted
+        _takes_over(before.get(one, 0.0), estimate(search, one).retained) for one in search.accepted
     ):
         search = search.with_accepted(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
         return search.with_round("undo", option, **numbers)
     return search
+
+
+def _takes_over(before: float, after: float) -> bool:
+    """Return True when an addition leaves so little of an effect that it is weakly known, or far less so."""
+    weak = before >= SELECTION_SETTINGS.weak > after
+    return weak or after * SELECTION_SETTINGS.most_taken < before
 
 
 def _add_refined(search: Search, data: DiagnosisData, option: Option) -> tuple[Search, Option]:
@@ -847,7 +856,11 @@ def better_option(search: Search, option: Option, table: ScoreTable) -> Option |
 
 
 def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | None:
-    """Return an option that follows the same channels with fewer coefficients and leaves no more held out."""
+    """Return an option that follows the same channels in a simpler way and does as well; None without one.
+
+    That is one with fewer coefficients that leaves no more held out, or instead of a product of two channels
+    one of them alone.
+    """
     place = place_in(table, option)
     if place is None or option.change is not None or not option.channels:
         return None
@@ -861,6 +874,17 @@ def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | N
         and len(table.options[other].columns) < len(option.columns)
         and loss[other] <= loss[place]
     ]
+    if option.family == "unknown" and len(option.channels) > 1:
+        simpler += [
+            other
+            for other in np.flatnonzero(table.passing(rules)[form])
+            if table.options[other].channels
+            and set(table.options[other].channels) < set(option.channels)
+            and table.options[other].change is None
+            and not table.options[other].agnostic
+            and len(table.options[other].columns) <= len(option.columns)
+            and _does_as_well(table, int(other), place, form, rules)
+        ]
     return table.options[min(simpler, key=lambda other: float(loss[other]))] if simpler else None
 
 

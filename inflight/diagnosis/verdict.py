@@ -311,14 +311,26 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
 def _afresh(
     search: Search, data: DiagnosisData, last: ScoreTable, shapes_first: bool = False
 ) -> tuple[Search, ScoreTable]:
-    """Search anew; keep it when fewer effects explain as much, else what was found."""
+    """Search anew; keep it when fewer effects explain as much, else what was found.
+
+    Fewer effects that name causes must have no more coefficients together: one wide form of two dozens of
+    them explains what several causes make as well, and is none of them. Of a shape without a name that is no
+    objection: it claims no cause.
+    """
     before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset(), freed={})
     other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first)
     fewer = len(other.accepted) < len(search.accepted)
+    if not any(_is_shape(one) for one in other.accepted):
+        fewer &= _coefficients_of(other) <= _coefficients_of(search)
     if fewer and held_out_rms(other, data) <= REMAINING_SETTINGS.as_much * before:
         return other, table
     return other.with_choices_of(search), last
+
+
+def _coefficients_of(search: Search) -> int:
+    """Return how many coefficients the effects have that a search took."""
+    return sum(len(one.columns) for one in search.accepted)
 
 
 def describe_effect(

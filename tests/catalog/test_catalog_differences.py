@@ -87,6 +87,7 @@ def test_tables_are_the_same_as_csv_and_as_cdf(tmp_path):
     one = table(2.5)
     one["start"] = "interval", np.array([0, 86_400_000_000_000])
     one["value"].values[1, 0] = np.nan
+    one["origin"] = "interval", np.array([1, 0], dtype=np.int8), {"flag_meanings": "prior data"}
     write_table_csv(tmp_path / "one.csv", one)
     with (tmp_path / "one.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -94,6 +95,7 @@ def test_tables_are_the_same_as_csv_and_as_cdf(tmp_path):
     assert [row["value[offset[y]]"] for row in rows] == ["2.5", "2.5"]
     assert [row["value[offset[x]]"] for row in rows] == ["2.5", "nan"]
     assert [row["source"] for row in rows] == ["fit", "prior"]
+    assert [row["origin"] for row in rows] == ["data", "prior"]
     write_table_cdf(tmp_path / "one.cdf", one)
     read = cdflib.CDF(tmp_path / "one.cdf")
     assert read.varget("start").tolist() == one["start"].values.tolist()

@@ -1,8 +1,10 @@
 """Releases: frozen, whole, explained, never given out twice."""
 
 import csv
+import os
 import signal
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -162,3 +164,14 @@ def test_a_destination_that_refuses_writes_is_told(catalog, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="could not be written"):
         catalog.release("1.0", destination=tmp_path / "file" / "below")
+
+
+def test_what_a_killed_release_left_is_collected_after_a_day(catalog):
+    ingest(catalog, DAYS)
+    catalog.release("1.0")
+    for name, age in ((".1.1-0a1b2c3d", 2), (".1.2-0a1b2c3d", 0)):
+        folder = catalog.workspace / "releases" / name
+        folder.mkdir()
+        os.utime(folder, (time.time() - age * 86_400,) * 2)
+    assert catalog.gc(dry_run=False) == ["releases/.1.1-0a1b2c3d"]
+    assert {one.name for one in (catalog.workspace / "releases").iterdir()} == {"1.0", ".1.2-0a1b2c3d"}

@@ -138,6 +138,8 @@ def test_catalog_lists_shows_and_verifies(inflight, finished):
     edges = inflight("catalog", "show", days[0]["id"], "--json", "-w", finished).json["items"]
     assert edges
     assert inflight("catalog", "verify", "--json", "-w", finished).json["faults"] == []
+    assert inflight("catalog", "gc", "--dry-run", "--json", "-w", finished).json["items"] == []
+    assert inflight("catalog", "gc", "-w", finished).out.strip() == "everything that is stored is in use"
 
 
 def test_catalog_tells_the_same_to_a_person(inflight, finished):

@@ -1,5 +1,6 @@
 """The missing effect by the command line: found, added, dropped, taken back, told to people and programs."""
 
+import csv
 import json
 import re
 import shutil
@@ -267,6 +268,10 @@ def test_the_loop_tells_each_step_the_next_one_and_never_what_is_stale(inflight,
         "utf-8"
     )
     assert {path.suffix for path in (folder / "tables").iterdir()} == {".zarr", ".csv", ".cdf"}
+    with (folder / "gaps.csv").open(encoding="utf-8") as stream:
+        gaps = list(csv.DictReader(stream))
+    assert {row["gaps"] for row in gaps} == {"0"}
+    assert all(int(row["samples"]) > 0 for row in gaps)
     days = len(list((folder / "calendar" / "l2-field").rglob("*.svg")))
     assert days == inflight("catalog", "show", "l2/field", "--json", "-w", root).out.count('"published"')
     pages = {

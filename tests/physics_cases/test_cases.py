@@ -8,16 +8,10 @@ from .scenarios import scenarios
 SEED = 1
 #: Cases that every test run makes; the others are marked slow and run with ``make cases``.
 QUICK = {
-    "angle_step",
-    "battery",
-    "clock_episode",
-    "near_copies",
     "null_polar",
     "offset_step",
     "slow_response",
-    "steady_in_full_sun",
     "two_days",
-    "unrecorded_switch",
 }
 #: Cases that fail, with what was measured; each is to be taken out when it passes.
 FAILING: dict[str, str] = {}
