@@ -73,7 +73,8 @@ _HEADERS: Final = {
     "Access-Control-Allow-Methods": "GET",
     "Access-Control-Allow-Headers": "Content-Type",
 }
-_LOG: Final = logging.getLogger("inflight.serve")
+#: What goes wrong on the server's side, for who runs it.
+LOG: Final = logging.getLogger("inflight.serve")
 
 
 class RefusedError(Exception):
@@ -126,10 +127,10 @@ def _answered(work: Callable[[], Response]) -> Response:
     except RefusedError as refused:
         return _refusal(refused)
     except InflightError as error:
-        _LOG.error("%s", error)
+        LOG.error("%s", error)
         return _refusal(RefusedError(1500, "the release cannot be read; who runs the server sees why"))
     except Exception:
-        _LOG.exception("a request failed")
+        LOG.exception("a request failed")
         return _refusal(RefusedError(1500))
 
 
@@ -237,7 +238,7 @@ def _data_response(asked: DataRequest, is_head: bool) -> Response:
     if is_head:
         return StreamingResponse(iter(()), media_type=media_type, headers=headers)
     blocks = asked.served.blocks(asked.start, asked.stop, asked.parameters)
-    records = (encode(tt2000, columns) for tt2000, columns in blocks)
+    records = _logged(encode(tt2000, columns) for tt2000, columns in blocks)
     # Read before the status is sent: whether there is any, and whether it can be read.
     first = next(records, None)
     parts: Iterable[bytes] = () if first is None else itertools.chain((first,), records)
@@ -246,6 +247,19 @@ def _data_response(asked: DataRequest, is_head: bool) -> Response:
         parts = itertools.chain((_header_lines(_with_status(info, 1201 if first is None else 1200)),), parts)
     body = _compressed(parts) if asked.accepts_gzip else iter(parts)
     return StreamingResponse(body, media_type=media_type, headers=headers)
+
+
+def _logged(records: Iterable[bytes]) -> Iterator[bytes]:
+    """Say on the server why an answer breaks off: its client only sees that it has no end."""
+    started = False
+    try:
+        for record in records:
+            yield record
+            started = True
+    except InflightError as error:
+        if started:
+            LOG.error("an answer broke off: %s", error)
+        raise
 
 
 def _header_lines(fields: Mapping[str, Any]) -> bytes:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import socket
 from collections.abc import Callable
 from typing import Final
 
 import uvicorn
 
-from inflight.errors import SettingsError
+from inflight.errors import InflightError, SettingsError
 from inflight.serve.datasets import Collection
 from inflight.serve.hapi import make_app
 
 #: Seconds that requests under way have to end after Ctrl-C.
 _GRACE_S: Final = 2
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """Return False for what is no defect, or was told: an answer that Ctrl-C or a damaged store ended."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, asyncio.CancelledError | InflightError)
 
 
 class Server:
@@ -51,6 +59,7 @@ class Server:
             lifespan="off",
             timeout_graceful_shutdown=_GRACE_S,
         )
+        logging.getLogger("uvicorn.error").addFilter(_is_news)
         self._server = uvicorn.Server(config)
         name = f"[{host}]" if ":" in host else host
         self.url = f"http://{name}:{self._socket.getsockname()[1]}/hapi"

@@ -144,12 +144,13 @@ def test_a_defect_is_an_error_of_the_server(workspace, monkeypatch, caplog):
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_damage_met_on_the_way_breaks_the_answer_off(workspace, tmp_path):
+def test_damage_met_on_the_way_breaks_the_answer_off(workspace, tmp_path, caplog):
     root = tmp_path / "probe"
     shutil.copytree(workspace, root)
     for chunk in root.glob("stores/*/l2.field-20060101*/temperature/c/*"):
         chunk.unlink()
     client = Client(make_app(collection_of(root)))
     # The status is sent by then: only an answer without its end tells the client.
-    with pytest.raises(IntegrityError):
+    with caplog.at_level(logging.ERROR, "inflight.serve"), pytest.raises(IntegrityError):
         client.get("/hapi/data", {"dataset": ID, **SPAN})
+    assert [record.message.partition(":")[0] for record in caplog.records] == ["an answer broke off"]

@@ -1,5 +1,6 @@
 """A release's folder is served as the workspace it came from, and both by a real command."""
 
+import http.client
 import json
 import shutil
 import signal
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+from contextlib import contextmanager
 
 import pytest
 from serve_cases import ID, MISSION, SPAN, Client, from_csv, split_header
@@ -70,10 +72,9 @@ def test_an_address_that_cannot_be_listened_on_is_wrong_usage(folder):
         Server(collection, host="192.0.2.1")
 
 
-@pytest.fixture(params=["workspace", "folder"])
-def served(request, workspace, folder):
-    """A running `inflight serve`: its process and its address."""
-    source = ["-w", workspace] if request.param == "workspace" else [folder]
+@contextmanager
+def running(*source):
+    """Run `inflight serve` and yield its process and what it printed."""
     code = "from inflight.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "serve", "--json", "--port", "0", *map(str, source)],
@@ -81,14 +82,23 @@ def served(request, workspace, folder):
         stderr=subprocess.PIPE,
         text=True,
     )
-    told = ""
-    while not told.endswith("}\n"):
-        line = process.stdout.readline()
-        assert line, process.stderr.read()
-        told += line
-    yield process, json.loads(told)
-    process.kill()
-    process.communicate(timeout=30)
+    try:
+        told = ""
+        while not told.endswith("}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            told += line
+        yield process, json.loads(told)
+    finally:
+        process.kill()
+        process.communicate(timeout=30)
+
+
+@pytest.fixture(params=["workspace", "folder"])
+def served(request, workspace, folder):
+    """A running server."""
+    with running(*(["-w", workspace] if request.param == "workspace" else [folder])) as one:
+        yield one
 
 
 def test_a_real_client_reads_over_a_real_socket_until_the_server_is_interrupted(served, client):
@@ -109,3 +119,19 @@ def test_a_real_client_reads_over_a_real_socket_until_the_server_is_interrupted(
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == 0
     assert process.stderr.read() == ""
+
+
+def test_damage_met_on_the_way_ends_the_connection_and_is_one_line_for_who_runs_it(folder, tmp_path):
+    copied = shutil.copytree(folder, tmp_path / "probe")
+    for chunk in copied.glob("data/l2.field-20060101*/temperature/c/*"):
+        chunk.unlink()
+    with running(copied) as (process, told):
+        query = f"dataset={ID}&start={SPAN['start']}&stop={SPAN['stop']}"
+        answer = urllib.request.urlopen(f"{told['url']}/data?{query}")
+        with answer, pytest.raises(http.client.IncompleteRead):
+            answer.read()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) == 0
+        (line,) = process.stderr.read().splitlines()
+    assert line.startswith("an answer broke off:")
+    assert "Traceback" not in line
