@@ -29,7 +29,7 @@ from inflight.catalog import (
 from inflight.errors import CatalogError, IntegrityError
 from inflight.serve.records import TIME, Parameter, time_info
 from inflight.serve.times import day_text, duration_text
-from inflight.time import SECOND, day_bounds, day_of, utc_text
+from inflight.time import SECOND, as_day, day_bounds, day_of, utc_text
 
 #: Numbers and texts of one block: bounds the memory of a request beside the day that is read.
 CELLS_PER_BLOCK: Final = 200_000
@@ -99,7 +99,7 @@ class Served:
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """Its parameters by name, without the time."""
-        found = {}
+        found: dict[str, Parameter] = {}
         for variable in self.description.variables:
             parameter = Parameter.of(variable)
             taken = variable.name.lower() in {TIME.lower(), *(name.lower() for name in found)}
@@ -171,7 +171,7 @@ class Served:
         begin = start
         while begin < stop:
             # Windows end with a day, so that none is met twice.
-            _, end = day_bounds(day_of(np.int64(begin)) + np.timedelta64(_DAYS_AT_ONCE - 1, "D"))
+            _, end = day_bounds(as_day(str(day_of(begin))) + np.timedelta64(_DAYS_AT_ONCE - 1, "D"))
             for day in self._days(begin, min(end, stop)):
                 yield from self._blocks_of_day(day, start, stop, parameters)
             begin = end

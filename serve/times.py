@@ -54,7 +54,7 @@ def parse_time(text: str) -> int:
     hour, minute, second = (int(found[name] or 0) for name in ("hour", "minute", "second"))
     fraction = found["fraction"] or ""
     # Rounded up: a sample before the time asked for is not at or after it.
-    part = -(-int(fraction or 0) * SECOND // 10 ** len(fraction))
+    part = -(-int(fraction or 0) * SECOND // int(10 ** len(fraction)))
     if hour > 24 or minute > 59 or second > 60 or (hour == 24 and (minute or second or part)):
         raise ValueError("an hour, minute or second that does not exist")
     if not _YEARS[0] <= date.year <= _YEARS[1]:
