@@ -1,5 +1,5 @@
 from .catalog import Catalog
-from .day_files import components
+from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
 from .manifest import folder_bytes
 from .provenance import Edge
@@ -9,6 +9,7 @@ from .records import (
     DayData,
     FileRecord,
     ModelRecord,
+    ReleaseRecord,
     RunRecord,
     Segment,
     SegmentRow,
@@ -16,6 +17,7 @@ from .records import (
     idempotency_key,
 )
 from .release import ReleaseContents, ReleasePlan
+from .release_folder import MissionStatement, ReleaseFolder
 from .runs import Run, failure_cause
 from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
@@ -23,20 +25,25 @@ from .workspace import Workspace, shipped_missions
 __all__ = [
     "Catalog",
     "ContextRecord",
+    "DatasetDescription",
     "Day",
     "DayChange",
     "DayData",
     "Edge",
     "FileRecord",
+    "MissionStatement",
     "ModelRecord",
     "ReleaseContents",
+    "ReleaseFolder",
     "ReleasePlan",
+    "ReleaseRecord",
     "Run",
     "RunRecord",
     "Segment",
     "SegmentRow",
     "TableRecord",
     "VariableChange",
+    "VariableDescription",
     "Workspace",
     "components",
     "failure_cause",

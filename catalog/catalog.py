@@ -16,15 +16,26 @@ from inflight.catalog.days import (
     current_day,
     day_of_version,
     published_days,
+    release_records,
     released_days,
     revisions_of_days,
     status_of_days,
 )
+from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
-from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
+from inflight.catalog.records import (
+    ContextRecord,
+    Day,
+    FileRecord,
+    ModelRecord,
+    ReleaseRecord,
+    RunRecord,
+    TableRecord,
+)
 from inflight.catalog.release import Documents, ReleasePlan, ReleaseRequest, freeze_release, plan_release
+from inflight.catalog.release_folder import MARKER, NoDatabase, ReleaseFolder
 from inflight.catalog.runs import (
     Run,
     RunRate,
@@ -36,7 +47,14 @@ from inflight.catalog.runs import (
     run_report,
 )
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
-from inflight.catalog.upkeep import Repair, collect_garbage, dataset_summary, find_faults, repair
+from inflight.catalog.upkeep import (
+    Repair,
+    collect_garbage,
+    dataset_summary,
+    find_faults,
+    repair,
+    summary_of_days,
+)
 from inflight.catalog.validity import certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
 
@@ -55,10 +73,13 @@ class Catalog:
     processes may read while one writes; a second writer waits. A catalog can be pickled: it is
     opened again where it arrives.
 
+    Of a release's folder, wherever it was copied to, the days can be read in the same words: `open`, `days`,
+    `read_day`, `inventory`. Nothing is written into it.
+
     Parameters
     ----------
     workspace : path
-        Folder that holds ``catalog.db``, ``staging``, ``stores`` and ``releases``.
+        Folder that holds ``catalog.db``, ``staging``, ``stores`` and ``releases``; or a release's folder.
     create : bool
         Make a workspace that is not there yet.
 
@@ -86,10 +107,14 @@ class Catalog:
     def __init__(self, workspace: Path | str, create: bool = True, *, reason: str = "") -> None:
         self.workspace = Path(workspace).expanduser().resolve()
         self.reason = reason
-        if not create and not (self.workspace / "catalog.db").exists():
+        if not create and not any((self.workspace / name).exists() for name in ("catalog.db", MARKER)):
             raise CatalogError(
                 "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
             )
+        self._release = ReleaseFolder.find(self.workspace)
+        if self._release is not None:
+            self._database: Database = NoDatabase(self._release)
+            return
         for folder in _FOLDERS:
             (self.workspace / folder).mkdir(parents=True, exist_ok=True)
         self._database = Database(f"sqlite:///{self.workspace / 'catalog.db'}")
@@ -136,10 +161,19 @@ class Catalog:
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
+        if self._release is not None:
+            return next(iter(self._release.days(name, parse_span(as_date(day)), ("published",))), None)
         with self._database.read() as session:
             return current_day(session, name, as_date(day))
 
-    def days(self, name: str, time: TimeSpan = None, states: Iterable[str] | None = None) -> list[Day]:
+    def days(
+        self,
+        name: str,
+        time: TimeSpan = None,
+        states: Iterable[str] | None = None,
+        *,
+        release: str | None = None,
+    ) -> list[Day]:
         """Return one record for each day the catalog knows of, in order.
 
         Parameters
@@ -151,8 +185,15 @@ class Catalog:
         states : iterable of str
             Without it, the published revision of a day or else its newest record. With it, the newest
             record in one of these states that is not older than the published one.
+        release : str
+            The days that were frozen under this version.
         """
+        if self._release is not None:
+            chosen = states if release is None else ("published",)
+            return self._release.days(name, parse_span(time), chosen, release)
         with self._database.read() as session:
+            if release is not None:
+                return released_days(session, release, name, parse_span(time))
             return status_of_days(session, name, parse_span(time), states)
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
@@ -162,6 +203,9 @@ class Catalog:
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
+        if self._release is not None:
+            span = parse_span(time)
+            return [summary_of_days(name, self._release.days(name, span)) for name in self._release.names()]
         with self._database.read() as session:
             return dataset_summary(session, parse_span(time))
 
@@ -203,10 +247,13 @@ class Catalog:
             When dataset, release or variables are unknown, no day lies in the span, or units change in it.
         """
         span = parse_span(time)
-        with self._database.read() as session:
-            if release is not None:
-                days = released_days(session, release, name, span)
-            else:
+        if self._release is not None and context is None:
+            self._release.require(name)
+            days = self._release.days(name, span, ("published",), release)
+        elif release is not None:
+            days = self.days(name, time, release=release)
+        else:
+            with self._database.read() as session:
                 days = published_days(session, name, span, context)
         if not days:
             raise CatalogError(
@@ -231,18 +278,31 @@ class Catalog:
             When its store is damaged.
         """
         date = as_date(day)
-        with self._database.read() as session:
-            if version is None:
-                found = current_day(session, name, date)
-            else:
+        if version is None or self._release is not None:
+            found = self.current(name, day)
+        else:
+            with self._database.read() as session:
                 found = day_of_version(session, name, date, version)
-        if found is None:
+        if found is None or version not in (None, found.version):
             raise CatalogError(
                 f"'{name}' has no {version or 'published revision'}",
                 day=str(date),
                 remedy="see 'inflight catalog list'",
             )
         return self.read(found, variables)
+
+    def describe(self, name: str, release: str | None = None) -> DatasetDescription:
+        """Describe the variables of a dataset over all its days, or those of a release.
+
+        Raises
+        ------
+        CatalogError
+            When it has no days, or none with samples in time.
+        """
+        days = self.days(name, states=("published",), release=release)
+        if not days:
+            raise CatalogError(f"'{name}' has no published days", remedy="see 'inflight catalog list'")
+        return describe_dataset(self.workspace, days)
 
     def read(self, day: Day, variables: Iterable[str] | None = None, *, with_time: bool = True) -> xr.Dataset:
         """Read a day by its record; no database access. Without `with_time` it lacks ``time``, costs less."""
@@ -415,6 +475,13 @@ class Catalog:
     def gc(self, dry_run: bool = True) -> list[str]:
         """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
         return collect_garbage(self.workspace, self._database, dry_run=dry_run)
+
+    def releases(self) -> list[ReleaseRecord]:
+        """Return all releases, the oldest first."""
+        if self._release is not None:
+            return [self._release.record()]
+        with self._database.read() as session:
+            return release_records(session)
 
     def release(
         self,

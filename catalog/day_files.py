@@ -22,8 +22,16 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight import __version__
+from inflight.catalog.descriptions import (
+    components,
+    flags_of,
+    frame_of,
+    sorted_names,
+    takes_uncertainty,
+    text_of,
+    with_flag_meanings,
+)
 from inflight.errors import CatalogError, IntegrityError
-from inflight.flags import flag_meanings
 from inflight.mission import Mission
 from inflight.time import SECOND, usual_step
 
@@ -40,8 +48,6 @@ WIDEST_FIELD: Final = 1.0e6
 _CDF_LEVEL, _NETCDF_LEVEL = 4, 4
 
 _LEVELS: Final = {"l1": "L1>Level 1, as delivered", "l2": "L2>Level 2, calibrated"}
-#: Names of the axes of frames whose axes are not x, y and z.
-_COMPONENTS: Final = {"nec": ("north", "east", "centre")}
 #: Unit -> factor and SI unit, where a factor is all there is between them.
 _SI: Final = {
     "nT": "1.0e-9>T",
@@ -174,7 +180,7 @@ def write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
     OSError
         When the disk refuses it.
     """
-    content = _for_files(dataset)
+    content = with_flag_meanings(dataset)
     _write_cdf(path, content, header)
     _check_cdf(path, content, header)
 
@@ -187,7 +193,7 @@ def write_netcdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
     """
     import xarray as xr
 
-    content = _cf_dataset(_for_files(dataset), header)
+    content = _cf_dataset(with_flag_meanings(dataset), header)
     encoding = {
         name: {"zlib": True, "complevel": _NETCDF_LEVEL, "shuffle": True}
         | {"_FillValue": np.nan if array.dtype.kind == "f" and name != "time" else None}
@@ -199,14 +205,6 @@ def write_netcdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
     with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as found:
         for name, array in content.variables.items():
             _require_equal(np.asarray(found[name].values), array.values, path, header, str(name))
-
-
-def _for_files(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the dataset with the meanings of its quality bits, which are the same for all."""
-    if "flag" not in dataset or "flag_meanings" in dataset["flag"].attrs:
-        return dataset
-    masks, names = flag_meanings()
-    return dataset.assign(flag=dataset["flag"].assign_attrs(units="", flag_masks=masks, flag_meanings=names))
 
 
 def _require_equal(found: Array, expected: Array, path: Path, header: DayHeader, name: str) -> None:
@@ -244,41 +242,8 @@ def _valid_range(name: str, array: xr.DataArray, mission: Mission) -> tuple[floa
 
 
 def _flag_notes(attributes: Mapping[str, Any]) -> str:
-    pairs = zip(attributes["flag_masks"], str(attributes["flag_meanings"]).split(), strict=True)
-    return "Quality bits, 0 is good: " + ", ".join(f"{mask} {meaning}" for mask, meaning in pairs)
-
-
-def components(array: xr.DataArray, dataset: xr.Dataset) -> list[str]:
-    """Return the names of a vector's components."""
-    dim, size = array.dims[-1], array.shape[-1]
-    named = str(array.attrs.get("axes", "")).split()
-    if dim in dataset.coords:
-        named = dataset[dim].values.tolist()
-    known = _COMPONENTS.get(_frame(array), named)
-    return [str(part) for part in (known if len(known) == size else range(size))]
-
-
-def _frame(array: xr.DataArray) -> str:
-    return str(array.attrs.get("frame", ""))
-
-
-def _takes_uncertainty(name: str, dataset: xr.Dataset) -> bool:
-    """Return True for the fields whose components `uncertainty` is given for."""
-    if "uncertainty" not in dataset or not name.startswith("field_"):
-        return False
-    sigma, field = dataset["uncertainty"], dataset[name]
-    return sigma.dims == field.dims and _frame(sigma) == _frame(field)
-
-
-def _sorted_names(dataset: xr.Dataset) -> list[str]:
-    """Return the variables of a file: fields, uncertainty, the others, corrections."""
-    names = [str(name) for name in dataset.data_vars if name != "tt2000"]
-
-    def place(name: str) -> tuple[int, str]:
-        first = (name.startswith("field"), name == "uncertainty", not name.startswith("correction_"), True)
-        return first.index(True), name
-
-    return sorted(names, key=place)
+    pairs = (f"{mask} {meaning}" for mask, meaning in flags_of(attributes))
+    return "Quality bits, 0 is good: " + ", ".join(pairs)
 
 
 # --- CDF ---------------------------------------------------------------------------------------------
@@ -306,7 +271,7 @@ def _write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
         )
         stamps = np.asarray(dataset["tt2000"].values, dtype=np.int64)
         put_numbers(writer, "Epoch", 33, stamps, _epoch_attributes(stamps, header), rows=True)
-        for name in _sorted_names(dataset):
+        for name in sorted_names(dataset.data_vars):
             array = dataset[name]
             rows = array.dims[:1] == ("time",)
             inner = array.shape[1:] if rows else array.shape
@@ -399,10 +364,9 @@ def _variable_attributes(
     name: str, array: xr.DataArray, dataset: xr.Dataset, header: DayHeader
 ) -> dict[str, Any]:
     """Return ISTP's attributes of a variable; LABL_PTR_1 is added with the labels."""
-    unit, frame = str(array.attrs.get("units", "")), _frame(array)
+    unit, frame = str(array.attrs.get("units", "")), frame_of(array)
     out: dict[str, Any] = {
-        "CATDESC": _ascii(array.attrs.get("long_name") or name)
-        + (f", {_ascii(frame)} axes" if frame else ""),
+        "CATDESC": _ascii(text_of(name, array)),
         "FIELDNAM": name,
         "VAR_TYPE": "data" if unit == "nT" else "support_data",
     }
@@ -435,7 +399,7 @@ def _variable_attributes(
             "FLAG_MASKS": [masks, kind.name],
             "FLAG_MEANINGS": str(array.attrs["flag_meanings"]),
         }
-    if _takes_uncertainty(name, dataset):
+    if takes_uncertainty(name, dataset):
         out |= {"DELTA_PLUS_VAR": "uncertainty", "DELTA_MINUS_VAR": "uncertainty"}
     return out
 
@@ -510,7 +474,7 @@ def _check_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
     found = cdflib.CDF(path)
     stamps = np.asarray(dataset["tt2000"].values)
     _require_equal(np.asarray(found.varget("Epoch")), stamps, path, header, "Epoch")
-    for name in _sorted_names(dataset):
+    for name in sorted_names(dataset.data_vars):
         array = dataset[name]
         values = np.asarray(found.varget(name))
         if array.dtype.kind in "fiub":
@@ -526,7 +490,7 @@ def _cf_dataset(dataset: xr.Dataset, header: DayHeader) -> xr.Dataset:
     from inflight.time import to_utc
 
     variables: dict[str, tuple[tuple[Any, ...], Array, dict[str, Any]]] = {}
-    for name in ["tt2000", *_sorted_names(dataset)]:
+    for name in ["tt2000", *sorted_names(dataset.data_vars)]:
         array = dataset[name]
         variables[name] = (array.dims, np.asarray(array.values), _cf_attributes(name, array, dataset, header))
     seconds = (to_utc(dataset["tt2000"].values) - header.day) / np.timedelta64(1, "ns") / SECOND
@@ -562,7 +526,7 @@ def _cf_attributes(name: str, array: xr.DataArray, dataset: xr.Dataset, header: 
         out |= {"standard_name": "quality_flag", "flag_masks": masks}
         out |= {"flag_meanings": str(array.attrs["flag_meanings"])}
     if name.startswith("field") and "flag" in dataset:
-        out["ancillary_variables"] = "flag uncertainty" if _takes_uncertainty(name, dataset) else "flag"
+        out["ancillary_variables"] = "flag uncertainty" if takes_uncertainty(name, dataset) else "flag"
     if array.ndim == 2:
         out["axes"] = " ".join(components(array, dataset))
     return out | {key: array.attrs[key] for key in ("frame", "applied") if array.attrs.get(key)}

@@ -10,10 +10,10 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any
 
-from sqlalchemy import Select, select
+from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
-from inflight.catalog.records import DAY_STATES, Day, parse_version, utc_day, version_text
+from inflight.catalog.records import DAY_STATES, Day, ReleaseRecord, parse_version, utc_day, version_text
 from inflight.catalog.schema import (
     CurrentRow,
     DatasetRow,
@@ -171,6 +171,24 @@ def released_days(session: Session, version: str, name: str | None, span: Span) 
     if name is not None:
         query = query.where(DatasetRow.name == name)
     return [day_record(row, dataset, path) for row, path, dataset in session.execute(_in_span(query, span))]
+
+
+def release_records(session: Session) -> list[ReleaseRecord]:
+    """Return all releases, the oldest first."""
+    held = (
+        select(ReleaseDayRow.release_id, DatasetRow.name, func.min(DayRow.day), func.max(DayRow.day))
+        .join(DayRow, DayRow.id == ReleaseDayRow.day_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .group_by(ReleaseDayRow.release_id, DatasetRow.name)
+        .order_by(DatasetRow.name)
+    )
+    datasets: dict[int, dict[str, tuple[dt.date, dt.date]]] = defaultdict(dict)
+    for release, name, first, last in session.execute(held):
+        datasets[release][name] = first, last
+    rows = session.scalars(select(ReleaseRow).order_by(ReleaseRow.id))
+    return [
+        ReleaseRecord(version=row.version, created=row.created, datasets=datasets[row.id]) for row in rows
+    ]
 
 
 def adoptable_day(session: Session, name: str, day: dt.date, key: str) -> tuple[DayRow, StoreRow] | None:

@@ -125,6 +125,15 @@ class Day:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReleaseRecord:
+    """A release: its version, when it was made (ISO 8601, UTC), first and last day of each dataset in it."""
+
+    version: str
+    created: str
+    datasets: Mapping[str, tuple[dt.date, dt.date]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 

@@ -38,6 +38,7 @@ from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_ma
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.provenance import Edge, context_record, model_text, parent_names, unknown_ids, walk
 from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
+from inflight.catalog.release_folder import MARKER, marker_text
 from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import Span
@@ -54,7 +55,6 @@ DAYS_PER_STORE: Final = 10
 #: What a release can be written as; the first is what it is written as when nothing is said.
 FORMATS: Final = ("zarr", "cdf", "netcdf")
 _WRITERS: Final = {"cdf": (write_cdf, "cdf"), "netcdf": (write_netcdf, "nc")}
-_MARKER: Final = "release.json"
 _WHOLE: Final = Span(None, None)
 
 
@@ -471,7 +471,7 @@ def _write_release(
     notes += ["", *(documents(folder, collection) if documents else _notes_of_absent(collection))]
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / "README.md").write_text(_readme(collection, folder), "utf-8")
-    (folder / _MARKER).write_text(json.dumps({"version": request.version}) + "\n", "utf-8")
+    (folder / MARKER).write_text(marker_text(request.version, request.mission), "utf-8")
     write_manifest(folder)
     flush_files(folder)
 
@@ -656,7 +656,7 @@ def _register(database: Database, collection: ReleaseContents, staged: Path, tar
         session.flush()
         if target.exists():
             # Left by a release that was killed between its rename and its commit; nothing else is removed.
-            marker = target / _MARKER
+            marker = target / MARKER
             stated = json.loads(marker.read_text("utf-8")) if marker.exists() else {}
             if stated.get("version") != request.version:
                 raise CatalogError(

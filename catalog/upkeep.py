@@ -13,7 +13,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -47,27 +47,26 @@ _ABANDONED_S = 86_400.0
 def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
     """Describe each dataset; see `Catalog.inventory`."""
     names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
-    summaries = []
-    for name in names:
-        days = status_of_days(session, name, span, None)
-        states = Counter(day.state for day in days)
-        published = [day for day in days if day.state == "published"]
-        coverages = [day.coverage for day in published if day.coverage is not None]
-        summaries.append(
-            {
-                "dataset": name,
-                "first": str(published[0].day) if published else "",
-                "last": str(published[-1].day) if published else "",
-                "days": states["published"],
-                "failed": states["failed"],
-                "no_work": states["no_work"],
-                "gaps": [str(day) for day in missing_days(published)],
-                "versions": dict(sorted(Counter(day.version for day in published).items())),
-                "coverage": float(np.mean(coverages)) if coverages else None,
-                "samples": sum(day.count for day in published),
-            }
-        )
-    return summaries
+    return [summary_of_days(name, status_of_days(session, name, span, None)) for name in names]
+
+
+def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
+    """Describe the days of one dataset; see `Catalog.inventory`."""
+    states = Counter(day.state for day in days)
+    published = [day for day in days if day.state == "published"]
+    coverages = [day.coverage for day in published if day.coverage is not None]
+    return {
+        "dataset": name,
+        "first": str(published[0].day) if published else "",
+        "last": str(published[-1].day) if published else "",
+        "days": states["published"],
+        "failed": states["failed"],
+        "no_work": states["no_work"],
+        "gaps": [str(day) for day in missing_days(published)],
+        "versions": dict(sorted(Counter(day.version for day in published).items())),
+        "coverage": float(np.mean(coverages)) if coverages else None,
+        "samples": sum(day.count for day in published),
+    }
 
 
 def find_faults(workspace: Path, session: Session, name: str | None) -> list[dict[str, str]]:
@@ -183,7 +182,7 @@ def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:
     """Remove stores and staging folders that nothing refers to; see `Catalog.gc`."""
     # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
-    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").iterdir())
+    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").glob("*"))
     with database.read() as session:
         alive = set(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
         needed = _needed_stores(session)

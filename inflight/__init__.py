@@ -3,7 +3,7 @@
 What a user needs first: `Mission` (what flew), `Model` and `Effect` (what disturbs the readings), `align`
 (measurements on one time base), `NormalEquations` (what a fit reads). This package opens no file: storage
 lives in :mod:`inflight.catalog`, steps in :mod:`inflight.tasks`, Prefect flows in :mod:`inflight.flows`.
-`catalog`, `tasks`, `flows`, `explorer` and `missions`
+`catalog`, `tasks`, `flows`, `serve`, `explorer` and `missions`
 in here are links to the folders of these names beside this one. Open `inflight.effects.base` and
 `inflight.model.model` first. Names are imported when they are first used,
 here and in every folder: the command line must not wait for numpy to print its help.

@@ -61,7 +61,8 @@ VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
         results.release: (
             'inflight release 1.0 --notes "first release"',
             "inflight release 1.0 --format cdf --format netcdf --dry-run",
-        )
+        ),
+        results.serve: ("inflight serve", "inflight serve releases/1.0 --host 0.0.0.0 --port 8000"),
     },
 }
 

@@ -1,4 +1,4 @@
-"""Verbs that show and release results: ``compare``, ``chain``, ``report``, ``explore`` and ``release``."""
+"""Verbs that show and hand out results: ``compare``, ``chain``, ``explore``, ``release``, ``serve`` ..."""
 
 from __future__ import annotations
 
@@ -251,6 +251,36 @@ def _print_plan(console: Console, plan: Mapping[str, Any]) -> None:
         console.print(f"stands against it: {item['message']}; {item['remedy']}", soft_wrap=True, markup=False)
     if not plan["objections"]:
         console.print(f"nothing stands against release {plan['version']}")
+
+
+def serve(
+    command: Command,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DIR]", help="Folder of a release (default: the workspace)", show_default=False
+        ),
+    ] = None,
+    *,
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 is all of them.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = 8080,
+) -> None:
+    """Serve released products to clients of HAPI (hapiclient, SPEDAS, Autoplot), read-only, until Ctrl-C."""
+    from inflight.serve import Collection, Server
+
+    source = folder or command.workspace
+    collection = Collection.open(source)
+    server = Server(collection, host, port)
+    ids = [served.id for served in collection.datasets()]
+
+    def ready(url: str) -> None:
+        def show(console: Console) -> None:
+            for line in (f"{url}  (Ctrl-C ends it)", *(f"  {id}" for id in ids)):
+                console.print(line, soft_wrap=True, markup=False)
+
+        command.emit({"command": "serve", "url": url, "source": str(source), "datasets": ids}, show)
+
+    server.run(ready)
 
 
 def chain(

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SOURCES = sorted(
     path
-    for folder in ("inflight", "catalog", "tasks", "flows", "explorer", "benchmarks", "docs")
+    for folder in ("inflight", "catalog", "tasks", "flows", "serve", "explorer", "benchmarks", "docs")
     for path in (ROOT / folder).rglob("*.py")
     # A migration is a list of tables, and the built documentation is not source.
     if not {"_build", "migrations"} & set(path.parts)

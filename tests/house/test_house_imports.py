@@ -7,7 +7,14 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
-LAYERS = ("inflight.catalog", "inflight.tasks", "inflight.flows", "inflight.explorer", "inflight.cli")
+LAYERS = (
+    "inflight.catalog",
+    "inflight.tasks",
+    "inflight.flows",
+    "inflight.serve",
+    "inflight.explorer",
+    "inflight.cli",
+)
 #: What only the catalog and what stands above it may use.
 STORAGE_AND_ORCHESTRATION = (
     "zarr",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TOP_FOLDERS = ("catalog", "tasks", "flows", "explorer")
+TOP_FOLDERS = ("catalog", "tasks", "flows", "serve", "explorer")
 
 
 @pytest.fixture(scope="session")
