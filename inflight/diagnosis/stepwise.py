@@ -856,11 +856,7 @@ def better_option(search: Search, option: Option, table: ScoreTable) -> Option |
 
 
 def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | None:
-    """Return an option that follows the same channels in a simpler way and does as well; None without one.
-
-    That is one with fewer coefficients that leaves no more held out, or instead of a product of two channels
-    one of them alone.
-    """
+    """Return an option that follows the same channels with fewer coefficients and leaves no more held out."""
     place = place_in(table, option)
     if place is None or option.change is not None or not option.channels:
         return None
@@ -874,17 +870,6 @@ def _simpler_form(option: Option, table: ScoreTable, rules: Rules) -> Option | N
         and len(table.options[other].columns) < len(option.columns)
         and loss[other] <= loss[place]
     ]
-    if option.family == "unknown" and len(option.channels) > 1:
-        simpler += [
-            other
-            for other in np.flatnonzero(table.passing(rules)[form])
-            if table.options[other].channels
-            and set(table.options[other].channels) < set(option.channels)
-            and table.options[other].change is None
-            and not table.options[other].agnostic
-            and len(table.options[other].columns) <= len(option.columns)
-            and _does_as_well(table, int(other), place, form, rules)
-        ]
     return table.options[min(simpler, key=lambda other: float(loss[other]))] if simpler else None
 
 
