@@ -1,7 +1,15 @@
+import logging
+
 import pytest
 from serve_cases import ID, Client, collection_of, make_workspace
 
 from inflight.serve import make_app
+
+
+@pytest.fixture(autouse=True)
+def _heard(monkeypatch):
+    """The server's log is heard, though importing everything (tests/house) silences loggers."""
+    monkeypatch.setattr(logging.getLogger("inflight.serve"), "disabled", False)
 
 
 @pytest.fixture(scope="session")
