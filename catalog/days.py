@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import defaultdict
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from typing import Any
 
 from sqlalchemy import Select, func, select
@@ -122,6 +123,12 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
         matching = [pair for pair in found if pair[0].state in preferred]
         chosen += matching[-1:] or (found[-1:] if accepted is None else [])
     return [day_record(row, name, path) for row, path in chosen]
+
+
+def dataset_names(session: Session, patterns: Iterable[str]) -> list[str]:
+    """Return the names of the datasets that match one of some patterns, such as ``l2/*``, in order."""
+    names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
+    return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 def published_days(session: Session, name: str, span: Span, context: str | None) -> list[Day]:

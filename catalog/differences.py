@@ -8,18 +8,17 @@ read, one day at a time, and compared where their samples have the same stamp.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from sqlalchemy import select
 
-from inflight.catalog.days import published_days, released_days
+from inflight.catalog.days import dataset_names, published_days, released_days
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.records import Day
-from inflight.catalog.schema import ContextRow, DatasetRow
+from inflight.catalog.schema import ContextRow
 from inflight.catalog.spans import Span
 from inflight.errors import CatalogError
 
@@ -71,9 +70,15 @@ class DayChange:
     kind: Literal["added", "removed", "changed"]
     before: Day | None
     after: Day | None
-    variables: tuple[VariableChange, ...] = field(default=())
+    variables: tuple[VariableChange, ...] = ()
     gained: tuple[str, ...] = ()
     lost: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> VariableChange | None:
+        """The change of the day's field, or else of what changed most; None when no value did."""
+        fields = [part for part in self.variables if part.variable.startswith("field")]
+        return max(fields or self.variables, key=lambda part: part.rms, default=None)
 
 
 def days_of_collection(session: Session, name: str, patterns: Sequence[str]) -> list[Day]:
@@ -89,11 +94,7 @@ def days_of_collection(session: Session, name: str, patterns: Sequence[str]) -> 
     CatalogError
         When there is no such release, or nothing was published with such a model.
     """
-    names = [
-        one
-        for one in session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
-        if any(fnmatchcase(one, pattern) for pattern in patterns)
-    ]
+    names = dataset_names(session, patterns)
     whole = Span(None, None)
     if name == NOW:
         return [day for one in names for day in published_days(session, one, whole, None)]
@@ -142,12 +143,8 @@ def measured_changes(workspace: Path, before: Sequence[Day], after: Sequence[Day
             continue
         first, second = (read_one_day(workspace, day, None, dated=False) for day in (one.before, one.after))
         old, new = set(map(str, first.data_vars)), set(map(str, second.data_vars))
-        yield DayChange(
-            dataset=one.dataset,
-            day=one.day,
-            kind="changed",
-            before=one.before,
-            after=one.after,
+        yield replace(
+            one,
             variables=tuple(_variable_changes(first, second)),
             gained=tuple(sorted(new - old)),
             lost=tuple(sorted(old - new)),

@@ -20,7 +20,6 @@ import uuid
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from importlib.metadata import distributions
 from itertools import groupby
 from pathlib import Path
@@ -31,7 +30,7 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.day_files import DayHeader, file_version, logical_file_id, write_cdf, write_netcdf
-from inflight.catalog.days import published_days, released_days, status_of_days
+from inflight.catalog.days import dataset_names, published_days, released_days, status_of_days
 from inflight.catalog.differences import changed_days
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
@@ -39,7 +38,7 @@ from inflight.catalog.opening import read_one_day
 from inflight.catalog.provenance import Edge, context_record, model_text, parent_names, unknown_ids, walk
 from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
 from inflight.catalog.release_folder import MARKER, marker_text
-from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
+from inflight.catalog.schema import ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import Span
 from inflight.catalog.stores import open_store
@@ -212,7 +211,7 @@ def freeze_release(
     staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
     try:
         destination.mkdir(parents=True, exist_ok=True)
-        _write_release(workspace, staged, collection, documents)
+        _write_release(workspace, staged, collection, documents or _notes_of_absent)
         fault_point("release_written")
         return _register(database, collection, staged, destination / request.version)
     except OSError as error:
@@ -342,11 +341,7 @@ def _refuse_known_version(session: Session, version: str) -> None:
 
 def _collect(session: Session, request: ReleaseRequest) -> ReleaseContents:
     context, patterns = request.context, request.datasets
-    names = [
-        name
-        for name in session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
-        if any(fnmatchcase(name, pattern) for pattern in patterns)
-    ]
+    names = dataset_names(session, patterns)
     days: list[Day] = []
     absent: list[Day] = []
     for name in names:
@@ -409,9 +404,7 @@ def _refuse_without_provenance(session: Session, days: Sequence[Day], edges: Seq
         )
 
 
-def _write_release(
-    workspace: Path, folder: Path, collection: ReleaseContents, documents: Documents | None
-) -> None:
+def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, documents: Documents) -> None:
     request = collection.request
     folder.mkdir()
     # Days of one segment can share a released store: their variables and units are equal.
@@ -422,18 +415,11 @@ def _write_release(
         for day in members if request.day_files else ():
             _write_day_files(workspace, folder, day, collection)
     for table in collection.tables:
-        store = open_store(str(workspace / table.segment))
-        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
-        write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
+        _copy_table(workspace, folder, table)
     if (folder / "stores").exists():
         for part in (folder / "stores").iterdir():
             part.rename(folder / part.name)
         (folder / "stores").rmdir()
-    for table in collection.tables:
-        store = open_store(str(workspace / table.segment))
-        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
-        write_table_csv(folder / "tables" / f"{table.name}-{table.id}.csv", dataset)
-        write_table_cdf(folder / "tables" / f"{table.name}-{table.id}.cdf", dataset)
     shutil.rmtree(folder / "staging", ignore_errors=True)
     ordered = sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day))
     _write_csv(
@@ -468,7 +454,7 @@ def _write_release(
     if request.mission is not None and not request.mission.missing_release_keys():
         (folder / "CITATION.cff").write_text(_citation(request.version, request.mission), "utf-8")
     notes = [f"# Release notes, {request.version}", "", request.notes.strip() or "No notes were given."]
-    notes += ["", *(documents(folder, collection) if documents else _notes_of_absent(collection))]
+    notes += ["", *documents(folder, collection)]
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / "README.md").write_text(_readme(collection, folder), "utf-8")
     (folder / MARKER).write_text(marker_text(request.version, request.mission), "utf-8")
@@ -476,10 +462,19 @@ def _write_release(
     flush_files(folder)
 
 
-def _notes_of_absent(collection: ReleaseContents) -> list[str]:
-    if not collection.absent:
-        return []
-    return [f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
+def _notes_of_absent(folder: Path, collection: ReleaseContents) -> list[str]:
+    """Write no documents, and return what the notes say without any."""
+    count = len(collection.absent)
+    return [f"{count} days are missing; `days.csv` gives the cause of each."] if count else []
+
+
+def _copy_table(workspace: Path, folder: Path, table: TableRecord) -> None:
+    """Write a calibration table as Zarr, and as files that need none."""
+    store, stem = open_store(str(workspace / table.segment)), f"{table.name}-{table.id}"
+    dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+    write_table(folder, "tables", stem, dataset, portable=True)
+    for write, ending in ((write_table_csv, "csv"), (write_table_cdf, "cdf")):
+        write(folder / "stores" / "tables" / f"{stem}.{ending}", dataset)
 
 
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:

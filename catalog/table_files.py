@@ -32,12 +32,12 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
     depend on the interval is repeated in each row.
     """
     rows = _row_dimension(table)
-    columns: dict[str, list[str]] = {}
+    columns: dict[str, list[Any]] = {}
     count = int(table.sizes[rows]) if rows else 1
     for name in sorted(map(str, table.data_vars), key=lambda one: (one not in _TIMES, one == "end", one)):
         for label, values in _columns(name, table[name], rows, count):
             meanings = str(table[name].attrs.get("flag_meanings", "")).split()
-            columns[label] = [meanings[value] if meanings else _text(value) for value in values]
+            columns[label] = [meanings[value] for value in values] if meanings else values
             if name in _TIMES:
                 columns[f"{label}_utc"] = [str(to_utc(np.int64(value))) for value in values]
     with path.open("w", encoding="utf-8", newline="") as stream:
@@ -67,10 +67,6 @@ def _columns(name: str, array: xr.DataArray, rows: str | None, count: int) -> It
         picked = ", ".join(one[at] for one, at in zip(labels, place, strict=True))
         column = np.moveaxis(values.values, 0, -1)[place]
         yield (f"{name}[{picked}]" if inner else name), column.tolist()
-
-
-def _text(value: object) -> str:
-    return repr(value) if isinstance(value, float) else str(value)
 
 
 def write_table_cdf(path: Path, table: xr.Dataset) -> None:

@@ -22,7 +22,6 @@ from inflight.catalog import (
     ContextRecord,
     Day,
     DayChange,
-    VariableChange,
     Workspace,
     components,
     measured_changes,
@@ -100,7 +99,7 @@ def _write_changes(workspace: Workspace, folder: Path, contents: ReleaseContents
 
 def _draw_changes(folder: Path, contents: ReleaseContents, changes: Sequence[DayChange]) -> None:
     for dataset, group in groupby(changes, key=lambda one: one.dataset):
-        main = [(one.day, part) for one in group if (part := _main_change(one)) is not None]
+        main = [(one.day, part) for one in group if (part := one.main) is not None]
         if main:
             (folder / "changes").mkdir(exist_ok=True)
             first = main[0][1]
@@ -113,12 +112,6 @@ def _draw_changes(folder: Path, contents: ReleaseContents, changes: Sequence[Day
                 float("nan"),
             )
             (folder / "changes" / f"{dataset.replace('/', '-')}.svg").write_text(picture, "utf-8")
-
-
-def _main_change(change: DayChange) -> VariableChange | None:
-    """Return the change of a day's field, or else of what changed most."""
-    fields = [part for part in change.variables if part.variable.startswith("field")]
-    return max(fields or change.variables, key=lambda part: part.rms, default=None)
 
 
 def _data_notes(contents: ReleaseContents, changes: Sequence[DayChange]) -> Iterator[str]:
@@ -146,7 +139,7 @@ def _data_notes(contents: ReleaseContents, changes: Sequence[DayChange]) -> Iter
 
     for (name, kind), some in groupby(sorted(changes, key=kind_of), key=kind_of):
         changed = list(some)
-        sizes = [part for one in changed if (part := _main_change(one)) is not None]
+        sizes = [part for one in changed if (part := one.main) is not None]
         by = ""
         if sizes:
             worst = max(sizes, key=lambda part: part.rms)

@@ -311,29 +311,23 @@ def diff(
     ] = None,
 ) -> None:
     """Tell which days differ between two releases or versions, and by how much."""
-    found = command.open_catalog().differences(before, after, datasets or ["l2/*"])
+    found = list(command.open_catalog().differences(before, after, datasets or ["l2/*"]))
     items = [_change_fields(one) for one in found]
 
     def show(console: Console) -> None:
-        if not items:
+        if not found:
             console.print(f"{before} and {after} have the same days with the same values")
             return
-        rows = [
-            {
-                **one,
-                "change": one["kind"],
-                **part,
-                "rms": f"{part['rms']:.4g}",
-                "largest": f"{part['largest']:.4g}",
-            }
-            if part
-            else {**one, "change": one["kind"]}
-            for one in items[:SHOWN_DAYS]
-            for part in [_largest_change(one["variables"])]
-        ]
+        rows = []
+        for one in found[:SHOWN_DAYS]:
+            row = {"dataset": one.dataset, "day": one.day, "change": one.kind}
+            if part := one.main:
+                sizes = {"rms": f"{part.rms:.4g}", "largest": f"{part.largest:.4g}"}
+                row |= _plain_fields(part) | sizes
+            rows.append(row)
         columns = ("dataset", "day", "change", "variable", "units", "rms", "largest", "samples")
         console.print(_table(columns, rows))
-        count = Counter(one["kind"] for one in items)
+        count = Counter(one.kind for one in found)
         parts = ", ".join(f"{number} {kind}" for kind, number in sorted(count.items()))
         console.print(
             f"{parts}; --json lists all variables of all days, vectors by the length of their change"
@@ -353,12 +347,6 @@ def _change_fields(change: DayChange) -> dict[str, Any]:
         "gained": list(change.gained),
         "lost": list(change.lost),
     }
-
-
-def _largest_change(variables: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """Return the change of the field, or else of what changed most."""
-    fields = [part for part in variables if part["variable"].startswith("field")]
-    return max(fields or variables, key=lambda part: float(part["rms"]), default=None)
 
 
 @verb(group, "gc")

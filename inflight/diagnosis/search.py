@@ -1013,8 +1013,7 @@ def row_variance(grams: GramBlocks, fitted: Sequence[str], residual: int = 0) ->
         The calibration's own, and what else.
     """
     names = list(fitted)
-    free = grams.select(names) if isinstance(grams, FactoredGrams) else grams
-    free = free.marginalise(names, [range(len(free))], np.zeros(len(names)))
+    free = grams.select(names).marginalise(names, [range(len(grams))], np.zeros(len(names)))
     y = free.residuals[residual]
     each = free.squares[:, y] / np.maximum(free.count, 1.0)
     return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0

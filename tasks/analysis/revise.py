@@ -832,7 +832,7 @@ def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
-        row_variance(made.loaded.white.select(base), base),
+        row_variance(made.loaded.white, base),
     )
 
 

@@ -12,31 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from probe_mission import PROBE_YAML
 
 from inflight.catalog import Catalog, DayData, FileRecord, Run, write_segment
 from inflight.errors import StorageError
 from inflight.mission import Mission
 from inflight.time import SECOND, day_bounds
-
-RELEASE_YAML = """\
-mission: probe
-description: A probe with one magnetometer
-acknowledgement: Thank you
-instruments:
-  fgm:
-    role: vector
-    cadence: 600 s
-    files: {pattern: "a_{day:%Y%m%d}.cdf", reader: cdf, time: Epoch}
-    channels: {field: {variable: B, unit: nT, axes: [x, y, z]}}
-comparisons: {main: {kind: spin, vector: fgm}}
-release:
-  source_name: PROBE>A Probe
-  project: Test>A test
-  discipline: Space Physics>Magnetospheric Science
-  pi_name: Someone
-  pi_affiliation: Somewhere
-  rules_of_use: Free
-"""
 
 
 def delivered(run: Run, sha256: str, *days: np.datetime64, **report: object) -> FileRecord:
@@ -225,4 +206,4 @@ def freeze_under_a_size_limit(workspace: Path, formats: Sequence[str], pipe: Con
 
 def release_mission() -> Mission:
     """A mission with all that the files of a release state."""
-    return Mission.parse(RELEASE_YAML)
+    return Mission.parse(PROBE_YAML)

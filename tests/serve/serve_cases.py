@@ -14,35 +14,14 @@ from urllib.parse import unquote, urlencode
 import numpy as np
 import pandas as pd
 import xarray as xr
+from probe_mission import PROBE_YAML
 
 from inflight.catalog import Catalog, DayData, FileRecord, MissionStatement, write_segment
 from inflight.mission import Mission
 from inflight.serve import Collection
 from inflight.time import SECOND, day_bounds
 
-MISSION = Mission.parse(
-    """\
-mission: probe
-description: A probe with one magnetometer
-acknowledgement: Thank you
-instruments:
-  fgm:
-    role: vector
-    cadence: 600 s
-    files: {pattern: "a_{day:%Y%m%d}.cdf", reader: cdf, time: Epoch}
-    channels: {field: {variable: B, unit: nT, axes: [x, y, z]}}
-comparisons: {main: {kind: spin, vector: fgm}}
-release:
-  source_name: PROBE>A Probe
-  project: Test>A test
-  discipline: Space Physics>Magnetospheric Science
-  pi_name: Someone
-  pi_affiliation: Somewhere
-  rules_of_use: Free
-  doi: 10.1234/probe
-  link: https://example.org/probe
-"""
-)
+MISSION = Mission.parse(PROBE_YAML + "  doi: 10.1234/probe\n  link: https://example.org/probe\n")
 #: The second one ends with a leap second, the fourth was not delivered.
 DAYS = [np.datetime64(text) for text in ("2005-12-30", "2005-12-31", "2006-01-01", "2006-01-03")]
 ID = "probe/1.0/l2/field"
