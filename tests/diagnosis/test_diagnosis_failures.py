@@ -61,10 +61,6 @@ def test_a_hysteresis_that_the_library_has_not_is_not_called_a_battery():
     assert not (told.verdict == "FOUND" and "battery" in families(told))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="FOUND: boom_temperature first, the right channel, then a slow day field and shapes",
-)
 def test_a_hysteresis_that_the_library_has_not_is_not_found_under_other_names():
     told = told_of("polar", 1, *PLAYS)
     assert told.verdict != "FOUND" or families(told) <= {"temperature", "hysteresis"}
