@@ -12,6 +12,67 @@ from inflight.errors import SettingsError
 
 
 @dataclass(frozen=True)
+class DipoleSource:
+    """A dipole on the spacecraft, of any moment, that more than one sensor sees.
+
+    Attributes
+    ----------
+    position : tuple of float
+        m, where the mission's sensors have their positions.
+    sigma : float
+        How well the place is known along each axis, m.
+    """
+
+    position: tuple[float, float, float]
+    sigma: float
+
+    def transfer(self, known: npt.ArrayLike, target: npt.ArrayLike) -> Floats:
+        """Return the matrix (3, 3) from the dipole's field at one place to its field at another.
+
+        Raises
+        ------
+        SettingsError
+            When a place is the dipole's own.
+        """
+        return _transfer(np.asarray(self.position), known, target)
+
+    def errors(self, known: npt.ArrayLike, target: npt.ArrayLike) -> Floats:
+        """Return what a place wrong by one sigma makes wrong of a field that was told from a difference.
+
+        The difference ``(1 - T) f`` of the fields at both places stays as it was measured, T the `transfer`:
+        a field f at the first one is wrong by ``errors @ f``.
+
+        Returns
+        -------
+        ndarray, shape (3, 3, 3)
+            By axis of the place, matrices that act on the field at `known`.
+        """
+        if self.sigma == 0.0:
+            return np.zeros((3, 3, 3))
+        here = np.asarray(self.position)
+        difference = np.eye(3) - _transfer(here, known, target)
+        sides = [
+            [
+                np.linalg.solve(
+                    np.eye(3) - _transfer(here + sign * self.sigma * axis, known, target), difference
+                )
+                for sign in (1.0, -1.0)
+            ]
+            for axis in np.eye(3)
+        ]
+        return np.array([(up - down) / 2.0 for up, down in sides])
+
+
+def _transfer(place: Floats, known: npt.ArrayLike, target: npt.ArrayLike) -> Floats:
+    near, far = (np.asarray(one, dtype=np.float64) - place for one in (known, target))
+    if not near.any() or not far.any():
+        raise SettingsError(
+            f"a sensor stands at the dipole, at {place.tolist()} m", remedy="give the dipole's position, m"
+        )
+    return np.asarray(unit_dipole(far) @ np.linalg.inv(unit_dipole(near)))
+
+
+@dataclass(frozen=True)
 class DipoleSplit:
     """What one dipole makes at both sensors; arrays of shape (3,), nT/A.
 

@@ -27,7 +27,7 @@ from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
-from inflight.model import Model
+from inflight.model import Model, place_variance
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
 
@@ -316,9 +316,9 @@ def level2(
         field = field - distribution.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
     body = rotate(field, np.asarray(sensor.orientation))
-    before, sigma = raw.residual(samples)[:, 0], _uncertainty(reading, parameters)
-    if widening is not None:
-        sigma = np.sqrt(sigma**2 + widening)
+    before = raw.residual(samples)[:, 0]
+    variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
+    sigma = np.sqrt(variance if widening is None else variance + widening)
     variables: _Variables = {
         "field_sensor": (_VECTOR, field, _attributes("calibrated field", "sensor")),
         "field_spacecraft": (_VECTOR, body, _attributes("calibrated field", "spacecraft")),
@@ -380,8 +380,8 @@ def _quality_flag(
     return flag
 
 
-def _uncertainty(reading: Floats, known: DayParameters) -> Floats:
-    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT, sensor axes.
+def _variance(reading: Floats, known: DayParameters) -> Floats:
+    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT^2, sensor axes.
 
     B = K (E - E0): a row of K and the offsets enter each component.
     """
@@ -404,7 +404,7 @@ def _uncertainty(reading: Floats, known: DayParameters) -> Floats:
         derivative = np.stack(parts, axis=1)
         covariance = known.covariance[np.ix_(index, index)]
         out[:, axis] = np.einsum("ti,ij,tj->t", derivative, covariance, derivative, optimize=True)
-    return np.sqrt(np.maximum(out, 0.0) + known.noise**2)
+    return np.asarray(np.maximum(out, 0.0) + known.noise**2)
 
 
 def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag: _Flags) -> _Flags:

@@ -35,7 +35,7 @@ from inflight.lsq import (
     shift_reference,
     solve,
 )
-from inflight.model import Model, ModelEffect, component_names, correct_plain
+from inflight.model import Model, ModelEffect, at_all_sensors, component_names, correct_plain
 from inflight.samples import PlainSamples
 
 
@@ -187,7 +187,8 @@ def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Flo
     light, times = cast("xr.Dataset", known), known["tt2000"].values
     reading = sensor_reading(model, samples)
     additive = np.zeros((1, 3))
-    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    acting = at_all_sensors(model.effects)
+    entries = [entry for entry in acting if entry.sensor.role == "vector"]
     for entry in entries[entries.index(own) + 1 :]:
         if not entry.effect.is_additive:
             raise ModelError(
@@ -199,7 +200,7 @@ def remove_other_effects(model: Model, samples: xr.Dataset) -> tuple[Floats, Flo
     # With the field given, and no vector reading to make it from, only the scalar sensor is corrected.
     seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
     scalar = correct_plain(
-        [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
+        [entry for entry in acting if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
     )
     return reading, additive, np.asarray(scalar["scalar"].values, dtype=np.float64)
 
@@ -210,7 +211,7 @@ def sensor_reading(model: Model, samples: xr.Dataset) -> Floats:
     known = PlainSamples.of(samples)
     light, times = cast("xr.Dataset", known), known["tt2000"].values
     reading = np.asarray(known["vector"].values, dtype=np.float64)
-    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    entries = [entry for entry in at_all_sensors(model.effects) if entry.sensor.role == "vector"]
     for entry in entries[: entries.index(own)]:
         reading = entry.effect.correct(reading, light, entry.values(times), entry.sensor)
     return reading

@@ -33,7 +33,7 @@ from inflight.design.terms import Difference, Term, within_span
 from inflight.effects import AXES, VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
 from inflight.lsq import MAD_TO_SIGMA, gram_of
-from inflight.model import Model, ResidualRows, RowFilter
+from inflight.model import Model, ModelEffect, ResidualRows, RowFilter
 from inflight.samples import FIELD_ROLES, PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
@@ -162,7 +162,7 @@ def _columns_in_and_out(term: Term, rows: DesignRows) -> Iterator[Floats | _Colu
             series = -step * entry.effect.along_axes(rows.samples, name).reshape(len(times), -1)
             # Each series as one run of memory: it is read once a column.
             series = np.ascontiguousarray(series.T)
-            direction = np.moveaxis(rows.directions[entry.sensor.name], -1, 0)
+            direction = np.moveaxis(_directions_of(entry, rows), -1, 0)
             pairs = [(axis, source) for axis in range(len(AXES)) for source in range(len(series))]
             if entry.effect.source_first:
                 pairs.sort(key=lambda pair: pair[1])
@@ -184,8 +184,9 @@ def _of_difference(difference: Difference, rows: DesignRows) -> Floats:
     for low, high in zip(difference.low, difference.high, strict=True):
         sensor = low.sensor
         if low.is_additive:
-            fields = [one.effect.field(rows.samples, one.values(times), sensor) for one in (high, low)]
-            found -= np.einsum("tra,ta->tr", rows.directions[sensor.name], fields[0] - fields[1])
+            for one, sign in ((high, 1.0), (low, -1.0)):
+                field = one.effect.field(rows.samples, one.values(times), sensor)
+                found -= sign * np.einsum("tra,ta->tr", _directions_of(one, rows), field)
             continue
         reading = np.asarray(rows.samples[sensor.role].values, dtype=np.float64)
         made = [one.effect.correct(reading, rows.samples, one.values(times), sensor) for one in (high, low)]
@@ -196,6 +197,17 @@ def _of_difference(difference: Difference, rows: DesignRows) -> Floats:
         if sensor.name in rows.sensor_matrices:
             change = multiply(rows.sensor_matrices[sensor.name], change)
         found += np.einsum("tra,ta->tr", rows.directions[sensor.name], change)
+    return found
+
+
+def _directions_of(entry: ModelEffect, rows: DesignRows) -> Floats:
+    """Return how a field that an effect adds at its sensor changes the rows; (time, row, axis).
+
+    The field of a dipole is at the other sensors, too.
+    """
+    found = rows.directions[entry.sensor.name]
+    for name, matrix in entry.transfers().items():
+        found = found + rows.directions[name] @ matrix
     return found
 
 
@@ -214,7 +226,7 @@ def _additive(
     others = {key: value * 0.0 if key in term.parameters else value for key, value in values.items()}
     others[name] = others[name] * 0.0
     field = entry.effect.field(rows.samples, _with_step(others, name, index, step), entry.sensor)
-    return np.asarray(-np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], field))
+    return np.asarray(-np.einsum("tra,ta->tr", _directions_of(entry, rows), field))
 
 
 def _differenced(

@@ -243,7 +243,8 @@ def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Additi
             )
     plain = not set(given) & set(entry.parameters)
     candidate, lag = _matching_candidate(maker, entry)
-    if candidate is not None and plain:
+    # A dipole's columns are those of both sensors; a candidate's are of one.
+    if candidate is not None and plain and entry.dipole is None:
         return maker.of_candidate(candidate, str(given.get("name") or ""), lag)
     name = maker.free_name(str(given.get("name") or maker.title(entry)))
     return _outside_library(

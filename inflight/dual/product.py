@@ -17,7 +17,7 @@ from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
-from inflight.model import Model
+from inflight.model import Model, at_all_sensors
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
@@ -46,7 +46,11 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
         When no sample has both readings.
     """
     layout = model.known_layout
-    kept = tuple(one for one in model.effects if not (one.is_additive and one.sensor.role == "inboard"))
+    kept = tuple(
+        entry
+        for entry in model.effects
+        if not (entry.is_additive and any(one.sensor.role == "inboard" for one in at_all_sensors([entry])))
+    )
     corrected = cast("xr.Dataset", replace(model, effects=kept, layout=layout).corrected(samples))
     flag = np.asarray(samples["flag"].values, dtype=np.uint32)
     bad = (flag & np.uint32(UNUSABLE)) != 0

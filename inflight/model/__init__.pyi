@@ -1,6 +1,6 @@
-from .apply import ModelEffect, correct_plain
+from .apply import ModelEffect, at_all_sensors, correct_plain, place_variance
 from .diff import changes, parse_tree
-from .model import Model, make_effect
+from .model import Model, make_effect, with_dipole
 from .rows import (
     Band,
     ResidualDefinition,
@@ -26,6 +26,7 @@ __all__ = [
     "TimeDependence",
     "TimedValue",
     "TypicalValue",
+    "at_all_sensors",
     "changes",
     "component_names",
     "correct_plain",
@@ -34,7 +35,9 @@ __all__ = [
     "make_effect",
     "missing_rows",
     "parse_tree",
+    "place_variance",
     "rows_of",
     "spin_residual",
     "substitute",
+    "with_dipole",
 ]

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.effects import VECTOR_ROLES, Effect, with_field
+from inflight.dipole import DipoleSource
+from inflight.effects import VECTOR_ROLES, Effect, Values, with_field
 from inflight.errors import SamplesError
 from inflight.mission import Sensor
 from inflight.model.time_dependence import TimedValue
@@ -31,11 +32,24 @@ _FIELD = ["field", "field_direction"]
 
 @dataclass(frozen=True)
 class ModelEffect:
-    """One effect of a model: the cause, the sensor it acts on, and its values."""
+    """One effect of a model: the cause, the sensor it acts on, and its values.
+
+    Attributes
+    ----------
+    effect, sensor : Effect, Sensor
+    parameters : mapping of str to TimedValue
+    dipole : DipoleSource, optional
+        Of a source that all sensors of the comparison see: the values hold at `sensor`, and those of a
+        dipole there at the `others` (Yin 2010, after eq. 3.1). Without it the residual alone is
+        described, and what the other sensor saw stays in the product.
+    others : tuple of Sensor
+    """
 
     effect: Effect
     sensor: Sensor
     parameters: Mapping[str, TimedValue]
+    dipole: DipoleSource | None = None
+    others: tuple[Sensor, ...] = ()
 
     @property
     def name(self) -> str:
@@ -47,6 +61,44 @@ class ModelEffect:
         """True when at its sensor it only adds a field that does not depend on the sensor's reading."""
         follows = self.effect.follows_field and type(self.effect).correct is Effect.correct
         return self.effect.is_additive or (follows and self.sensor.is_scalar)
+
+    def transfers(self) -> dict[str, Floats]:
+        """Return, by each other sensor's name, the matrix (3, 3) from the field at `sensor` to the one there.
+
+        Each in its sensor's own axes; of a scalar sensor in those of `sensor`, as all fields there.
+        """
+        if self.dipole is None:
+            return {}
+        found = {}
+        for other in self.others:
+            matrix = self.dipole.transfer(_place(self.sensor), _place(other))
+            found[other.name] = _turned(matrix, self.sensor, self.sensor if other.is_scalar else other)
+        return found
+
+    def at_others(self) -> tuple[ModelEffect, ...]:
+        """Return what the effect is at the other sensors that see its dipole."""
+        transfers = self.transfers()
+        return tuple(
+            replace(
+                self,
+                effect=_AtOtherSensor(self.effect, self.sensor, transfers[other.name], other.name),
+                sensor=other,
+                dipole=None,
+                others=(),
+            )
+            for other in self.others
+            if other.name in transfers
+        )
+
+    def place_errors(self) -> Floats:
+        """Return matrices (deviation, 3, 3) on the field at `sensor`: what an uncertain place makes of it.
+
+        See `DipoleSource.errors`; the others are the first of `others`, with which the values were told.
+        """
+        if self.dipole is None or not self.others:
+            return np.zeros((0, 3, 3))
+        made = self.dipole.errors(_place(self.sensor), _place(self.others[0]))
+        return np.array([_turned(one, self.sensor, self.sensor) for one in made])
 
     def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
         """Return every parameter's value at a time, or at times."""
@@ -83,11 +135,43 @@ class ModelEffect:
             | self.effect.given
             | ({"empirical": True} if self.effect.empirical and not type(self.effect).empirical else {})
             | {"sensor": self.sensor.name}
+            | self._dipole_as_yaml()
             | {name: timed.as_yaml() for name, timed in self.parameters.items()}
         )
 
+    def _dipole_as_yaml(self) -> dict[str, Any]:
+        if self.dipole is None:
+            return {}
+        return {"dipole": {"position": list(self.dipole.position), "sigma": self.dipole.sigma}}
+
+
+def _place(sensor: Sensor) -> Floats:
+    return np.asarray(sensor.position, dtype=np.float64)
+
+
+def _turned(matrix: Floats, before: Sensor, after: Sensor) -> Floats:
+    """Return a matrix of spacecraft axes as one from the axes of a sensor to those of another."""
+    return np.asarray(after.rotation.as_matrix().T @ matrix @ before.rotation.as_matrix())
+
+
+class _AtOtherSensor(Effect):
+    """A source's field at a sensor, made from its field at another one."""
+
+    def __init__(self, effect: Effect, seen_from: Sensor, transfer: Floats, at: str) -> None:
+        self.name, self.channels, self.family = f"{effect.name}_{at}", effect.channels, effect.family
+        self.empirical = effect.empirical
+        self._effect, self._seen_from, self._transfer = effect, seen_from, transfer
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        return np.asarray(self._effect.field(samples, values, self._seen_from) @ self._transfer.T)
+
 
 Effects = Sequence[ModelEffect]
+
+
+def at_all_sensors(effects: Effects) -> list[ModelEffect]:
+    """Return the effects with what those of a dipole are at the other sensors, each behind its own."""
+    return [one for entry in effects for one in (entry, *entry.at_others())]
 
 
 def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
@@ -124,6 +208,7 @@ def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> Plain
     Parameters and errors are those of `correct`.
     """
     known = samples if isinstance(samples, PlainSamples) else PlainSamples.of(samples)
+    effects = at_all_sensors(effects)
     times = _times(cast("xr.Dataset", known))
     # A field of an earlier correction is none of this one's.
     if any(role in known for role in VECTOR_ROLES):
@@ -168,6 +253,7 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
         The samples with raw readings; `field` keeps the true field.
     """
     out, changed = samples, {}
+    effects = at_all_sensors(effects)
     for role in (*VECTOR_ROLES, "scalar"):
         if role not in samples:
             continue
@@ -192,14 +278,38 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     -------
     dict of ndarray
         ``<effect>`` of a vector sensor: (time, axis) nT, sensor axes; ``<effect>`` of a scalar
-        sensor: (time,) nT, along the field. Subtracting it from the reading is the correction.
+        sensor: (time,) nT, along the field; ``<effect>_<sensor>`` of the other sensor that sees a dipole.
+        Subtracting it from the reading is the correction.
     """
     terms, times = {}, _times(samples)
-    for entry in effects:
+    for entry in at_all_sensors(effects):
         if entry.is_additive:
             zero = np.zeros(times.size if entry.sensor.is_scalar else (times.size, 3))
             terms[entry.name] = -entry.effect.correct(zero, samples, entry.values(times), entry.sensor)
     return terms
+
+
+def place_variance(effects: Effects, samples: xr.Dataset) -> Floats:
+    """Return what uncertain places of dipoles add to the variance of the vector sensor's field.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        With the effects' channels and `tt2000`.
+
+    Returns
+    -------
+    ndarray, shape (time, axis)
+        nT^2, vector sensor axes. Places of different sources are independent; that of one is the same at
+        all times, so that its error does not average out.
+    """
+    times = _times(samples)
+    found = np.zeros((times.size, 3))
+    for entry in effects:
+        if entry.dipole is not None and entry.sensor.role in VECTOR_ROLES:
+            field = entry.effect.field(samples, entry.values(times), entry.sensor)
+            found += sum((field @ matrix.T) ** 2 for matrix in entry.place_errors())
+    return found
 
 
 def _times(samples: xr.Dataset) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

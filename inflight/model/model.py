@@ -13,10 +13,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from ruamel.yaml import YAML
 
 from inflight.arrays import Floats
+from inflight.dipole import DipoleSource
 from inflight.effects import (
+    AXES,
     Effect,
     EffectSource,
     Parameter,
@@ -26,7 +29,7 @@ from inflight.effects import (
     effect_class,
     family_of,
 )
-from inflight.errors import InflightError, ModelError, did_you_mean
+from inflight.errors import InflightError, ModelError, SettingsError, did_you_mean
 from inflight.mission import Sensor, sensors_of
 from inflight.model.apply import ModelEffect, correct, correct_plain, correction_terms, disturb
 from inflight.model.diff import changes, parse_tree
@@ -39,6 +42,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from inflight.mission import Mission
+
+#: Least part of a dipole's field that the difference of two sensors must hold to tell the field.
+_ALIKE = 1e-3
 
 
 def make_effect(
@@ -72,6 +78,7 @@ def make_effect(
     kind = effect_class(str(given.pop("effect")), own)
     name = str(given.pop("name", None) or "")
     sensor = _sensor_of(kind, given.pop("sensor", None), sensors)
+    dipole = given.pop("dipole", None)
     # What is no parameter of the class is an option: the effect itself refuses unknown ones.
     options = {key: given.pop(key) for key in list(given) if key not in kind.parameters()}
     effect = kind(name, **options)
@@ -82,7 +89,71 @@ def make_effect(
     effect.units = {key: value.parameter.unit for key, value in timed.items()}
     if mission is not None:
         effect.family = family_of(effect, mission)
-    return ModelEffect(effect, sensor, timed)
+    made = ModelEffect(effect, sensor, timed)
+    return made if dipole is None else with_dipole(made, dipole, sensors)
+
+
+def with_dipole(entry: ModelEffect, given: Any, sensors: Mapping[str, Sensor]) -> ModelEffect:
+    """Return an effect as a dipole's that all sensors of the comparison see.
+
+    Parameters
+    ----------
+    given : mapping or None
+        ``position`` (m, three numbers; the origin of the mission's positions when absent) and ``sigma``, m;
+        None takes a dipole away.
+    sensors : mapping of str to Sensor
+        The comparison's, by instrument.
+
+    Raises
+    ------
+    ModelError
+        When the effect is no added field, a position is unknown, or both sensors would see the same field.
+    """
+    if given is None:
+        return replace(entry, dipole=None, others=())
+    if not entry.effect.is_additive:
+        raise ModelError(
+            f"'{entry.name}' has a dipole and does more than add a field", remedy="take 'dipole' out"
+        )
+    dipole = _dipole_of(entry.name, given)
+    others = tuple(one for one in sensors.values() if one.name != entry.sensor.name)
+    unknown = [one.name for one in (entry.sensor, *others) if one.position is None]
+    if unknown or not others:
+        raise ModelError(
+            f"'{entry.name}' has a dipole, and "
+            + (f"the mission does not say where {' and '.join(unknown)} stands" if unknown else "one sensor"),
+            remedy="state the instruments' 'position', m, in the mission file"
+            if unknown
+            else "drop 'dipole'",
+        )
+    made = replace(entry, dipole=dipole, others=others)
+    try:
+        errors, transfers = made.place_errors(), made.transfers()
+    except (SettingsError, np.linalg.LinAlgError) as error:
+        raise ModelError(f"'{entry.name}': dipole: {error}", remedy="give its true position, m") from None
+    alike = min(np.linalg.svd(np.eye(3) - one, compute_uv=False)[-1] for one in transfers.values())
+    if alike < _ALIKE or not np.isfinite(errors).all():
+        raise ModelError(
+            f"'{entry.name}': a dipole at {list(dipole.position)} m makes nearly the same field at both "
+            "sensors: their difference does not hold it",
+            remedy="give its true position, m, or drop 'dipole'",
+        )
+    return made
+
+
+def _dipole_of(name: str, given: Any) -> DipoleSource:
+    try:
+        unknown = set(given) - {"position", "sigma"}
+        position = tuple(float(one) for one in given.get("position", (0.0, 0.0, 0.0)))
+        sigma = float(given["sigma"])
+    except (TypeError, KeyError, ValueError, AttributeError):
+        unknown, position, sigma = {""}, (), -1.0
+    if unknown or len(position) != len(AXES) or not np.isfinite([*position, sigma]).all() or sigma < 0:
+        raise ModelError(
+            f"'{name}': dipole: {given!r}",
+            remedy="write such as dipole: {position: [0.3, 0, 0.1], sigma: 0.2}, both in m",
+        )
+    return DipoleSource((position[0], position[1], position[2]), sigma)
 
 
 def _sensor_of(kind: type[Effect], named: Any, sensors: Mapping[str, Sensor]) -> Sensor:

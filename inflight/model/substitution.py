@@ -20,7 +20,7 @@ from inflight.arrays import Floats, finite_rows
 from inflight.effects import Effect, Values
 from inflight.flags import Flag
 from inflight.mission import Sensor
-from inflight.model.apply import ModelEffect
+from inflight.model.apply import ModelEffect, at_all_sensors
 from inflight.model.model import Model
 from inflight.samples import channel_product, parse_channel
 from inflight.time import GAP, SECOND, Int64
@@ -199,7 +199,10 @@ class SubstitutedSamples:
             part = self.samples.isel(time=near)
             known = self.model(model)
             before = _fields(known, part)
-            inside, of_vector = missing[near], any(entry.sensor.role == "vector" for entry in users)
+            inside, of_vector = (
+                missing[near],
+                any(one.sensor.role == "vector" for one in at_all_sensors(users)),
+            )
             changes = [
                 *self._deviations(name, part, rows[near]),
                 *self._possible_values(name, part, rows[near]),

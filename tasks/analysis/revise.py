@@ -49,8 +49,8 @@ from inflight.diagnosis import (
 )
 from inflight.errors import ModelError, did_you_mean
 from inflight.lsq import GramBlocks
-from inflight.mission import Mission
-from inflight.model import Model, ModelEffect
+from inflight.mission import Mission, sensors_of
+from inflight.model import Model, ModelEffect, with_dipole
 from inflight.residual import above_floor
 from inflight.tasks.analysis.diagnosis import (
     PassResult,
@@ -76,6 +76,8 @@ from inflight.tasks.pipelines import spacecraft_units_of
 from inflight.tasks.report import Progress
 from inflight.time import SECOND, DayLike, parse_duration
 
+#: What `Workbench.set_numbers` calls the place of an effect's source.
+DIPOLE = ".dipole"
 #: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
 #: Records in which values of an effect that is not there are further from nothing; stated.
@@ -483,7 +485,9 @@ class Workbench:
         ----------
         settings : str
             Such as ``stray.lag=410s``, ``stray.width=2.5`` or ``temperature.linear[x]=1.2e-5``, in the
-            model's units.
+            model's units. ``stray.dipole=0.3 0 0.1 +- 0.2`` says where the source stands, m, so that the
+            other sensor sees it, too; ``stray.dipole=none`` takes that back. Its numbers are then fitted
+            as if nothing were known of them.
 
         Raises
         ------
@@ -498,7 +502,14 @@ class Workbench:
         spacing = plan.cadence_ns / SECOND
         held = held_numbers(self.mission, model, plan.channel_summaries, spacing, plan.library.unlagged)
         numbers = {one.name: one for one in held}
+        freed: list[str] = []
         for name, text in settings.items():
+            if name.endswith(DIPOLE):
+                entry = model.effect(name.removesuffix(DIPOLE))
+                sensors = sensors_of(self.mission, model.comparison)
+                model = model.replace(with_dipole(entry, _source(name, text), sensors))
+                freed += [f"{entry.name}.{key}" for key in entry.parameters]
+                continue
             known = [*numbers, *model.columns]
             if name not in known:
                 raise _no_number(model, name, known, "'inflight model show' lists its values")
@@ -515,6 +526,7 @@ class Workbench:
         before = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
         used = VersionedModel(model, self.root.version, model.text)
         setup = _fit_setup_of(self._prepared(used, []), self.settings)
+        setup = replace(setup, refined=tuple(_without_sigma(term, freed) for term in setup.refined))
         after = setup.fit([], {})
         value, sigma = _fitted_of(setup.refined, after)
         model = model.with_values(value, sigma)
@@ -802,6 +814,19 @@ def _setting(text: str) -> tuple[str, str]:
     if not (equals and name.strip() and value.strip()):
         raise ModelError(f"{text!r} sets no number", remedy="write such as stray.lag=410s")
     return name.strip(), value.strip()
+
+
+def _source(name: str, text: str) -> dict[str, Any] | None:
+    """Return where a dipole stands, as a model's file says it; None for none."""
+    if text == "none":
+        return None
+    try:
+        place, _, sigma = text.replace("±", "+-").partition("+-")
+        return {"position": [float(one) for one in place.replace(",", " ").split()], "sigma": float(sigma)}
+    except ValueError:
+        raise ModelError(
+            f"{name}: {text!r} is no place", remedy="write such as '0.3 0 0.1 +- 0.2', m, or none"
+        ) from None
 
 
 def _number(name: str, text: str) -> float:
