@@ -194,8 +194,9 @@ class ModelHistory:
     """The models of a workspace, read from the catalog; nothing is saved."""
 
     def __init__(self, cat: Catalog, mission: Mission, comparison: str = "main") -> None:
-        self._cat = cat
+        self._cat, self._mission = cat, mission
         used = find_model(cat, mission, comparison)
+        self._own = used.model.own
         self._records = {(record.name, record.version): record for record in self._cat.models()}
         self.used = self._version(used.model.name, used.version, used.text)
 
@@ -225,6 +226,10 @@ class ModelHistory:
                 remedy=f"the catalog has {', '.join(listed) or 'none yet; reprocess saves the first'}",
             )
         return self._version(*self._cat.model_text(*known[-1]))
+
+    def model(self, entry: HistoryEntry) -> Model:
+        """Return the model of a version, with the effects' files as they are now."""
+        return Model.parse(entry.text, self._mission, entry.label, self._own)
 
     def same(self, one: int | None, other: int | None) -> bool:
         """Return True for two versions of the model in use with one text: an undo has an older one's."""

@@ -570,6 +570,8 @@ def print_revision(console: Console, fields: Fields) -> None:
     if fields["empirical"]:
         names = ", ".join(fields["empirical"])
         console.print(f"empirical, causes not known: {names}", soft_wrap=True, markup=False)
+    if fields["told_by_difference"]:
+        console.print(fields["told_by_difference"], soft_wrap=True, markup=False)
     changed = fields["moved"]
     if changed:
         rows = []

@@ -37,8 +37,10 @@ def show_model(
     """Show the effects of a model in the order of correction, with values and uncertainties."""
     from inflight.model import parse_tree
 
-    found = _versions(command, comparison).find(named)
+    versions = _versions(command, comparison)
+    found = versions.find(named)
     tree = _marked(parse_tree(found.text))
+    told = versions.model(found).told_by_difference
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
@@ -53,8 +55,10 @@ def show_model(
         if names := [entry.get("name", entry["effect"]) for entry in tree["effects"] if "empirical" in entry]:
             text = f"empirical, there for what they look like, cause not known: {', '.join(names)}"
             console.print(text, soft_wrap=True, markup=False)
+        for line in (*_dipoles(tree), *([told] if told else [])):
+            console.print(line, soft_wrap=True, markup=False)
 
-    fields = found.fields | {"message": message}
+    fields = found.fields | {"message": message, "told_by_difference": told}
     command.emit({"command": "model show", **fields, "model": tree}, show)
 
 
@@ -132,6 +136,17 @@ def _marked(tree: dict[str, Any]) -> dict[str, Any]:
         for entry in tree["effects"]
     ]
     return {**tree, "effects": effects}
+
+
+def _dipoles(tree: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each source that the other sensor sees, too."""
+    for entry in tree["effects"]:
+        if dipole := entry.get("dipole"):
+            place = ", ".join(_number(one) for one in dipole["position"])
+            yield (
+                f"{entry.get('name', entry['effect'])}: a dipole at {place} m, each known to "
+                f"{_number(dipole['sigma'])} m; the other sensor has its part of it"
+            )
 
 
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

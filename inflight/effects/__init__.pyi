@@ -11,7 +11,7 @@ from .base import (
 )
 from .conformance import ConformanceSettings, check_effect
 from .environment import MAX_HARMONIC, DayNight, DayNightSeries, order_names
-from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
+from .families import CURRENT_FAMILIES, NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, VECTOR_ROLES, Affine, ScalarBias, TimeShift, VectorSensor
 from .spacecraft import (
@@ -28,6 +28,7 @@ from .user_effects import EffectSource
 __all__ = [
     "ANGLES",
     "AXES",
+    "CURRENT_FAMILIES",
     "MAX_HARMONIC",
     "NO_CAUSE",
     "PANEL_CYCLE_DAYS",

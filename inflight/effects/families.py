@@ -59,6 +59,9 @@ FAMILY_OF_KIND = {
     "position": "unknown",
 }
 
+#: Families of currents that flow on the spacecraft: their field is a source's, not an instrument's.
+CURRENT_FAMILIES = ("torquer", "solar", "battery", "camera", "current")
+
 #: Kinds of channels that give place and attitude of the spacecraft, and are no cause themselves.
 NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase", "spin_axis")
 

@@ -20,6 +20,7 @@ from inflight.arrays import Floats
 from inflight.dipole import DipoleSource
 from inflight.effects import (
     AXES,
+    CURRENT_FAMILIES,
     Effect,
     EffectSource,
     Parameter,
@@ -310,6 +311,38 @@ class Model:
     def empirical(self) -> list[str]:
         """Names of the effects that are there for what they look like, and whose cause is not known."""
         return [entry.name for entry in self.effects if entry.effect.empirical]
+
+    @property
+    def told_by_difference(self) -> str:
+        """Which currents' fields are known as a difference of two sensors only, and how to tell them; or "".
+
+        What the other sensor sees of such a source stays in the first one's field, and no residual shows it.
+        """
+        sensors = self.known_layout.sensors
+        first = next((one for role, one in sensors.items() if role in ("vector", "inboard")), None)
+        others = [one for one in sensors.values() if first is not None and one.name != first.name]
+        if first is None or len(others) != 1 or first.position is None or others[0].position is None:
+            return ""
+        elsewhere = {
+            name for entry in self.effects if entry.sensor != first for name in entry.effect.channels[:1]
+        }
+        names = [
+            entry.name
+            for entry in self.effects
+            if entry.sensor == first
+            and entry.is_additive
+            and entry.dipole is None
+            and entry.effect.family in CURRENT_FAMILIES
+            and entry.effect.channels[0] not in elsewhere
+        ]
+        if not names:
+            return ""
+        return (
+            f"{', '.join(names)}: known by the difference of {first.name} and {others[0].name}; what "
+            f"{others[0].name} sees of {'this current' if len(names) == 1 else 'these currents'} stays in "
+            f"the field of {first.name}, and no residual shows it. Say where the source stands, m: "
+            f"inflight set {names[0]}.dipole='x y z +- sigma'"
+        )
 
     def add(self, effect: ModelEffect, before: str | None = None) -> Model:
         """Return a model with one more effect, before a named one or in its usual place.

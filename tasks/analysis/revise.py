@@ -145,6 +145,7 @@ class Revision:
             "moved": self.moved,
             "coefficients": self.values,
             "empirical": self.model.model.empirical,
+            "told_by_difference": self.model.model.told_by_difference,
         }
 
     @property
