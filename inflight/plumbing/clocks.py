@@ -93,7 +93,8 @@ def linear_pair(
 def with_constant(values: Floats) -> Floats:
     """Return a record's columns and a constant."""
     wide = values.reshape(len(values), -1)
-    return np.column_stack([wide, np.ones(len(wide))])
+    # One run of memory a column.
+    return np.vstack([wide.T, np.ones(len(wide))]).T
 
 
 def scalar_pair(scalar: Record, vector: Record, step_s: int = 1) -> Pair:
@@ -118,8 +119,8 @@ def quadratic_columns(values: Floats) -> Callable[[Floats], Floats]:
     spread = np.where(spread > 0, spread, 1.0)
 
     def columns(vectors: Floats) -> Floats:
-        x, y, z = ((vectors - middle) / spread).T
-        return np.column_stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, np.ones(len(x))])
+        x, y, z = (np.ascontiguousarray(vectors.T) - middle[:, None]) / spread[:, None]
+        return np.array([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, np.ones(len(x))]).T
 
     return columns
 
@@ -127,22 +128,24 @@ def quadratic_columns(values: Floats) -> Callable[[Floats], Floats]:
 def left_by(columns: Floats, target: Floats) -> Floats:
     """Return what columns (row, column) leave of a target (row,) or (row, axis); outliers have no say."""
     wide = target.reshape(len(target), -1)
-    good = np.isfinite(columns).all(axis=1) & np.isfinite(wide).all(axis=1)
+    good = np.isfinite(columns.sum(axis=1) + wide.sum(axis=1))
     residual = np.full(wide.shape, np.nan)
-    use = good
+    known, told = (columns, wide) if good.all() else (columns[good], wide[good])
+    used, seen = known, told
     for _ in range(2):
-        if np.count_nonzero(use) < 2 * columns.shape[1]:
+        if len(used) < 2 * columns.shape[1]:
             return residual.reshape(target.shape)
-        scale = np.sqrt(np.mean(columns[use] ** 2, axis=0)) + 1e-300
-        scaled = columns[use] / scale
-        value = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True) @ (scaled.T @ wide[use])
-        residual[good] = wide[good] - (columns[good] / scale) @ value
-        size = np.linalg.norm(residual, axis=1)
+        gram = used.T @ used
+        scale = np.sqrt(np.diag(gram) / len(used)) + 1e-300
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-13, hermitian=True)
+        left = told - known @ ((inverse @ ((used.T @ seen) / scale[:, None])) / scale[:, None])
+        residual[good] = left
+        size = np.abs(left[:, 0]) if left.shape[1] == 1 else np.linalg.norm(left, axis=1)
         # Five sigma of a normal deviate.
-        kept = good & (size <= 5.0 / 0.6745 * np.median(size[good]))
-        if kept.sum() == use.sum():
+        kept = size <= 5.0 / 0.6745 * np.median(size)
+        if np.count_nonzero(kept) == len(used):
             break
-        use = kept
+        used, seen = known[kept], told[kept]
     return residual.reshape(target.shape)
 
 
