@@ -7,8 +7,13 @@ stop the others, and its `Failure` is recorded.
 
 from __future__ import annotations
 
+import re
+import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,14 +103,36 @@ class Outcome:
     failures: dict[np.datetime64, Failure] = field(default_factory=dict)
 
 
-def failure_of(error: BaseException) -> Failure:
-    """Return cause and remedy of an error; one that is no `InflightError` is a bug, or of the machine."""
+def failure_of(error: BaseException, work: str, workspace: Path) -> Failure:
+    """Return cause and remedy of an error; one that is no `InflightError` is a bug, or of the machine.
+
+    Of a bug the traceback is written below the workspace's reports, and the remedy names the file.
+
+    Parameters
+    ----------
+    work : str
+        What was being made, for the file's name: a run, a dataset and a day.
+    workspace : Path
+    """
     if isinstance(error, InflightError):
         message = f"{error.file}: {error.message}" if error.file else error.message
         return Failure(error.cause, message, error.remedy, error.channel)
     cause = failure_cause(error)
-    remedy = "please report it with the log" if cause == "bug" else ""
+    remedy = f"please report it with {_traceback_file(error, work, workspace)}" if cause == "bug" else ""
     return Failure(cause, f"{type(error).__name__}: {error}", remedy)
+
+
+def _traceback_file(error: BaseException, work: str, workspace: Path) -> str:
+    """Write where an error was raised, and with which software; return the file's name."""
+    file = workspace / "reports" / "tracebacks" / f"{re.sub('[^A-Za-z0-9.-]+', '-', work)}.txt"
+    text = "".join(traceback.format_exception(error))
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        software = f"inflight {version('inflight')}, Python {sys.version}"
+        file.write_text(f"{software}\n{work}\n\n{text}", encoding="utf-8")
+    except OSError:
+        return f"this: {text.strip().splitlines()[-1]}"
+    return str(file.relative_to(workspace))
 
 
 def make_days(
@@ -138,7 +165,8 @@ def make_days(
             try:
                 dataset, report = make(day)
             except Exception as error:  # one bad day must not stop the others; its cause is recorded
-                outcome.failures[day] = failure_of(error)
+                work = f"{job.run} {job.dataset} {day}"
+                outcome.failures[day] = failure_of(error, work, cat.workspace)
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:

@@ -247,7 +247,7 @@ def states_window(
             found = choose_correction(readings, candidates.fit, candidates.priors)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
-            return failure_of(error)
+            return failure_of(error, f"{model.comparison} window {days[0]} {days[-1]}", cat.workspace)
 
 
 def body_of(mission: Mission, comparison: str) -> Body | None:
