@@ -12,13 +12,13 @@ import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from inflight import __version__
 from inflight.catalog import Catalog, DayData, Segment, failure_cause, write_segment
 from inflight.errors import InflightError
 from inflight.mission import Mission
@@ -128,7 +128,7 @@ def _traceback_file(error: BaseException, work: str, workspace: Path) -> str:
     text = "".join(traceback.format_exception(error))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        software = f"inflight {version('inflight')}, Python {sys.version}"
+        software = f"inflight {__version__}, Python {sys.version}"
         file.write_text(f"{software}\n{work}\n\n{text}", encoding="utf-8")
     except OSError:
         return f"this: {text.strip().splitlines()[-1]}"
