@@ -2,6 +2,7 @@ from .catalog import Catalog
 from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
 from .manifest import folder_bytes
+from .moving import Move, move_catalog
 from .provenance import Edge
 from .records import (
     ContextRecord,
@@ -33,6 +34,7 @@ __all__ = [
     "FileRecord",
     "MissionStatement",
     "ModelRecord",
+    "Move",
     "ReleaseContents",
     "ReleaseFolder",
     "ReleasePlan",
@@ -50,6 +52,7 @@ __all__ = [
     "folder_bytes",
     "idempotency_key",
     "measured_changes",
+    "move_catalog",
     "shipped_missions",
     "write_segment",
     "write_table",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -16,6 +17,7 @@ from sqlalchemy import (
     Integer,
     String,
     Text,
+    TypeDecorator,
     UniqueConstraint,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -26,15 +28,33 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", bound="DataclassInstance")
 #: SQLite numbers rows by itself only in columns declared INTEGER.
 _Id = BigInteger().with_variant(Integer, "sqlite")
+#: Names sort the same on both databases.
+_Name = String().with_variant(String(collation="C"), "postgresql")
+
+
+class _JsonText(TypeDecorator[Any]):
+    """JSON as text: PostgreSQL's own JSON refuses the NaN that reports may hold."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: Any, dialect: Any) -> str | None:
+        return None if value is None else json.dumps(value)
+
+    def process_result_value(self, value: str | None, dialect: Any) -> Any:
+        return None if value is None else json.loads(value)
+
+
+_Json = JSON().with_variant(_JsonText(), "postgresql")
 
 
 class Base(DeclarativeBase):
     """Base of all tables."""
 
     type_annotation_map: ClassVar[dict[Any, Any]] = {
-        dict[str, Any]: JSON,
-        list[Any]: JSON,
-        str: String,
+        dict[str, Any]: _Json,
+        list[Any]: _Json,
+        str: _Name,
         int: BigInteger,
         dt.date: Date,
         float: Float,
@@ -55,7 +75,11 @@ class Base(DeclarativeBase):
 
 
 class RunRow(Base):
-    """One run; host, pid and `process` (start of the process) identify its process."""
+    """One run; host, pid and `process` (start of the process) identify its process.
+
+    `lease` is until when it is taken for alive, s since 1970 on the database's clock; None where its process
+    is looked at.
+    """
 
     __tablename__ = "run"
     id: Mapped[str] = mapped_column(primary_key=True)
@@ -70,8 +94,9 @@ class RunRow(Base):
     process: Mapped[str]
     started: Mapped[str]
     ended: Mapped[str | None]
+    lease: Mapped[float | None]
     #: What a run that was done says of itself; None of those that said nothing. Read when it is asked for.
-    report: Mapped[dict[str, Any] | None] = mapped_column(JSON, default=None, deferred=True)
+    report: Mapped[dict[str, Any] | None] = mapped_column(_Json, default=None, deferred=True)
 
 
 class DatasetRow(Base):

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from probe_mission import PROBE_YAML
+from sqlalchemy import update
 
 from inflight.catalog import Catalog, DayData, FileRecord, Run, write_segment
+from inflight.catalog.schema import RunRow
 from inflight.errors import StorageError
 from inflight.mission import Mission
 from inflight.time import SECOND, day_bounds
@@ -178,6 +180,11 @@ def write_under_a_size_limit(workspace: Path, pipe: Connection) -> None:
         pipe.send((error.cause, error.remedy))
     else:
         pipe.send(("", "written"))
+
+
+def end_leases(catalog: Catalog) -> None:
+    """Let the time pass after which runs without a sign of life are taken for dead."""
+    catalog._database.write(lambda session: session.execute(update(RunRow).values(lease=0.0 * RunRow.lease)))
 
 
 def freeze(workspace: Path, version: str) -> None:
