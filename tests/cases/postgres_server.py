@@ -11,6 +11,8 @@ import socket
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
@@ -35,7 +37,7 @@ class PostgresServer:
     def __init__(self, programs: Path) -> None:
         self._programs = programs
         self._user = _unprivileged()
-        self._folder = Path(tempfile.mkdtemp(prefix="inflight-postgres-", dir="/tmp"))
+        self._folder = Path(tempfile.mkdtemp(prefix="inflight-postgres-", dir=_quick_folder()))
         if self._user:
             os.chown(self._folder, pwd.getpwnam(self._user).pw_uid, -1)
         self.port = _free_port()
@@ -95,11 +97,13 @@ class PostgresServer:
             cursor = connection.execute(statement)
             return cursor.fetchall() if cursor.description else []
 
-    def new_database(self, template: str = "template1") -> str:
-        """Make a database; return its name."""
+    @contextmanager
+    def database(self, template: str = "template1") -> Iterator[str]:
+        """Make a database for a while; give its name."""
         name = f"catalog_{next(self._numbers)}"
-        self.execute(f"CREATE DATABASE {name} TEMPLATE {template}")
-        return name
+        self.execute(f"CREATE DATABASE {name} TEMPLATE {template} STRATEGY FILE_COPY")
+        yield name
+        self.execute(f"DROP DATABASE {name} WITH (FORCE)")
 
     def url(self, database: str) -> str:
         """Return the address of a database over the unix socket."""
@@ -128,6 +132,11 @@ def server_programs() -> Path | None:
         return Path(found).resolve().parent
     installed = Path("/usr/lib/postgresql").glob("*/bin/postgres")
     return max((path.parent for path in installed), key=lambda path: int(path.parts[-2]), default=None)
+
+
+def _quick_folder() -> str:
+    """Return a folder that every user can reach, in memory where there is one; a socket's path must be short."""
+    return next(folder for folder in ("/dev/shm", "/tmp") if os.access(folder, os.W_OK))
 
 
 def _unprivileged() -> str | None:

@@ -1,8 +1,7 @@
 import os
-from pathlib import Path
 
 import pytest
-from catalog_cases import end_leases
+from catalog_cases import end_leases, state_url
 from postgres_server import NEEDED, PostgresServer, server_programs
 
 from inflight.catalog import Catalog
@@ -26,22 +25,31 @@ def postgres_server():
 @pytest.fixture(scope="session")
 def template(postgres_server, tmp_path_factory):
     """The name of a database with all tables, which others are copied from."""
-    name = postgres_server.new_database()
-    workspace = tmp_path_factory.mktemp("template")
-    state_url(workspace, postgres_server.url(name))
-    Catalog(workspace)
-    postgres_server.execute("DELETE FROM setting", name)
-    return name
+    with postgres_server.database() as name:
+        workspace = tmp_path_factory.mktemp("template")
+        state_url(workspace, postgres_server.url(name))
+        Catalog(workspace)
+        postgres_server.execute("DELETE FROM setting", name)
+        yield name
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+def pytest_generate_tests(metafunc):
+    """Run what a module says is the same on both databases on both."""
+    if "workspace" in metafunc.fixturenames and getattr(metafunc.module, "BOTH_DATABASES", False):
+        metafunc.parametrize("workspace", ["sqlite", "postgresql"], indirect=True)
+
+
+@pytest.fixture
 def workspace(request, tmp_path):
-    """An empty folder whose catalog is in either database."""
+    """An empty folder whose catalog is in SQLite, or in the database that the test asks for."""
     folder = tmp_path / "workspace"
-    if request.param == "postgresql":
-        server, template = request.getfixturevalue("postgres_server"), request.getfixturevalue("template")
-        state_url(folder, server.url(server.new_database(template)))
-    return folder
+    if getattr(request, "param", "sqlite") == "sqlite":
+        yield folder
+        return
+    server, template = request.getfixturevalue("postgres_server"), request.getfixturevalue("template")
+    with server.database(template) as name:
+        state_url(folder, server.url(name))
+        yield folder
 
 
 @pytest.fixture
@@ -58,9 +66,3 @@ def reopened_after_death(catalog):
         return Catalog(catalog.workspace)
 
     return reopen
-
-
-def state_url(workspace: Path, url: str) -> None:
-    """Say in a workspace where its catalog is."""
-    workspace.mkdir(parents=True, exist_ok=True)
-    (workspace / "catalog.yaml").write_text(f"url: {url}\n")
