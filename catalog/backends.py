@@ -248,7 +248,9 @@ class Postgres(Backend):
         names = None if datasets is None else sorted(set(datasets))
         lock = "pg_advisory_xact_lock" if names is None else "pg_advisory_xact_lock_shared"
         begun = (
-            f"SELECT set_config('idle_in_transaction_session_timeout', '{_IDLE_MS}', true),"
+            # A published day survives a power failure.
+            "SELECT set_config('synchronous_commit', 'on', true),"
+            f" set_config('idle_in_transaction_session_timeout', '{_IDLE_MS}', true),"
             f" pg_current_xact_id()::text AS id, {lock}(:catalog)"
         )
         transaction = session.execute(text(begun), {"catalog": _lock_of("")}).one().id

@@ -190,7 +190,7 @@ def address_without_password(url: URL) -> str:
     """Return a URL as it may be shown and written: without what its user is known by."""
     secret = {"password", "sslpassword", "passfile"}
     return (
-        url.set(password=None)
+        url._replace(password=None)
         .update_query_dict(dict.fromkeys(secret & url.query.keys(), "..."))
         .render_as_string(hide_password=False)
     )

@@ -1,4 +1,4 @@
-"""A PostgreSQL server of the tests' own, in a temporary folder: started once, a fresh database for each test."""
+"""A PostgreSQL server of the tests' own, in a temporary folder, started once; each test has a database."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class PostgresServer:
                 stdout=log,
                 stderr=log,
                 user=self._user,
-                preexec_fn=_end_with_parent,
+                preexec_fn=_end_with_parent,  # noqa: PLW1509 - it calls the kernel alone
             )
         deadline = time.monotonic() + 60
         while True:
@@ -135,7 +135,7 @@ def server_programs() -> Path | None:
 
 
 def _quick_folder() -> str:
-    """Return a folder that every user can reach, in memory where there is one; a socket's path must be short."""
+    """Return a folder that every user can reach, in memory if possible; a socket's path must be short."""
     return next(folder for folder in ("/dev/shm", "/tmp") if os.access(folder, os.W_OK))
 
 

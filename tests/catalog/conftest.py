@@ -59,7 +59,7 @@ def catalog(workspace):
 
 @pytest.fixture
 def reopened_after_death(catalog):
-    """Open the catalog again as it is some time after a process was killed: a lease ends, a process is seen."""
+    """Open the catalog again some time after a process was killed: its lease has ended."""
 
     def reopen():
         end_leases(catalog)

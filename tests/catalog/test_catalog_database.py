@@ -58,10 +58,12 @@ FIRST_ROWS = (
     "INSERT INTO run (id, kind, settings, state, cause, message, host, pid, process, started, ended) "
     "VALUES ('r', 'ingest', '{\"batch\": 4}', 'done', '', '', 'h', 1, '', '2020-01-01', '2020-01-01')",
     "INSERT INTO dataset (id, name) VALUES (1, 'l1/fgm')",
-    "INSERT INTO store (id, path, sha256, bytes, notes, run_id) VALUES (1, 'stores/r/a.zarr', 'x', 9, '[]', 'r')",
+    "INSERT INTO store (id, path, sha256, bytes, notes, run_id) "
+    "VALUES (1, 'stores/r/a.zarr', 'x', 9, '[]', 'r')",
     "INSERT INTO day (id, dataset_id, day, run_id, state, cause, message, key, report, baseline, revision, "
     "store_id, start, stop, first_tt2000, last_tt2000, count, step_ns) VALUES (1, 1, '2005-01-01', 'r', "
-    "'published', '', '', 'k', '{\"coverage\": NaN}', 1, 0, 1, 0, 5, 157766464184000000, 157852804184000000, 5, 0)",
+    "'published', '', '', 'k', '{\"coverage\": NaN}', "
+    "1, 0, 1, 0, 5, 157766464184000000, 157852804184000000, 5, 0)",
     "INSERT INTO current (dataset_id, day, day_id) VALUES (1, '2005-01-01', 1)",
 )
 
