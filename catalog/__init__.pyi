@@ -1,6 +1,7 @@
 from .catalog import Catalog
 from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
+from .location import CATALOG_VARIABLE
 from .manifest import folder_bytes
 from .moving import Move, move_catalog
 from .provenance import Edge
@@ -24,6 +25,7 @@ from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
 
 __all__ = [
+    "CATALOG_VARIABLE",
     "Catalog",
     "ContextRecord",
     "DatasetDescription",

@@ -23,7 +23,7 @@ from inflight.catalog.database import Database, address_without_password
 from inflight.catalog.schema import SettingRow, StoreRow
 from inflight.errors import CatalogError, WorkspaceError
 
-VARIABLE: Final = "INFLIGHT_CATALOG"
+CATALOG_VARIABLE: Final = "INFLIGHT_CATALOG"
 LOCATION_FILE: Final = "catalog.yaml"
 DATABASE_FILE: Final = "catalog.db"
 ID_FILE: Final = "catalog.id"
@@ -40,8 +40,8 @@ def database_url(workspace: Path) -> URL:
     CatalogError
         When what is stated is no address.
     """
-    if stated := os.environ.get(VARIABLE):
-        return parse_url(stated, VARIABLE)
+    if stated := os.environ.get(CATALOG_VARIABLE):
+        return parse_url(stated, CATALOG_VARIABLE)
     file = workspace / LOCATION_FILE
     if file.exists():
         return parse_url(_stated_in(file), str(file))
@@ -102,7 +102,7 @@ def open_database(workspace: Path) -> Database:
         raise CatalogError(
             f"this catalog was moved: {marks.moved}",
             file=database.place,
-            remedy=f"state the address it has now in {VARIABLE} or {LOCATION_FILE}; a move that was "
+            remedy=f"state the address it has now in {CATALOG_VARIABLE} or {LOCATION_FILE}; a move that was "
             "interrupted is finished by the same 'inflight catalog move'",
         )
     if database.backend.is_shared and not (marks.workspace and marks.workspace == _id_of(workspace)):
@@ -136,7 +136,7 @@ def _join(workspace: Path, database: Database, marks: Marks) -> None:
     here, filled = _id_of(workspace), any((workspace / "stores").glob("*/*.zarr"))
     there = marks.workspace
     if not (there or filled):
-        there = database.write(_name_workspace, here or uuid.uuid4().hex)
+        there = database.write(name_workspace, here or uuid.uuid4().hex)
     if (here and there != here) or (marks.has_stores and not here) or not there:
         what = (
             "the database is that of another folder"
@@ -157,7 +157,7 @@ def _id_of(workspace: Path) -> str:
     return file.read_text("utf-8").strip() if file.exists() else ""
 
 
-def _name_workspace(session: Session, name: str) -> str:
+def name_workspace(session: Session, name: str) -> str:
     """Give the database the name of its folder, unless it has one; return what it has."""
     row = session.get(SettingRow, WORKSPACE_SETTING)
     if row is None:

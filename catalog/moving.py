@@ -26,6 +26,7 @@ from inflight.catalog.location import (
     WORKSPACE_SETTING,
     database_url,
     join,
+    name_workspace,
     parse_url,
     read_marks,
     sqlite_url,
@@ -82,7 +83,8 @@ def move_catalog(workspace: Path, address: str, *, dry_run: bool = False) -> Mov
     name, moved, _ = source.read(read_marks)
     if moved and moved != target.place:
         raise CatalogError(f"this catalog was moved: {moved}", file=source.place, remedy="move it from there")
-    name = name or uuid.uuid4().hex
+    if not (name or dry_run):
+        name = source.write(name_workspace, uuid.uuid4().hex)
     if not moved:
         source.read(_require_no_runs)
         target.read(_require_free, name)
