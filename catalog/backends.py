@@ -271,8 +271,9 @@ class Postgres(Backend):
     def may_pass(self, error: DBAPIError) -> bool:
         """Serialisation failures, deadlocks, and a server that is gone."""
         state = getattr(error.orig, "sqlstate", None)
-        # Without a state the server was not heard at all.
-        return state is None or state in _PASSING or state.startswith("08")
+        if state is None:  # the server was not heard at all, or the driver refused what it was given
+            return isinstance(error, OperationalError) or error.connection_invalidated
+        return state in _PASSING or state.startswith("08")
 
     def pauses(self) -> Iterator[float]:
         """Longer and longer ones, for a minute."""
@@ -307,13 +308,13 @@ class Postgres(Backend):
                 file=place,
                 remedy="wait for it, then run again",
             )
-        if state in {"42501", "0A000", "58P01"}:
-            return CatalogError(
+        if state in {"42501", "25006", "0A000", "58P01"}:
+            return StorageError(
                 f"the catalog's database refused: {reason}",
                 file=place,
                 remedy="ask its administrator: the user must own the database, which needs btree_gist",
             )
-        if state.startswith(("53", "58")) or self.may_pass(error):
+        if state.startswith("53") or self.may_pass(error):
             return StorageError(
                 f"the catalog's database cannot be used: {reason}",
                 file=place,

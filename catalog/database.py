@@ -187,10 +187,6 @@ class Database:
 
 
 def address_without_password(url: URL) -> str:
-    """Return a URL as it may be shown and written: without what its user is known by."""
-    secret = {"password", "sslpassword", "passfile"}
-    return (
-        url._replace(password=None)
-        .update_query_dict(dict.fromkeys(secret & url.query.keys(), "..."))
-        .render_as_string(hide_password=False)
-    )
+    """Return a URL as it may be shown and written: without its passwords."""
+    plain = url._replace(password=None).difference_update_query(["password", "sslpassword"])
+    return plain.render_as_string(hide_password=False)

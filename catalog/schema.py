@@ -32,6 +32,19 @@ _Id = BigInteger().with_variant(Integer, "sqlite")
 _Name = String().with_variant(String(collation="C"), "postgresql")
 
 
+class _PlainText(TypeDecorator[str]):
+    """Text without NUL, which PostgreSQL refuses: messages may quote what stood in a broken file."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: str | None, dialect: Any) -> str | None:
+        return None if value is None else value.replace("\0", "\N{REPLACEMENT CHARACTER}")
+
+
+_Message = Text().with_variant(_PlainText(), "postgresql")
+
+
 class _JsonText(TypeDecorator[Any]):
     """JSON as text: PostgreSQL's own JSON refuses the NaN that reports may hold."""
 
@@ -88,7 +101,7 @@ class RunRow(Base):
     context: Mapped[str | None]
     state: Mapped[str] = mapped_column(index=True)
     cause: Mapped[str] = mapped_column(default="")
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     host: Mapped[str]
     pid: Mapped[int]
     process: Mapped[str]
@@ -136,7 +149,7 @@ class DayRow(Base):
     context: Mapped[str | None]
     state: Mapped[str]
     cause: Mapped[str] = mapped_column(default="")
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     key: Mapped[str] = mapped_column(default="")
     report: Mapped[dict[str, Any]] = mapped_column(default=dict)
     coverage: Mapped[float | None]
@@ -199,7 +212,7 @@ class ModelRow(Base):
     parent: Mapped[int | None]
     text: Mapped[str] = mapped_column(Text)
     sha256: Mapped[str]
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     created: Mapped[str]
     change: Mapped[dict[str, Any] | None]
 

@@ -25,6 +25,8 @@ from catalog_cases import (
 from postgres_server import PASSWORD, PostgresServer, server_programs
 
 from inflight.catalog import Catalog
+from inflight.catalog.database import address_without_password
+from inflight.catalog.location import database_url, parse_url, state_location
 from inflight.catalog.runs import close_dead_runs
 from inflight.catalog.schema import CertificationRow
 from inflight.errors import CatalogError, StorageError, ValidityError, WorkspaceError
@@ -80,6 +82,17 @@ def test_a_wrong_password_is_told_and_no_password_is_shown(postgres_server, data
     assert "127.0.0.1" in shown
     state_url(tmp_path, postgres_server.tcp_url(database))
     assert PASSWORD.split()[0] not in repr(Catalog(tmp_path)._database.place)
+
+
+def test_an_address_is_shown_and_written_without_any_password(tmp_path):
+    url = parse_url("postgres://u:secret@h:5/d?sslmode=require&password=secret&sslpassword=secret", "here")
+    assert address_without_password(url) == "postgresql+psycopg://u@h:5/d?sslmode=require"
+    state_location(tmp_path, url)
+    assert "secret" not in (tmp_path / "catalog.yaml").read_text()
+    assert database_url(tmp_path) == url._replace(password=None, query={"sslmode": "require"})
+    with pytest.raises(CatalogError) as caught:
+        parse_url("postgres//u:secret@h", "here")
+    assert "secret" not in str(caught.value)
 
 
 def test_a_password_may_stand_in_the_environment(postgres_server, database, tmp_path, monkeypatch):
