@@ -99,12 +99,7 @@ def open_database(workspace: Path) -> Database:
     database = Database(database_url(workspace))
     marks = database.read(read_marks)
     if marks.moved:
-        raise CatalogError(
-            f"this catalog was moved: {marks.moved}",
-            file=database.place,
-            remedy=f"state the address it has now in {CATALOG_VARIABLE} or {LOCATION_FILE}; a move that was "
-            "interrupted is finished by the same 'inflight catalog move'",
-        )
+        raise _moved(marks.moved, database.place)
     if database.backend.is_shared and not (marks.workspace and marks.workspace == _id_of(workspace)):
         _join(workspace, database, marks)
     return database
@@ -126,6 +121,21 @@ def read_marks(session: Session) -> Marks:
     return Marks(values.get(WORKSPACE_SETTING, ""), values.get(MOVED_SETTING, ""), some is not None)
 
 
+def require_not_moved(session: Session) -> None:
+    """Refuse to begin work in a database whose catalog was moved since it was opened."""
+    if row := session.get(SettingRow, MOVED_SETTING):
+        raise _moved(row.value)
+
+
+def _moved(where: str, place: str = "") -> CatalogError:
+    return CatalogError(
+        f"this catalog was moved: {where}",
+        file=place,
+        remedy=f"state the address it has now in {CATALOG_VARIABLE} or {LOCATION_FILE}; a move that was "
+        "interrupted is finished by the same 'inflight catalog move'",
+    )
+
+
 def join(workspace: Path, name: str) -> None:
     """Write the name of the folder into it."""
     _replace(workspace / ID_FILE, f"{name}\n")
@@ -133,7 +143,8 @@ def join(workspace: Path, name: str) -> None:
 
 def _join(workspace: Path, database: Database, marks: Marks) -> None:
     """Bring a folder and a database together of which one is new; refuse any others."""
-    here, filled = _id_of(workspace), any((workspace / "stores").glob("*/*.zarr"))
+    here, stores = _id_of(workspace), (workspace / "stores").glob("*/*.zarr")
+    filled = (workspace / DATABASE_FILE).exists() or any(stores)
     there = marks.workspace
     if not (there or filled):
         there = database.write(name_workspace, here or uuid.uuid4().hex)

@@ -34,6 +34,7 @@ from inflight.catalog.database import Database
 from inflight.catalog.days import adoptable_day, adoptable_days, day_record
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import plain_attributes
+from inflight.catalog.location import require_not_moved
 from inflight.catalog.manifest import manifest_faults, manifest_sha256
 from inflight.catalog.provenance import Edge, add_edges, parent_ids, walk
 from inflight.catalog.records import (
@@ -111,6 +112,7 @@ class Run:
         return self
 
     def _begin(self, session: Session) -> None:
+        require_not_moved(session)
         session.add(
             RunRow(
                 id=self.id,

@@ -125,6 +125,14 @@ def test_who_still_has_the_old_address_is_told_where_the_catalog_is(catalog, url
         Catalog(workspace)
 
 
+def test_a_run_is_not_begun_where_the_catalog_was_moved_away_from(catalog, url):
+    move_catalog(catalog.workspace, url)
+    there = Catalog(catalog.workspace)
+    move_catalog(catalog.workspace, "sqlite")
+    with pytest.raises(CatalogError, match=r"was moved: sqlite"):
+        there.run("ingest").__enter__()
+
+
 def test_a_move_while_a_run_is_under_way_is_refused(catalog, url):
     with catalog.run("ingest") as run, pytest.raises(CatalogError, match=run.id):
         move_catalog(catalog.workspace, url)
