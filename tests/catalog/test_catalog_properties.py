@@ -163,7 +163,7 @@ def test_the_database_itself_refuses_validities_that_overlap(catalog):
     with catalog.run("calibrate") as run:
         made = run.stage_table("offsets", table(), start=0, end=20)
     catalog.certify(made, 0, 10)
-    with catalog._database.engine.connect() as connection, pytest.raises(DatabaseRefusal, match="overlap"):
+    with catalog._database._writing.connect() as connection, pytest.raises(DatabaseRefusal, match="overlap"):
         connection.execute(
             CertificationRow.__table__.insert().values(
                 table_id=made, name="offsets", context="", start=9, end=12
