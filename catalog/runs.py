@@ -103,11 +103,12 @@ class Run:
         self._intact_stores: set[str] = set()
         #: Datasets it has days of.
         self._datasets: set[str] = set()
-        self._pulse = _Pulse(database, self.id) if database.backend.lease_s else None
+        self._pulse: _Pulse | None = None
 
     def __enter__(self) -> Self:
         self._database.write_to((), self._begin)
-        if self._pulse is not None:
+        if self._database.backend.lease_s:
+            self._pulse = _Pulse(self._database, self.id)
             self._pulse.start()
         return self
 
