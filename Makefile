@@ -85,7 +85,7 @@ docs: setup  ## build the documentation into docs/_build/html
 lock: setup  ## resolve requirements.lock anew for Python 3.11 and later
 	@command -v uv >/dev/null || test -x $(BIN)/uv || $(BIN)/python -m pip install -qq uv
 	PATH="$$PATH:$(abspath $(BIN))" uv pip compile --quiet --universal --generate-hashes --no-emit-index-url \
-		--python-version 3.11 --extra dev --extra docs pyproject.toml -o requirements.lock \
+		--python-version 3.11 --extra dev --extra docs --extra postgres pyproject.toml -o requirements.lock \
 		--custom-compile-command "make lock"
 
 clean:  ## remove what the targets made, the environment included

@@ -4,10 +4,11 @@ In go datasets of a day (`Run.stage`, `write_segment`), calibration tables, mode
 come lazy Datasets (`Catalog.open`), days with their state, lineage and releases. A run publishes all its days
 in one transaction, or none. Open `catalog` first: it names every operation; `records` defines the words.
 
-What is stored: `schema` and `database` (SQLite); `segments`, `layout`, `encoding` and `manifest` write Zarr
-stores, `stores` and `opening` read them. What is asked: `days`, `validity` (tables), `provenance` (models,
-contexts, files, lineage). What is done: `runs`, `upkeep` (inventory, verify, repair, garbage), `release`.
-`readers` opens delivered files; `workspace` is the folder of one mission.
+What is stored: `schema`, `database` and `backends` (SQLite, PostgreSQL), where `location` says and `moving`
+puts it; `segments`, `layout`, `encoding` and `manifest` write Zarr stores, `stores` and `opening` read them.
+What is asked: `days`, `validity` (tables), `provenance` (models, contexts, files, lineage). What is done:
+`runs`, `upkeep` (inventory, verify, repair, garbage), `release`. `readers` opens delivered files; `workspace`
+is the folder of one mission.
 """
 
 import lazy_loader

@@ -1,7 +1,9 @@
 from .catalog import Catalog
 from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
+from .location import CATALOG_VARIABLE
 from .manifest import folder_bytes
+from .moving import Move, move_catalog
 from .provenance import Edge
 from .records import (
     ContextRecord,
@@ -23,6 +25,7 @@ from .segments import write_segment, write_table
 from .workspace import Workspace, shipped_missions
 
 __all__ = [
+    "CATALOG_VARIABLE",
     "Catalog",
     "ContextRecord",
     "DatasetDescription",
@@ -33,6 +36,7 @@ __all__ = [
     "FileRecord",
     "MissionStatement",
     "ModelRecord",
+    "Move",
     "ReleaseContents",
     "ReleaseFolder",
     "ReleasePlan",
@@ -50,6 +54,7 @@ __all__ = [
     "folder_bytes",
     "idempotency_key",
     "measured_changes",
+    "move_catalog",
     "shipped_missions",
     "write_segment",
     "write_table",

@@ -23,6 +23,7 @@ from inflight.catalog.days import (
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
+from inflight.catalog.location import is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import (
@@ -60,6 +61,7 @@ from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
     import xarray as xr
+    from sqlalchemy.orm import Session
 
     from inflight.mission import Mission
 
@@ -70,7 +72,8 @@ class Catalog:
     """What exists in a workspace, where it is valid and what made it.
 
     Opening migrates the database when needed and closes runs whose process is gone. Several
-    processes may read while one writes; a second writer waits. A catalog can be pickled: it is
+    processes may read while one writes; a second writer waits, in PostgreSQL only for one of the same
+    dataset. A catalog can be pickled: it is
     opened again where it arrives.
 
     Of a release's folder, wherever it was copied to, the days can be read in the same words: `open`, `days`,
@@ -79,7 +82,8 @@ class Catalog:
     Parameters
     ----------
     workspace : path
-        Folder that holds ``catalog.db``, ``staging``, ``stores`` and ``releases``; or a release's folder.
+        Folder that holds ``staging``, ``stores``, ``releases`` and ``catalog.db``, unless the catalog is in
+        PostgreSQL (`inflight.catalog.location` says where); or a release's folder.
     create : bool
         Make a workspace that is not there yet.
 
@@ -107,7 +111,7 @@ class Catalog:
     def __init__(self, workspace: Path | str, create: bool = True, *, reason: str = "") -> None:
         self.workspace = Path(workspace).expanduser().resolve()
         self.reason = reason
-        if not create and not any((self.workspace / name).exists() for name in ("catalog.db", MARKER)):
+        if not create and not is_workspace(self.workspace) and not (self.workspace / MARKER).exists():
             raise CatalogError(
                 "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
             )
@@ -117,7 +121,7 @@ class Catalog:
             return
         for folder in _FOLDERS:
             (self.workspace / folder).mkdir(parents=True, exist_ok=True)
-        self._database = Database(f"sqlite:///{self.workspace / 'catalog.db'}")
+        self._database = open_database(self.workspace)
         with suppress(StorageError):  # a full disk must not keep anyone from reading
             close_dead_runs(self.workspace, self._database)
 
@@ -146,25 +150,21 @@ class Catalog:
 
     def runs(self, kind: str | None = None) -> list[RunRecord]:
         """Return all runs, or those of one kind, oldest first, with state, cause and message."""
-        with self._database.read() as session:
-            return run_records(session, kind)
+        return self._database.read(run_records, kind)
 
     def rate(self, kind: str) -> RunRate | None:
         """Return how long the largest run of a kind took and how much it wrote; None when none made a day."""
-        with self._database.read() as session:
-            return measured_rate(session, kind)
+        return self._database.read(measured_rate, kind)
 
     def run_report(self, run: str) -> Mapping[str, Any] | None:
         """Return the fields that a run kept when it was done (`Run.report`); None when there are none."""
-        with self._database.read() as session:
-            return run_report(session, run)
+        return self._database.read(run_report, run)
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
         if self._release is not None:
             return next(iter(self._release.days(name, parse_span(as_date(day)), ("published",))), None)
-        with self._database.read() as session:
-            return current_day(session, name, as_date(day))
+        return self._database.read(current_day, name, as_date(day))
 
     def days(
         self,
@@ -191,23 +191,20 @@ class Catalog:
         if self._release is not None:
             chosen = states if release is None else ("published",)
             return self._release.days(name, parse_span(time), chosen, release)
-        with self._database.read() as session:
-            if release is not None:
-                return released_days(session, release, name, parse_span(time))
-            return status_of_days(session, name, parse_span(time), states)
+        if release is not None:
+            return self._database.read(released_days, release, name, parse_span(time))
+        return self._database.read(status_of_days, name, parse_span(time), states)
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
         """Return every published revision of each day in a span, past ones too, the oldest first."""
-        with self._database.read() as session:
-            return revisions_of_days(session, name, parse_span(time))
+        return self._database.read(revisions_of_days, name, parse_span(time))
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
         if self._release is not None:
             span = parse_span(time)
             return [summary_of_days(name, self._release.days(name, span)) for name in self._release.names()]
-        with self._database.read() as session:
-            return dataset_summary(session, parse_span(time))
+        return self._database.read(dataset_summary, parse_span(time))
 
     # --- reading -------------------------------------------------------------------------------
 
@@ -253,8 +250,7 @@ class Catalog:
         elif release is not None:
             days = self.days(name, time, release=release)
         else:
-            with self._database.read() as session:
-                days = published_days(session, name, span, context)
+            days = self._database.read(published_days, name, span, context)
         if not days:
             raise CatalogError(
                 f"'{name}' has no published days in the span asked for", remedy="see 'inflight catalog list'"
@@ -281,8 +277,7 @@ class Catalog:
         if version is None or self._release is not None:
             found = self.current(name, day)
         else:
-            with self._database.read() as session:
-                found = day_of_version(session, name, date, version)
+            found = self._database.read(day_of_version, name, date, version)
         if found is None or version not in (None, found.version):
             raise CatalogError(
                 f"'{name}' has no {version or 'published revision'}",
@@ -337,8 +332,7 @@ class Catalog:
         CatalogError
             When none holds then; the message lists the validities there are.
         """
-        with self._database.read() as session:
-            row, path = valid_table(session, name, instant(at), context)
+        row, path = self._database.read(valid_table, name, instant(at), context)
         return read_table(self.workspace, path, row.id)
 
     def table_by_id(self, table_id: int) -> xr.Dataset:
@@ -350,8 +344,7 @@ class Catalog:
 
     def tables(self, name: str | None = None) -> list[TableRecord]:
         """Return the records of all tables, or of one name, oldest first, with their validities."""
-        with self._database.read() as session:
-            return table_records(session, name)
+        return self._database.read(table_records, name)
 
     def certify(
         self, table_id: int, start: int, end: int, context: str | None = None, *, supersede: bool = False
@@ -364,8 +357,7 @@ class Catalog:
             When another table of the name holds in part of the span; the message names both. With
             `supersede` the older validities end instead, in the same transaction.
         """
-        with self._database.write() as session:
-            certify_table(session, (table_id, start, end, context), supersede=supersede)
+        self._database.write(certify_table, (table_id, start, end, context), supersede=supersede)
 
     # --- models, contexts, files -----------------------------------------------------------------
 
@@ -386,8 +378,7 @@ class Catalog:
         change : mapping, optional
             What making it did to the residual (`ModelRecord.change`).
         """
-        with self._database.write() as session:
-            return provenance.save_model(session, name, text, parent, message, new_version, change)
+        return self._database.write(provenance.save_model, name, text, parent, message, new_version, change)
 
     def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
         """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.
@@ -397,39 +388,34 @@ class Catalog:
         CatalogError
             When it is not there; the message lists those that are.
         """
-        with self._database.read() as session:
-            return provenance.model_text(session, name, version)
+        return self._database.read(provenance.model_text, name, version)
 
     def models(self) -> list[ModelRecord]:
         """Return the history of all models, oldest first."""
-        with self._database.read() as session:
-            return provenance.model_records(session)
+        return self._database.read(provenance.model_records)
 
     def save_context(
         self, mission_text: str, model_name: str, model_version: int, tables: Mapping[str, int]
     ) -> str:
         """Pin mission YAML, model version and table versions; return the id, the sha256 of these."""
-        with self._database.write() as session:
-            return provenance.save_context(session, mission_text, (model_name, model_version), tables)
+        return self._database.write(
+            provenance.save_context, mission_text, (model_name, model_version), tables
+        )
 
     def context(self, context: str) -> ContextRecord:
         """Return what a context pins."""
-        with self._database.read() as session:
-            return provenance.context_record(session, context)
+        return self._database.read(provenance.context_record, context)
 
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
         """Record delivered files; `files` shows them once the run has published what was made from them.
 
         The `run` of the records is not read: the files belong to `run`.
         """
-        with self._database.write() as session:
-            for record in files:
-                provenance.record_file(session, run.id, record)
+        self._database.write_to((), provenance.record_files, run.id, list(files))
 
     def files(self, instrument: str) -> dict[str, FileRecord]:
         """Return the delivered files already taken in, by path."""
-        with self._database.read() as session:
-            return provenance.file_records(session, instrument)
+        return self._database.read(provenance.file_records, instrument)
 
     def lineage(self, id: str | Day, up: bool = True) -> list[Edge]:
         """Return the edges from an id towards what it was made from (`up`), or what was made from it.
@@ -437,16 +423,14 @@ class Catalog:
         Ids are ``day:12``, ``table:4``, ``file:<sha256>``, ``context:<sha256>`` and
         ``model:<name>@<version>``.
         """
-        with self._database.read() as session:
-            return walk(session, [id.id if isinstance(id, Day) else id], up=up)
+        return self._database.read(walk, [id.id if isinstance(id, Day) else id], up=up)
 
     # --- upkeep and releases -----------------------------------------------------------------------
 
     @property
     def baseline(self) -> int:
         """Release baseline, the XX of versions ``vXX.YY``."""
-        with self._database.read() as session:
-            return baseline_of(session)
+        return self._database.read(baseline_of)
 
     def set_baseline(self, baseline: int) -> None:
         """Begin a new release baseline; revisions of days begin again at 00 under it.
@@ -456,13 +440,11 @@ class Catalog:
         CatalogError
             When it is lower than the present one.
         """
-        with self._database.write() as session:
-            raise_baseline(session, baseline)
+        self._database.write(raise_baseline, baseline)
 
     def verify(self, name: str | None = None) -> list[dict[str, str]]:
         """Hash every store in use against its manifest; list ``{"item", "fault", "path"}``."""
-        with self._database.read() as session:
-            return find_faults(self.workspace, session, name)
+        return self._database.read(find_faults, self.workspace, name)
 
     def repair(self, dry_run: bool = False) -> list[Repair]:
         """Take what lies in damaged stores out of use, so that the next ingest and reprocess make it again.
@@ -480,8 +462,7 @@ class Catalog:
         """Return all releases, the oldest first."""
         if self._release is not None:
             return [self._release.record()]
-        with self._database.read() as session:
-            return release_records(session)
+        return self._database.read(release_records)
 
     def release(
         self,
@@ -552,8 +533,7 @@ class Catalog:
         CatalogError
             When there is no such release, or nothing was published with such a model.
         """
-        with self._database.read() as session:
-            old, new = (days_of_collection(session, name, datasets) for name in (before, after))
+        old, new = self._database.read(_collections, (before, after), datasets)
         return measured_changes(self.workspace, old, new)
 
     def plan_release(
@@ -582,6 +562,11 @@ class Catalog:
             mission=mission,
         )
         return plan_release(self.workspace, self._database, request)
+
+
+def _collections(session: Session, names: Iterable[str], datasets: Sequence[str]) -> list[list[Day]]:
+    """Return the days of several collections, all as of one moment."""
+    return [days_of_collection(session, name, datasets) for name in names]
 
 
 def _require_data(day: Day) -> None:

@@ -1,25 +1,28 @@
-"""The database behind the catalog: opened, migrated, and written in short exclusive transactions."""
+"""The database behind the catalog: opened, migrated, asked and written in short transactions.
+
+What is asked or written is a function of a session, so that it can be done once more when the database
+ended the transaction: `Database.read` and `Database.write` call it.
+"""
 
 from __future__ import annotations
 
-import os
-import sqlite3
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Concatenate, Final, ParamSpec, TypeVar
 
-from sqlalchemy import Connection, Engine, NullPool, create_engine, event, text
-from sqlalchemy.exc import DatabaseError, OperationalError
+from sqlalchemy import URL, Connection, make_url, text
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from inflight.errors import CatalogError, StorageError
+from inflight.catalog.backends import backend_of
+from inflight.errors import CatalogError
 
 #: Newest migration; a test holds it equal to the head of ``migrations/versions``.
-HEAD: Final = "0003"
-#: How long a writer waits for another one, ms.
-BUSY_TIMEOUT_MS: Final = 30_000
+HEAD: Final = "0004"
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 
 
 class Database:
@@ -27,56 +30,138 @@ class Database:
 
     Parameters
     ----------
-    url : str
-        SQLAlchemy URL; SQLite is the embedded default.
+    url : str or URL
+        SQLAlchemy URL; SQLite is the embedded default, PostgreSQL the other.
 
     Raises
     ------
     CatalogError
-        When the database was made by a newer version, or is none.
+        When the database was made by a newer version, is none, or its driver is not there.
+    StorageError
+        When its server does not answer.
     """
 
-    def __init__(self, url: str) -> None:
-        # No pool: a connection costs 0.2 ms, and none may be inherited by a forked worker.
-        self.engine = create_engine(url, poolclass=NullPool)
-        if self.engine.dialect.name == "sqlite":
-            event.listen(self.engine, "do_connect", _open_read_only)
-            event.listen(self.engine, "connect", _prepare_sqlite)
-            event.listen(self.engine, "begin", _begin_sqlite)
+    def __init__(self, url: str | URL) -> None:
+        address = make_url(url)
+        self.backend = backend_of(address)
+        self.engine = self.backend.engine(address)
         self._writing = self.engine.execution_options(inflight_writes=True)
-        try:
-            self._migrate()
-        except DatabaseError as error:
-            raise _catalog_error(error, url) from error
+        # Who opens a catalog is told at once that its server is gone; who is at work waits for it.
+        self._is_patient = False
+        self._until_answered(self._migrate)
 
-    @contextmanager
-    def read(self) -> Iterator[Session]:
-        """Open a session that sees one consistent state, whatever is published meanwhile."""
-        with _database_errors(self.engine), Session(self.engine, expire_on_commit=False) as session:
-            yield session
+    @property
+    def place(self) -> str:
+        """The address, without its password."""
+        return address_without_password(self.engine.url)
 
-    @contextmanager
-    def write(self) -> Iterator[Session]:
-        """Open the only writing session; it commits at the end, or nothing happened.
+    def read(
+        self,
+        ask: Callable[Concatenate[Session, Arguments], Answer],
+        /,
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Call `ask` with a session that sees one consistent state, whatever is published meanwhile.
 
         Raises
         ------
         StorageError
-            When another writer holds the database for longer than the busy timeout, or the disk is full.
+            When the server is gone and does not come back.
         """
-        with (
-            _database_errors(self.engine),
-            Session(self._writing, expire_on_commit=False) as session,
-            session.begin(),
-        ):
-            yield session
+
+        def attempt() -> Answer:
+            with Session(self.engine, expire_on_commit=False) as session:
+                return ask(session, *arguments, **options)
+
+        return self._until_answered(attempt)
+
+    def write(
+        self,
+        change: Callable[Concatenate[Session, Arguments], Answer],
+        /,
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Call `change` with the only writing session; it commits at the end, or nothing happened.
+
+        It is called again when the database ended its transaction: what it does besides is done twice.
+
+        Raises
+        ------
+        StorageError
+            When another writer holds the database for longer than the busy timeout, the disk is full or the
+            server is gone.
+        """
+        return self._until_answered(lambda: self._written(None, change, *arguments, **options))
+
+    def write_to(
+        self,
+        datasets: Iterable[str],
+        change: Callable[Concatenate[Session, Arguments], Answer],
+        /,
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Like `write`, but keep out only those who write to the same datasets, where the database can."""
+        names = tuple(datasets)
+        return self._until_answered(lambda: self._written(names, change, *arguments, **options))
+
+    def write_beside(
+        self,
+        change: Callable[Concatenate[Session, Arguments], Answer],
+        /,
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Like `write`, for one statement that neither needs nor disturbs what other writers do."""
+
+        def attempt() -> Answer:
+            with Session(self._writing) as session, session.begin():
+                return change(session, *arguments, **options)
+
+        return self._until_answered(attempt)
+
+    def _written(
+        self,
+        datasets: tuple[str, ...] | None,
+        change: Callable[Concatenate[Session, Arguments], Answer],
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        with Session(self._writing, expire_on_commit=False) as session:
+            transaction = self.backend.begin_writing(session, datasets)
+            answer = change(session, *arguments, **options)
+            session.flush()
+            try:
+                session.commit()
+            except DBAPIError:
+                # The connection may have broken after the server had committed.
+                if not (transaction and self.read(self.backend.has_committed, transaction)):
+                    raise
+        return answer
+
+    def _until_answered(self, attempt: Callable[[], Answer]) -> Answer:
+        """Try again while the failure may pass; turn what the driver raises into a `CatalogError`."""
+        pauses = self.backend.pauses()
+        while True:
+            try:
+                answer = attempt()
+            except DBAPIError as error:
+                pause = next(pauses, None) if self._is_patient and self.backend.may_pass(error) else None
+                if pause is None:
+                    # Waited for in vain once, it is asked only once from now on, until it answers.
+                    self._is_patient = self._is_patient and not self.backend.may_pass(error)
+                    raise self.backend.refusal(error, self.place) from error
+                time.sleep(pause)
+            else:
+                self._is_patient = True
+                return answer
 
     def _migrate(self) -> None:
         with self.engine.connect() as connection:
-            if self.engine.dialect.has_table(connection, "alembic_version"):
-                version = connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-                if version == HEAD:
-                    return
+            if self._version(connection) == HEAD:
+                return
         # Imported here because opening an up-to-date catalog should not pay for Alembic.
         from alembic import command
         from alembic.config import Config
@@ -84,8 +169,9 @@ class Database:
 
         config = Config()
         config.set_main_option("script_location", str(Path(__file__).resolve().parent / "migrations"))
-        with self._writing.begin() as connection:
-            config.attributes["connection"] = connection
+        with Session(self._writing) as session, session.begin():
+            self.backend.begin_writing(session, None)
+            config.attributes["connection"] = session.connection()
             try:
                 command.upgrade(config, "head")
             except CommandError as error:
@@ -94,74 +180,13 @@ class Database:
                     remedy="install a newer version of inflight",
                 ) from error
 
-
-def _open_read_only(
-    _dialect: Any, _record: Any, arguments: Sequence[Any], _options: Any
-) -> sqlite3.Connection | None:
-    """Open a database that this user cannot write, for reading; None leaves any other to SQLAlchemy.
-
-    A write-ahead log needs a file of its own next to the database even to read. Where none can be made and
-    no process writes at this moment, the database is read as a file that does not change.
-    """
-    path = Path(str(arguments[0])) if arguments else Path()
-    if not _is_read_only(path):
-        return None
-    log, shared = (path.with_name(f"{path.name}-{end}") for end in ("wal", "shm"))
-    in_use = log.exists() and (shared.exists() or log.stat().st_size > 0)
-    fixed = "" if in_use else "&immutable=1"
-    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{fixed}", uri=True, check_same_thread=False)
+    def _version(self, connection: Connection) -> str | None:
+        if not self.engine.dialect.has_table(connection, "alembic_version"):
+            return None
+        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
 
 
-def _prepare_sqlite(connection: sqlite3.Connection, _record: Any) -> None:
-    connection.isolation_level = None  # the driver's own BEGIN is the deferred one
-    cursor = connection.cursor()
-    cursor.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
-    if not _is_read_only(Path(cursor.execute("PRAGMA database_list").fetchone()[2])):
-        # With the write-ahead log readers go on while one writes. The switch ignores the busy timeout.
-        deadline = time.monotonic() + BUSY_TIMEOUT_MS / 1000
-        while cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
-            try:
-                cursor.execute("PRAGMA journal_mode=WAL")
-            except sqlite3.OperationalError:
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(0.05)
-    cursor.execute("PRAGMA synchronous=FULL")  # a published day survives a power failure
-    cursor.execute("PRAGMA foreign_keys=ON")
-    cursor.close()
-
-
-def _is_read_only(path: Path) -> bool:
-    """Return True when a database is there and this user can only read it."""
-    return path.is_file() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK))
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that reads first and writes later would fail at once when another one wrote in
-    # between, without waiting; a writer therefore takes the lock at its beginning.
-    writes = connection.get_execution_options().get("inflight_writes", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-
-@contextmanager
-def _database_errors(engine: Engine) -> Iterator[None]:
-    """Turn what the driver raises into a `CatalogError`."""
-    try:
-        yield
-    except DatabaseError as error:
-        raise _catalog_error(error, str(engine.url)) from error
-
-
-def _catalog_error(error: DatabaseError, url: str) -> CatalogError:
-    reason = str(error.orig)
-    if isinstance(error, OperationalError) and any(
-        word in reason for word in ("locked", "full", "disk", "readonly", "unable to open")
-    ):
-        return StorageError(
-            f"the catalog's database refused: {reason}",
-            file=url,
-            remedy="free space, make the workspace writable or wait for the other writer, then run again",
-        )
-    return CatalogError(
-        f"the catalog's database failed: {reason}", file=url, remedy="restore the workspace's catalog.db"
-    )
+def address_without_password(url: URL) -> str:
+    """Return a URL as it may be shown and written: without its passwords."""
+    plain = url._replace(password=None).difference_update_query(["password", "sslpassword"])
+    return plain.render_as_string(hide_password=False)

@@ -115,18 +115,21 @@ def context_record(session: Session, context: str) -> ContextRecord:
     return row.as_record(ContextRecord)
 
 
-def record_file(session: Session, run_id: str, record: FileRecord) -> None:
-    """Record a delivered file for a run; it counts as taken in when the run publishes."""
-    row = session.scalar(
-        select(FileRow).where(
-            FileRow.run_id == run_id, FileRow.instrument == record.instrument, FileRow.path == record.path
+def record_files(session: Session, run_id: str, records: Iterable[FileRecord]) -> None:
+    """Record delivered files for a run; they count as taken in when the run publishes."""
+    for record in records:
+        row = session.scalar(
+            select(FileRow).where(
+                FileRow.run_id == run_id,
+                FileRow.instrument == record.instrument,
+                FileRow.path == record.path,
+            )
         )
-    )
-    if row is None:
-        row = FileRow(run_id=run_id, instrument=record.instrument, path=record.path)
-        session.add(row)
-    row.sha256, row.size, row.mtime_ns = record.sha256, record.size, record.mtime_ns
-    row.days, row.report, row.taken = list(record.days), dict(record.report), False
+        if row is None:
+            row = FileRow(run_id=run_id, instrument=record.instrument, path=record.path)
+            session.add(row)
+        row.sha256, row.size, row.mtime_ns = record.sha256, record.size, record.mtime_ns
+        row.days, row.report, row.taken = list(record.days), dict(record.report), False
 
 
 def file_records(session: Session, instrument: str) -> dict[str, FileRecord]:

@@ -182,8 +182,7 @@ class ReleasePlan:
 
 def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -> ReleasePlan:
     """Return what a release would hold; see `Catalog.plan_release`."""
-    with database.read() as session:
-        collection, objections = _considered(workspace, session, request)
+    collection, objections = database.read(_considered, workspace, request)
     parts = _parts(workspace, collection)
     return ReleasePlan(
         version=request.version,
@@ -204,8 +203,7 @@ def freeze_release(
     documents: Documents | None = None,
 ) -> Path:
     """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
-    with database.read() as session:
-        collection, objections = _considered(workspace, session, request)
+    collection, objections = database.read(_considered, workspace, request)
     if objections:
         raise objections[0]
     staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
@@ -213,7 +211,7 @@ def freeze_release(
         destination.mkdir(parents=True, exist_ok=True)
         _write_release(workspace, staged, collection, documents or _notes_of_absent)
         fault_point("release_written")
-        return _register(database, collection, staged, destination / request.version)
+        return database.write(_register, collection, staged, destination / request.version)
     except OSError as error:
         if isinstance(error, CatalogError):
             raise
@@ -225,7 +223,7 @@ def freeze_release(
 
 
 def _considered(
-    workspace: Path, session: Session, request: ReleaseRequest
+    session: Session, workspace: Path, request: ReleaseRequest
 ) -> tuple[ReleaseContents, list[CatalogError]]:
     """Return the collection of a request and everything that stands against it, the gravest first."""
     _refuse_bad_version(request.version)
@@ -631,24 +629,25 @@ def _readme(collection: ReleaseContents, folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _register(database: Database, collection: ReleaseContents, staged: Path, target: Path) -> Path:
+def _register(session: Session, collection: ReleaseContents, staged: Path, target: Path) -> Path:
     """Freeze the collection and rename its folder in one transaction, which ends with the rename."""
     created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
-    with database.write() as session:
-        request = collection.request
-        _refuse_known_version(session, request.version)
-        row = ReleaseRow(
-            version=request.version,
-            context=request.context,
-            notes=request.notes,
-            path=str(target),
-            created=created,
-        )
-        session.add(row)
-        session.flush()
-        days = (int(day.id.partition(":")[2]) for day in collection.days)
-        session.add_all(ReleaseDayRow(release_id=row.id, day_id=day) for day in days)
-        session.flush()
+    request = collection.request
+    _refuse_known_version(session, request.version)
+    row = ReleaseRow(
+        version=request.version,
+        context=request.context,
+        notes=request.notes,
+        path=str(target),
+        created=created,
+    )
+    session.add(row)
+    session.flush()
+    days = (int(day.id.partition(":")[2]) for day in collection.days)
+    session.add_all(ReleaseDayRow(release_id=row.id, day_id=day) for day in days)
+    session.flush()
+    # Renamed already when the database ended the transaction after it, and it is done once more.
+    if staged.exists():
         if target.exists():
             # Left by a release that was killed between its rename and its commit; nothing else is removed.
             marker = target / MARKER
@@ -660,5 +659,5 @@ def _register(database: Database, collection: ReleaseContents, staged: Path, tar
             shutil.rmtree(target)
         staged.rename(target)
         flush(target.parent)
-        fault_point("release_renamed")
+    fault_point("release_renamed")
     return target

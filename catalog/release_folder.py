@@ -243,7 +243,7 @@ class NoDatabase(Database):
     def __init__(self, release: ReleaseFolder) -> None:
         self._release = release
 
-    def read(self) -> NoReturn:
+    def read(self, *_arguments: Any, **_options: Any) -> NoReturn:
         """Refuse.
 
         Raises
@@ -257,7 +257,7 @@ class NoDatabase(Database):
             remedy="ask the workspace it was made in",
         )
 
-    write = read
+    write = write_to = write_beside = read
 
 
 def _listed_day(row: dict[str, str]) -> Day:

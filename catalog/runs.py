@@ -1,8 +1,12 @@
 """Runs: one piece of work whose days become visible together, or not at all.
 
 A run registers the segments that workers wrote (`Run.attach`) and records days without data; `Run.publish`
-makes its days the present ones and certifies its tables, in one transaction. The process of a run is known by
-host, pid and the time it began; `close_dead_runs` ends the runs of processes that are gone.
+makes its days the present ones and certifies its tables, in one transaction.
+
+`close_dead_runs` ends the runs of processes that are gone. With a database in the workspace the process of a
+run is known by host, pid and the time it began. With a server a run has a lease, which its process renews
+(`_Pulse`), and whose end is on the clock of the database: machines need neither know each other nor agree on
+the time. A run that was ended so publishes nothing any more, should its process go on after all.
 """
 
 from __future__ import annotations
@@ -12,21 +16,25 @@ import os
 import shutil
 import socket
 import subprocess
+import threading
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Concatenate, Final, ParamSpec, Self, TypeVar
 
 import numpy as np
 from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.orm import Session
 
+from inflight.catalog.backends import Backend
 from inflight.catalog.database import Database
 from inflight.catalog.days import adoptable_day, adoptable_days, day_record
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import plain_attributes
+from inflight.catalog.location import require_not_moved
 from inflight.catalog.manifest import manifest_faults, manifest_sha256
 from inflight.catalog.provenance import Edge, add_edges, parent_ids, walk
 from inflight.catalog.records import (
@@ -53,10 +61,13 @@ from inflight.catalog.schema import (
 from inflight.catalog.segments import flush_segment, write_segment, write_table
 from inflight.catalog.spans import as_date
 from inflight.catalog.validity import Certification, certify_table
-from inflight.errors import CatalogError, InflightError, IntegrityError
+from inflight.errors import CatalogError, InflightError, IntegrityError, StorageError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 
 #: States a caller may record; the others follow from staging and publishing.
 _RECORDED = ("planned", "running", "failed", "no_work")
@@ -90,23 +101,33 @@ class Run:
         self._database = database
         self._started = now.isoformat(timespec="microseconds")
         self._intact_stores: set[str] = set()
+        #: Datasets it has days of.
+        self._datasets: set[str] = set()
+        self._pulse: _Pulse | None = None
 
     def __enter__(self) -> Self:
-        with self._database.write() as session:
-            session.add(
-                RunRow(
-                    id=self.id,
-                    kind=self.kind,
-                    settings=self.settings,
-                    context=self.context,
-                    state="running",
-                    host=socket.gethostname(),
-                    pid=os.getpid(),
-                    process=_process_start(os.getpid()),
-                    started=self._started,
-                )
-            )
+        self._database.write_to((), self._begin)
+        if self._database.backend.lease_s:
+            self._pulse = _Pulse(self._database, self.id)
+            self._pulse.start()
         return self
+
+    def _begin(self, session: Session) -> None:
+        require_not_moved(session)
+        session.add(
+            RunRow(
+                id=self.id,
+                kind=self.kind,
+                settings=self.settings,
+                context=self.context,
+                state="running",
+                host=socket.gethostname(),
+                pid=os.getpid(),
+                process=_process_start(os.getpid()),
+                started=self._started,
+                lease=_lease(self._database.backend),
+            )
+        )
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -116,9 +137,11 @@ class Run:
             ("", "") if error is None else (failure_cause(error), f"{type(error).__name__}: {error}")
         )
         shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
+        if self._pulse is not None:
+            self._pulse.stop()
+        report = None if error else self.report
         try:
-            with self._database.write() as session:
-                close_run(session, self.id, state, cause, message, None if error else self.report)
+            self._database.write_to((), close_run, self.id, state, cause, message, report)
         except CatalogError as refused:
             if error is None:
                 raise
@@ -148,20 +171,22 @@ class Run:
         flush_segment(self.workspace, segment)
         fault_point("attach")
         shared = parent_ids(parents) + ([f"context:{self.context}"] if self.context else [])
-        with self._database.write() as session:
-            dataset = _dataset(session, segment.name)
-            store = self._store(session, segment)
-            rows = [self._staged_row(session, dataset, store, row) for row in segment.rows]
-            session.flush()
-            pairs = zip(rows, segment.rows, strict=True)
-            add_edges(
-                session,
-                (
-                    Edge(parent, f"day:{row.id}")
-                    for row, written in pairs
-                    for parent in [*written.parents, *shared]
-                ),
-            )
+        return self._write_to(segment.name, self._attach, segment, shared)
+
+    def _attach(self, session: Session, segment: Segment, shared: Sequence[str]) -> list[Day]:
+        dataset = _dataset(session, segment.name)
+        store = self._store(session, segment)
+        rows = [self._staged_row(session, dataset, store, row) for row in segment.rows]
+        session.flush()
+        pairs = zip(rows, segment.rows, strict=True)
+        add_edges(
+            session,
+            (
+                Edge(parent, f"day:{row.id}")
+                for row, written in pairs
+                for parent in [*written.parents, *shared]
+            ),
+        )
         return [day_record(row, segment.name, segment.path) for row in rows]
 
     def stage(
@@ -211,15 +236,17 @@ class Run:
         context = self.context if context is None else context
         segment = write_table(self.workspace, self.id, f"tables/{name}", dataset)
         flush_segment(self.workspace, segment)
-        with self._database.write() as session:
-            store = self._store(session, segment)
-            table = TableRow(
-                name=name, run_id=self.id, store_id=store.id, start=start, end=end, key=key, context=context
-            )
-            session.add(table)
-            session.flush()
-            made_from = parent_ids(parents) + ([f"context:{context}"] if context else [])
-            add_edges(session, (Edge(parent, f"table:{table.id}") for parent in made_from))
+        columns = {"name": name, "start": start, "end": end, "key": key, "context": context}
+        made_from = parent_ids(parents) + ([f"context:{context}"] if context else [])
+        return self._write_to(segment.name, self._attach_table, segment, columns, made_from)
+
+    def _attach_table(
+        self, session: Session, segment: Segment, columns: Mapping[str, Any], made_from: Sequence[str]
+    ) -> int:
+        table = TableRow(run_id=self.id, store_id=self._store(session, segment).id, **columns)
+        session.add(table)
+        session.flush()
+        add_edges(session, (Edge(parent, f"table:{table.id}") for parent in made_from))
         return table.id
 
     def record(
@@ -246,25 +273,32 @@ class Run:
         if (cause or state == "failed") and cause not in CAUSES:
             raise CatalogError(f"cause {cause!r} is unknown", remedy=f"use one of {', '.join(CAUSES)}")
         plain = plain_attributes(report or {}, f"the report of day {day}")
-        with self._database.write() as session:
-            row = self._own_row(session, _dataset(session, name), as_date(day))
-            row.state, row.cause, row.message, row.report, row.key = state, cause, message, plain, key
-            row.coverage = plain.get("coverage")
-            session.flush()
-        return day_record(row, name, None)
+        columns: dict[str, Any] = {"state": state, "cause": cause, "message": message, "report": plain}
+        columns["key"], columns["coverage"] = key, plain.get("coverage")
+        (recorded,) = self._write_to(name, self._record, name, {as_date(day): columns})
+        return recorded
 
     def record_no_work(self, name: str, days: Mapping[Any, str]) -> None:
         """Record, in one transaction, days with nothing to work on: day -> what is missing."""
-        with self._database.write() as session:
-            dataset = _dataset(session, name) if days else 0
-            for day, message in days.items():
-                row = self._own_row(session, dataset, as_date(day))
-                row.state, row.cause, row.message = "no_work", "no_work", message
+        columns = {"state": "no_work", "cause": "no_work"}
+        rows = {as_date(day): {**columns, "message": message} for day, message in days.items()}
+        self._write_to(name, self._record, name, rows)
+
+    def _record(self, session: Session, name: str, days: Mapping[dt.date, Mapping[str, Any]]) -> list[Day]:
+        dataset = _dataset(session, name) if days else 0
+        rows = []
+        for day, columns in days.items():
+            row = self._own_row(session, dataset, day)
+            for column, value in columns.items():
+                setattr(row, column, value)
+            rows.append(row)
+        session.flush()
+        return [day_record(row, name, None) for row in rows]
 
     def adoptable(self, name: str) -> set[tuple[np.datetime64, str]]:
         """Return (day, key) of what `adopt` would find, by one query."""
-        with self._database.read() as session:
-            return {(np.datetime64(day, "D"), key) for day, key in adoptable_days(session, name)}
+        found = self._database.read(adoptable_days, name)
+        return {(np.datetime64(day, "D"), key) for day, key in found}
 
     def adopt(self, name: str, day: str | np.datetime64, key: str) -> Day | None:
         """Take over a day that an ended run verified with the same key and never published.
@@ -276,21 +310,23 @@ class Run:
         """
         if not key:
             return None
-        with self._database.write() as session:
-            found = adoptable_day(session, name, as_date(day), key)
-            if found is None:
+        return self._write_to(name, self._adopt, name, as_date(day), key)
+
+    def _adopt(self, session: Session, name: str, day: dt.date, key: str) -> Day | None:
+        found = adoptable_day(session, name, day, key)
+        if found is None:
+            return None
+        theirs, store = found
+        if store.path not in self._intact_stores:
+            if manifest_faults(self.workspace / store.path, store.sha256):
                 return None
-            theirs, store = found
-            if store.path not in self._intact_stores:
-                if manifest_faults(self.workspace / store.path, store.sha256):
-                    return None
-                self._intact_stores.add(store.path)
-            written = theirs.as_record(SegmentRow, day=utc_day(theirs.day))
-            row = self._staged_row(session, theirs.dataset_id, store, written)
-            session.flush()
-            adopted = f"day:{theirs.id}"
-            made_from = [edge.parent for edge in walk(session, [adopted], up=True) if edge.child == adopted]
-            add_edges(session, (Edge(parent, f"day:{row.id}") for parent in made_from))
+            self._intact_stores.add(store.path)
+        written = theirs.as_record(SegmentRow, day=utc_day(theirs.day))
+        row = self._staged_row(session, theirs.dataset_id, store, written)
+        session.flush()
+        adopted = f"day:{theirs.id}"
+        made_from = [edge.parent for edge in walk(session, [adopted], up=True) if edge.child == adopted]
+        add_edges(session, (Edge(parent, f"day:{row.id}") for parent in made_from))
         return day_record(row, name, store.path)
 
     def publish(self, certify: Sequence[Certification] = (), *, supersede: bool = False) -> list[Day]:
@@ -316,29 +352,50 @@ class Run:
         IntegrityError
             When a store is missing or not the one that was verified; nothing is published then.
         """
-        with self._database.write() as session:
-            fault_point("publish_begun")
-            rows = session.execute(
-                select(DayRow, StoreRow, DatasetRow.name)
-                .join(StoreRow, StoreRow.id == DayRow.store_id)
-                .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
-                .where(DayRow.run_id == self.id, DayRow.state == "verified")
-                .order_by(DatasetRow.name, DayRow.day)
-            ).all()
-            for path, sha256 in {store.path: store.sha256 for _, store, _ in rows}.items():
-                if manifest_sha256(self.workspace / path) != sha256:
-                    raise IntegrityError(
-                        "the manifest is not the one that was verified", file=path, remedy="run again"
-                    )
-            published = _move_pointers(session, self.id, [row for row, _, _ in rows])
-            for certification in certify:
-                certify_table(session, certification, supersede=supersede)
-            # A delivered file counts as taken in only with the days that were made from it.
-            session.execute(update(FileRow).where(FileRow.run_id == self.id).values(taken=True))
-            session.flush()
-            fault_point("publish_flushed")
+        published = self._write_to(None, self._publish, certify, supersede)
         fault_point("published")
+        return published
+
+    def _publish(self, session: Session, certify: Sequence[Certification], supersede: bool) -> list[Day]:
+        fault_point("publish_begun")
+        rows = session.execute(
+            select(DayRow, StoreRow, DatasetRow.name)
+            .join(StoreRow, StoreRow.id == DayRow.store_id)
+            .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+            .where(DayRow.run_id == self.id, DayRow.state == "verified")
+            .order_by(DatasetRow.name, DayRow.day)
+        ).all()
+        for path, sha256 in {store.path: store.sha256 for _, store, _ in rows}.items():
+            if manifest_sha256(self.workspace / path) != sha256:
+                raise IntegrityError(
+                    "the manifest is not the one that was verified", file=path, remedy="run again"
+                )
+        published = _move_pointers(session, self.id, [row for row, _, _ in rows])
+        for certification in certify:
+            certify_table(session, certification, supersede=supersede)
+        # A delivered file counts as taken in only with the days that were made from it.
+        session.execute(update(FileRow).where(FileRow.run_id == self.id).values(taken=True))
+        session.flush()
+        fault_point("publish_flushed")
         return [day_record(row, name, store.path) for row, store, name in rows if row.id in published]
+
+    def _write_to(
+        self,
+        dataset: str | None,
+        change: Callable[Concatenate[Session, Arguments], Answer],
+        /,
+        *arguments: Arguments.args,
+        **options: Arguments.kwargs,
+    ) -> Answer:
+        """Call `change` with a session that keeps out other writers of a dataset, or of all this run has."""
+
+        def checked(session: Session) -> Answer:
+            _require_running(session, self.id)
+            return change(session, *arguments, **options)
+
+        if dataset is not None:
+            self._datasets.add(dataset)
+        return self._database.write_to(self._datasets if dataset is None else [dataset], checked)
 
     def _store(self, session: Session, segment: Segment) -> StoreRow:
         store = StoreRow(
@@ -461,23 +518,84 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
     """
     staging = workspace / "staging"
     staged = [folder.name for folder in staging.iterdir()] if staging.is_dir() else []
-    with database.read() as session:
-        ended = session.scalars(select(RunRow.id).where(RunRow.id.in_(staged), RunRow.state != "running"))
-        left = list(ended) if staged else []
-        gone = [
-            row.id
-            for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
-            # A process of another host may be alive.
-            if row.host == socket.gethostname() and _process_start(row.pid) != row.process
-        ]
+    left, gone = database.read(_ended_runs, staged, database.backend)
     if gone:
-        with database.write() as session:
-            for run_id in gone:
-                message = "its process ended before the run did; run again"
-                close_run(session, run_id, "failed", "transient", message)
+        gone = database.write(_close_gone_runs, database.backend)
     for run_id in (*gone, *left):
         shutil.rmtree(staging / run_id, ignore_errors=True)
     return gone
+
+
+def _ended_runs(session: Session, staged: Sequence[str], backend: Backend) -> tuple[list[str], list[str]]:
+    """Return those of some runs that have ended, and those whose process is gone."""
+    ended = session.scalars(select(RunRow.id).where(RunRow.id.in_(staged), RunRow.state != "running"))
+    return list(ended) if staged else [], _gone_runs(session, backend)
+
+
+def _gone_runs(session: Session, backend: Backend) -> list[str]:
+    """Return the runs whose lease has ended, or whose process on this host has."""
+    running = session.execute(
+        select(RunRow.id, RunRow.host, RunRow.pid, RunRow.process, RunRow.lease < backend.clock).where(
+            RunRow.state == "running"
+        )
+    )
+    return [
+        run_id
+        for run_id, host, pid, process, is_over in running
+        # Without a lease, a process of another host may be alive.
+        if is_over or (is_over is None and host == socket.gethostname() and _process_start(pid) != process)
+    ]
+
+
+def _close_gone_runs(session: Session, backend: Backend) -> list[str]:
+    # Asked again under the write lock: a run may have ended, or given a sign of life.
+    gone = _gone_runs(session, backend)
+    for run_id in gone:
+        message = "its process ended before the run did; run again"
+        close_run(session, run_id, "failed", "transient", message)
+    return gone
+
+
+def _require_running(session: Session, run_id: str) -> None:
+    """Refuse to write for a run that was taken for dead and ended: others do its work by now."""
+    state = session.scalar(select(RunRow.state).where(RunRow.id == run_id))
+    if state != "running":
+        raise StorageError(
+            f"run {run_id} has ended: {'it gave no sign of life in time' if state else 'it never began'}",
+            remedy="run again",
+        )
+
+
+class _Pulse:
+    """Renews the lease of a run from a thread of its own, as long as the process lives."""
+
+    def __init__(self, database: Database, run_id: str) -> None:
+        self._database, self._run_id = database, run_id
+        self._ended = threading.Event()
+
+    def start(self) -> None:
+        """Begin; the first renewal comes after a quarter of the lease."""
+        threading.Thread(target=self._beat, name=f"pulse of {self._run_id}", daemon=True).start()
+
+    def stop(self) -> None:
+        """End, without waiting for a renewal that is under way."""
+        self._ended.set()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(self._database.backend.lease_s / 4):
+            # A server that is gone may come back; a run that was taken for dead learns it when it writes.
+            with suppress(CatalogError):
+                self._database.write_beside(_renew, self._run_id, self._database.backend)
+
+
+def _renew(session: Session, run_id: str, backend: Backend) -> None:
+    mine = update(RunRow).where(RunRow.id == run_id, RunRow.state == "running")
+    session.execute(mine.values(lease=_lease(backend)), execution_options={"synchronize_session": False})
+
+
+def _lease(backend: Backend) -> Any:
+    """Return the end of a lease that begins now, on the database's clock; None where there are none."""
+    return backend.clock + backend.lease_s if backend.lease_s else None
 
 
 def _dataset(session: Session, name: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -16,6 +17,7 @@ from sqlalchemy import (
     Integer,
     String,
     Text,
+    TypeDecorator,
     UniqueConstraint,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -26,15 +28,46 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", bound="DataclassInstance")
 #: SQLite numbers rows by itself only in columns declared INTEGER.
 _Id = BigInteger().with_variant(Integer, "sqlite")
+#: Names sort the same on both databases.
+_Name = String().with_variant(String(collation="C"), "postgresql")
+
+
+class _PlainText(TypeDecorator[str]):
+    """Text without NUL, which PostgreSQL refuses: messages may quote what stood in a broken file."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: str | None, dialect: Any) -> str | None:
+        return None if value is None else value.replace("\0", "\N{REPLACEMENT CHARACTER}")
+
+
+_Message = Text().with_variant(_PlainText(), "postgresql")
+
+
+class _JsonText(TypeDecorator[Any]):
+    """JSON as text: PostgreSQL's own JSON refuses the NaN that reports may hold."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: Any, dialect: Any) -> str | None:
+        return None if value is None else json.dumps(value)
+
+    def process_result_value(self, value: str | None, dialect: Any) -> Any:
+        return None if value is None else json.loads(value)
+
+
+_Json = JSON().with_variant(_JsonText(), "postgresql")
 
 
 class Base(DeclarativeBase):
     """Base of all tables."""
 
     type_annotation_map: ClassVar[dict[Any, Any]] = {
-        dict[str, Any]: JSON,
-        list[Any]: JSON,
-        str: String,
+        dict[str, Any]: _Json,
+        list[Any]: _Json,
+        str: _Name,
         int: BigInteger,
         dt.date: Date,
         float: Float,
@@ -55,7 +88,11 @@ class Base(DeclarativeBase):
 
 
 class RunRow(Base):
-    """One run; host, pid and `process` (start of the process) identify its process."""
+    """One run; host, pid and `process` (start of the process) identify its process.
+
+    `lease` is until when it is taken for alive, s since 1970 on the database's clock; None where its process
+    is looked at.
+    """
 
     __tablename__ = "run"
     id: Mapped[str] = mapped_column(primary_key=True)
@@ -64,14 +101,15 @@ class RunRow(Base):
     context: Mapped[str | None]
     state: Mapped[str] = mapped_column(index=True)
     cause: Mapped[str] = mapped_column(default="")
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     host: Mapped[str]
     pid: Mapped[int]
     process: Mapped[str]
     started: Mapped[str]
     ended: Mapped[str | None]
+    lease: Mapped[float | None]
     #: What a run that was done says of itself; None of those that said nothing. Read when it is asked for.
-    report: Mapped[dict[str, Any] | None] = mapped_column(JSON, default=None, deferred=True)
+    report: Mapped[dict[str, Any] | None] = mapped_column(_Json, default=None, deferred=True)
 
 
 class DatasetRow(Base):
@@ -111,7 +149,7 @@ class DayRow(Base):
     context: Mapped[str | None]
     state: Mapped[str]
     cause: Mapped[str] = mapped_column(default="")
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     key: Mapped[str] = mapped_column(default="")
     report: Mapped[dict[str, Any]] = mapped_column(default=dict)
     coverage: Mapped[float | None]
@@ -174,7 +212,7 @@ class ModelRow(Base):
     parent: Mapped[int | None]
     text: Mapped[str] = mapped_column(Text)
     sha256: Mapped[str]
-    message: Mapped[str] = mapped_column(Text, default="")
+    message: Mapped[str] = mapped_column(_Message, default="")
     created: Mapped[str]
     change: Mapped[dict[str, Any] | None]
 

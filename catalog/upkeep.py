@@ -69,11 +69,11 @@ def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
     }
 
 
-def find_faults(workspace: Path, session: Session, name: str | None) -> list[dict[str, str]]:
+def find_faults(session: Session, workspace: Path, name: str | None) -> list[dict[str, str]]:
     """Hash every store that is in use against its manifest; see `Catalog.verify`."""
     faults = [
         {"item": item, "fault": fault, "path": f"{store.path}/{file}"}
-        for store, item, found in damaged_stores(workspace, session, name)
+        for store, item, found in damaged_stores(session, workspace, name)
         for file, fault in found
     ]
     if name is None:
@@ -91,7 +91,7 @@ def find_faults(workspace: Path, session: Session, name: str | None) -> list[dic
 
 
 def damaged_stores(
-    workspace: Path, session: Session, name: str | None
+    session: Session, workspace: Path, name: str | None
 ) -> Iterator[tuple[StoreRow, str, list[tuple[str, str]]]]:
     """Yield the stores in use that are not as they were written: store, dataset or table, (file, fault)."""
     of_days = (
@@ -132,21 +132,19 @@ class Repair:
 
 def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair]:
     """Withdraw what lies in damaged stores; see `Catalog.repair`."""
-    with database.read() as session:
-        damaged = [
-            (store.path, item, tuple(file for file, _ in faults))
-            for store, item, faults in damaged_stores(workspace, session, None)
-        ]
-        found = [_contents(session, *store) for store in damaged]
+    found = database.read(_damage, workspace)
     if dry_run or not found:
         return found
     settings = {"repaired": [asdict(store) for store in found]}
-    with Run(workspace, database, "repair", settings, None) as run, database.write() as session:
-        # Asked again under the write lock: a run may have published meanwhile.
-        found = [_contents(session, *store) for store in damaged]
-        for damage in found:
-            _withdraw(session, run.id, damage)
-    return found
+    with Run(workspace, database, "repair", settings, None) as run:
+        return database.write(_withdraw, run.id, found)
+
+
+def _damage(session: Session, workspace: Path) -> list[Repair]:
+    return [
+        _contents(session, store.path, item, tuple(file for file, _ in faults))
+        for store, item, faults in damaged_stores(session, workspace, None)
+    ]
 
 
 def _contents(session: Session, path: str, item: str, files: tuple[str, ...]) -> Repair:
@@ -163,7 +161,16 @@ def _contents(session: Session, path: str, item: str, files: tuple[str, ...]) ->
     return Repair(item, path, files, tuple(map(str, days)), tuple(tables))
 
 
-def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
+def _withdraw(session: Session, run_id: str, damaged: Sequence[Repair]) -> list[Repair]:
+    """Take the pointers and validities of damaged stores away; return what was in them by now."""
+    # Asked again under the write lock: a run may have published meanwhile.
+    found = [_contents(session, damage.path, damage.item, damage.files) for damage in damaged]
+    for damage in found:
+        _withdraw_store(session, run_id, damage)
+    return found
+
+
+def _withdraw_store(session: Session, run_id: str, damage: Repair) -> None:
     """Take the pointers and validities of one store away and record why; rows and files stay."""
     store = session.scalars(select(StoreRow).where(StoreRow.path == damage.path)).one()
     store.notes = [*store.notes, DAMAGED + ", ".join(damage.files)]
@@ -183,9 +190,7 @@ def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> li
     """Remove stores and staging folders that nothing refers to; see `Catalog.gc`."""
     # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
     present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").glob("*"))
-    with database.read() as session:
-        alive = set(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
-        needed = _needed_stores(session)
+    alive, needed = database.read(_in_use)
     garbage = []
     for folder in present:
         path = folder.relative_to(workspace).as_posix()
@@ -197,23 +202,33 @@ def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> li
         return garbage + abandoned
     for path in abandoned:
         shutil.rmtree(workspace / path, ignore_errors=True)
-    with database.write() as session:
-        # Asked again under the write lock: a run may have adopted a store meanwhile.
-        needed = _needed_stores(session)
-        removed = [path for path in garbage if path not in needed]
-        stores = session.scalars(select(StoreRow).where(StoreRow.path.in_(removed))).all()
-        session.execute(
-            update(DayRow)
-            .where(DayRow.store_id.in_([store.id for store in stores]))
-            .values(store_id=None, state="failed", cause="no_work")
-        )
-        for store in stores:
-            session.delete(store)
-    for path in removed:
+    for path in database.write(_forget_stores, garbage):
         shutil.rmtree(workspace / path, ignore_errors=True)
         if not any((workspace / path).parent.iterdir()) and path.startswith("stores/"):
             (workspace / path).parent.rmdir()
     return garbage + abandoned
+
+
+def _in_use(session: Session) -> tuple[set[str], set[str]]:
+    """Return the runs that are alive and the paths of the stores that are needed."""
+    alive = set(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
+    return alive, _needed_stores(session)
+
+
+def _forget_stores(session: Session, paths: Sequence[str]) -> list[str]:
+    """Take stores out of the database; return the paths that can go."""
+    # Asked again under the write lock: a run may have adopted a store meanwhile.
+    needed = _needed_stores(session)
+    removed = [path for path in paths if path not in needed]
+    stores = session.scalars(select(StoreRow).where(StoreRow.path.in_(removed))).all()
+    session.execute(
+        update(DayRow)
+        .where(DayRow.store_id.in_([store.id for store in stores]))
+        .values(store_id=None, state="failed", cause="no_work")
+    )
+    for store in stores:
+        session.delete(store)
+    return removed
 
 
 def _abandoned_releases(workspace: Path) -> list[str]:

@@ -1,9 +1,10 @@
-"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``repair``, ``gc``."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``gc`` and the rest."""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime as dt
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
@@ -375,6 +376,44 @@ def collect_garbage(
         console.print(f"{sum(sizes.values()):.1f} MB {'would be removed' if dry_run else 'were removed'}")
 
     command.emit({"command": "catalog gc", "dry_run": dry_run, "items": items}, show)
+
+
+@verb(group, "move")
+def move(
+    command: Command,
+    address: Annotated[
+        str,
+        typer.Argument(
+            help="postgresql://USER@HOST/DATABASE, an empty one; sqlite, back into the workspace.",
+            metavar="URL",
+        ),
+    ],
+    *,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only look whether it can be moved, and count.")
+    ] = False,
+) -> None:
+    """Move the catalog into a PostgreSQL database that several machines can write to, or back."""
+    from inflight.catalog import CATALOG_VARIABLE, move_catalog
+
+    moved = move_catalog(command.open_workspace().root.resolve(), address, dry_run=dry_run)
+    fields = _plain_fields(moved) | {"rows": dict(moved.rows)}
+
+    def show(console: Console) -> None:
+        items = [{"table": name, "rows": count} for name, count in moved.rows.items() if count]
+        console.print(_table(("table", "rows"), items))
+        count = sum(moved.rows.values())
+        if not moved.done:
+            console.print(f"{count} rows would be moved; nothing was changed")
+            return
+        console.print(f"{count} rows moved and compared, from {moved.source}", soft_wrap=True)
+        console.print(f"the catalog is now in {moved.target}", soft_wrap=True)
+        if os.environ.get(CATALOG_VARIABLE):
+            console.print(f"next: {CATALOG_VARIABLE} is set and goes first: change it, on all machines")
+        elif address != "sqlite":
+            console.print("next: its password, if it has one, into PGPASSWORD or ~/.pgpass")
+
+    command.emit({"command": "catalog move", **fields}, show)
 
 
 def _plain_fields(record: Any) -> dict[str, Any]:

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from probe_mission import PROBE_YAML
+from sqlalchemy import update
 
 from inflight.catalog import Catalog, DayData, FileRecord, Run, write_segment
+from inflight.catalog.schema import RunRow
 from inflight.errors import StorageError
 from inflight.mission import Mission
 from inflight.time import SECOND, day_bounds
@@ -178,6 +180,32 @@ def write_under_a_size_limit(workspace: Path, pipe: Connection) -> None:
         pipe.send((error.cause, error.remedy))
     else:
         pipe.send(("", "written"))
+
+
+def publish_one_day(workspace: Path, first_seed: int, times: int) -> None:
+    """Publish the same day again and again."""
+    catalog = Catalog(workspace)
+    for seed in range(times):
+        publish(catalog, "l2/field", GENERATION_DAYS[:1], seed=1000 * first_seed + seed)
+
+
+def publish_own_dataset(workspace: Path, name: str, days: int) -> None:
+    """Publish a span of days of one dataset, a run for each two of them."""
+    catalog = Catalog(workspace)
+    span = days_from("2005-01-01", days)
+    for first in range(0, days, 2):
+        publish(catalog, name, span[first : first + 2])
+
+
+def state_url(workspace: Path, url: str) -> None:
+    """Say in a workspace where its catalog is."""
+    workspace.mkdir(parents=True, exist_ok=True)
+    (workspace / "catalog.yaml").write_text(f"url: {url}\n")
+
+
+def end_leases(catalog: Catalog) -> None:
+    """Let the time pass after which runs without a sign of life are taken for dead."""
+    catalog._database.write(lambda session: session.execute(update(RunRow).values(lease=0.0 * RunRow.lease)))
 
 
 def freeze(workspace: Path, version: str) -> None:

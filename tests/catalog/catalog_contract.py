@@ -112,6 +112,13 @@ class RunContract:
                 run.publish()
         assert catalog.current(NAME, DAYS[0]) is None
 
+    def test_a_message_that_quotes_a_broken_file_is_recorded(self, catalog):
+        with catalog.run("ingest") as run:
+            run.record(NAME, DAYS[0], "failed", "repeatable", "bad header '\0\1'", {"head": "\0"})
+        (day,) = catalog.days(NAME)
+        assert day.message.startswith("bad header '")
+        assert day.report == {"head": "\0"}
+
     def test_states_of_days_are_recorded_and_listed(self, catalog):
         with catalog.run("ingest") as run:
             run.record(NAME, DAYS[0], "planned")

@@ -28,6 +28,7 @@ from inflight.catalog import Catalog, DayData, write_segment
 from inflight.catalog.faultpoints import POINTS
 from inflight.errors import StorageError
 
+BOTH_DATABASES = True
 RUN_POINTS = [point for point in POINTS if not point.startswith("release")]
 
 
@@ -47,11 +48,13 @@ def assert_whole(catalog):
 
 
 @pytest.mark.parametrize("point", [*RUN_POINTS, "segment_written:2", "segment_renamed:3", "attach:2"])
-def test_a_kill_at_any_named_point_shows_all_old_or_all_new_and_a_rerun_completes(catalog, point):
+def test_a_kill_at_any_named_point_shows_all_old_or_all_new_and_a_rerun_completes(
+    catalog, reopened_after_death, point
+):
     publish_seed(catalog, 0)
     killed = spawn(publish_generations, catalog.workspace, 1, 2, kill_at=point)
     assert ended(killed) == -signal.SIGKILL, "the point was not reached"
-    reopened = Catalog(catalog.workspace)
+    reopened = reopened_after_death()
     expected = 1 if point == "published" else 0
     assert generation_seen(reopened) == expected
     assert table_value(reopened) == expected
@@ -65,17 +68,17 @@ def test_a_kill_at_any_named_point_shows_all_old_or_all_new_and_a_rerun_complete
     assert generation_seen(reopened) == 1
 
 
-def test_a_rerun_adopts_what_the_killed_run_had_verified(catalog):
+def test_a_rerun_adopts_what_the_killed_run_had_verified(catalog, reopened_after_death):
     publish_seed(catalog, 0)
     ended(spawn(publish_generations, catalog.workspace, 1, 2, kill_at="publish_begun"))
-    reopened = Catalog(catalog.workspace)
+    reopened = reopened_after_death()
     left = reopened.runs()[-1].id
     publish_seed(reopened, 1)
     assert {left} == {day.segment.split("/")[1] for day in reopened.days("l2/field")}
 
 
 @pytest.mark.parametrize("trial", range(5))
-def test_a_kill_at_a_random_moment_shows_one_generation(catalog, trial):
+def test_a_kill_at_a_random_moment_shows_one_generation(catalog, reopened_after_death, trial):
     publish_seed(catalog, 0)
     mine, theirs = multiprocessing.Pipe()
     process = spawn(publish_generations, catalog.workspace, 1, 1000, theirs)
@@ -83,7 +86,7 @@ def test_a_kill_at_a_random_moment_shows_one_generation(catalog, trial):
     time.sleep(np.random.default_rng(trial).uniform(0.0, 0.7))
     process.kill()
     assert ended(process) == -signal.SIGKILL
-    reopened = Catalog(catalog.workspace)
+    reopened = reopened_after_death()
     seen = generation_seen(reopened)
     assert table_value(reopened) == seen
     assert_whole(reopened)
@@ -128,10 +131,10 @@ def test_two_writers_wait_for_each_other_and_no_revision_is_lost_or_reused(catal
     assert_whole(catalog)
 
 
-def test_several_processes_may_create_a_workspace_at_once(tmp_path):
-    makers = [spawn(save_a_model, tmp_path / "new", f"text {number}") for number in range(4)]
+def test_several_processes_may_create_a_workspace_at_once(workspace):
+    makers = [spawn(save_a_model, workspace, f"text {number}") for number in range(4)]
     assert [ended(maker) for maker in makers] == [0] * 4
-    assert [record.version for record in Catalog(tmp_path / "new").models()] == [1, 2, 3, 4]
+    assert [record.version for record in Catalog(workspace).models()] == [1, 2, 3, 4]
 
 
 def test_a_live_run_of_another_process_is_left_alone(catalog):
@@ -144,8 +147,10 @@ def test_a_live_run_of_another_process_is_left_alone(catalog):
     assert [run.state for run in Catalog(catalog.workspace).runs()] == ["done"]
 
 
-def test_a_run_of_another_host_is_not_judged(catalog, monkeypatch):
+def test_a_run_of_another_host_is_not_judged_without_a_lease(tmp_path, monkeypatch):
     import socket
+
+    catalog = Catalog(tmp_path)
 
     with monkeypatch.context() as elsewhere:
         elsewhere.setattr(socket, "gethostname", lambda: "another-host")

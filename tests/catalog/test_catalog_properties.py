@@ -19,6 +19,7 @@ from inflight.errors import CatalogError, ValidityError
 from inflight.time import to_tt2000
 
 BOUNDS = st.tuples(st.integers(0, 20), st.integers(0, 20)).filter(lambda span: span[0] != span[1]).map(sorted)
+BOTH_DATABASES = True
 SCOPES = st.sampled_from([None, "a", "b"])
 DAYS = days_from("2005-12-30", 4)
 
@@ -157,13 +158,12 @@ def test_any_span_is_the_days_joined_and_cut(archive, edges):
     xr.testing.assert_identical(opened.drop_vars("time").compute(), whole.isel(time=keep))
 
 
-def test_the_database_itself_refuses_validities_that_overlap(tmp_path):
+def test_the_database_itself_refuses_validities_that_overlap(catalog):
     """The last guard, should a writer ever forget to look."""
-    catalog = Catalog(tmp_path)
     with catalog.run("calibrate") as run:
         made = run.stage_table("offsets", table(), start=0, end=20)
     catalog.certify(made, 0, 10)
-    with catalog._database.engine.connect() as connection, pytest.raises(DatabaseRefusal, match="overlap"):
+    with catalog._database._writing.connect() as connection, pytest.raises(DatabaseRefusal, match="overlap"):
         connection.execute(
             CertificationRow.__table__.insert().values(
                 table_id=made, name="offsets", context="", start=9, end=12

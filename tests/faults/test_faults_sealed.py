@@ -67,15 +67,20 @@ def test_writing_to_a_sealed_workspace_is_refused(sealed):
 def test_a_reader_who_cannot_write_sees_what_a_writer_beside_has_committed(sealed):
     workspace, place = sealed
     writer, reader = Catalog(workspace), Catalog(place)
-    with writer._database.write() as session:
+
+    def change(session):
         session.merge(SettingRow(name="baseline", value="3"))
         session.flush()
         assert reader.baseline == 1
-    with writer._database.read() as session:
+
+    def look(session):
         session.connection()  # holds the log open, so that it is not yet merged into the database
         writer.set_baseline(4)
         assert (workspace / "catalog.db-wal").stat().st_size > 0
         assert reader.baseline == 4
+
+    writer._database.write(change)
+    writer._database.read(look)
     assert reader.baseline == 4
 
 

@@ -11,7 +11,12 @@ depends_on = None
 #: SQLite numbers rows by itself only in columns declared INTEGER.
 ID = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 
-#: The last guard against two tables valid at one time; PostgreSQL has exclusion constraints for it.
+#: Names sort the same on both databases.
+NAME = sa.String().with_variant(sa.String(collation="C"), "postgresql")
+#: PostgreSQL's own JSON refuses the NaN that reports may hold.
+JSON = sa.JSON().with_variant(sa.Text(), "postgresql")
+
+#: The last guard against two tables valid at one time.
 NO_OVERLAP = """
 CREATE TRIGGER certification_never_overlaps_{verb} BEFORE {verb} ON certification
 WHEN EXISTS (
@@ -20,6 +25,11 @@ WHEN EXISTS (
     AND other.start < NEW."end" AND NEW.start < other."end"
 )
 BEGIN SELECT RAISE(ABORT, 'validities of one table name and context overlap'); END
+"""
+
+EXCLUDED = """
+ALTER TABLE certification ADD CONSTRAINT certification_never_overlaps
+EXCLUDE USING gist (name WITH =, context WITH =, int8range("start", "end") WITH &&)
 """
 
 
@@ -33,41 +43,44 @@ def upgrade() -> None:
     if op.get_bind().dialect.name == "sqlite":
         for verb in ("INSERT", "UPDATE"):
             op.execute(NO_OVERLAP.format(verb=verb))
+    else:
+        op.execute("CREATE EXTENSION IF NOT EXISTS btree_gist")  # equality of texts in a gist index
+        op.execute(EXCLUDED)
 
 
 def _runs_and_stores() -> None:
     op.create_table(
         "run",
-        sa.Column("id", sa.String(), nullable=False),
-        sa.Column("kind", sa.String(), nullable=False),
-        sa.Column("settings", sa.JSON(), nullable=False),
-        sa.Column("context", sa.String(), nullable=True),
-        sa.Column("state", sa.String(), nullable=False),
-        sa.Column("cause", sa.String(), nullable=False),
+        sa.Column("id", NAME, nullable=False),
+        sa.Column("kind", NAME, nullable=False),
+        sa.Column("settings", JSON, nullable=False),
+        sa.Column("context", NAME, nullable=True),
+        sa.Column("state", NAME, nullable=False),
+        sa.Column("cause", NAME, nullable=False),
         sa.Column("message", sa.Text(), nullable=False),
-        sa.Column("host", sa.String(), nullable=False),
+        sa.Column("host", NAME, nullable=False),
         sa.Column("pid", sa.BigInteger(), nullable=False),
-        sa.Column("process", sa.String(), nullable=False),
-        sa.Column("started", sa.String(), nullable=False),
-        sa.Column("ended", sa.String(), nullable=True),
+        sa.Column("process", NAME, nullable=False),
+        sa.Column("started", NAME, nullable=False),
+        sa.Column("ended", NAME, nullable=True),
         sa.PrimaryKeyConstraint("id"),
     )
     op.create_index("ix_run_state", "run", ["state"], unique=False)
     op.create_table(
         "dataset",
         sa.Column("id", ID, nullable=False),
-        sa.Column("name", sa.String(), nullable=False),
+        sa.Column("name", NAME, nullable=False),
         sa.PrimaryKeyConstraint("id"),
         sa.UniqueConstraint("name"),
     )
     op.create_table(
         "store",
         sa.Column("id", ID, nullable=False),
-        sa.Column("path", sa.String(), nullable=False),
-        sa.Column("sha256", sa.String(), nullable=False),
+        sa.Column("path", NAME, nullable=False),
+        sa.Column("sha256", NAME, nullable=False),
         sa.Column("bytes", sa.BigInteger(), nullable=False),
-        sa.Column("notes", sa.JSON(), nullable=False),
-        sa.Column("run_id", sa.String(), nullable=False),
+        sa.Column("notes", JSON, nullable=False),
+        sa.Column("run_id", NAME, nullable=False),
         sa.ForeignKeyConstraint(
             ["run_id"],
             ["run.id"],
@@ -77,14 +90,14 @@ def _runs_and_stores() -> None:
     )
     op.create_table(
         "setting",
-        sa.Column("name", sa.String(), nullable=False),
-        sa.Column("value", sa.String(), nullable=False),
+        sa.Column("name", NAME, nullable=False),
+        sa.Column("value", NAME, nullable=False),
         sa.PrimaryKeyConstraint("name"),
     )
     op.create_table(
         "lineage",
-        sa.Column("parent", sa.String(), nullable=False),
-        sa.Column("child", sa.String(), nullable=False),
+        sa.Column("parent", NAME, nullable=False),
+        sa.Column("child", NAME, nullable=False),
         sa.PrimaryKeyConstraint("parent", "child"),
     )
     op.create_index("ix_lineage_child", "lineage", ["child"], unique=False)
@@ -96,13 +109,13 @@ def _days() -> None:
         sa.Column("id", ID, nullable=False),
         sa.Column("dataset_id", ID, nullable=False),
         sa.Column("day", sa.Date(), nullable=False),
-        sa.Column("run_id", sa.String(), nullable=False),
-        sa.Column("context", sa.String(), nullable=True),
-        sa.Column("state", sa.String(), nullable=False),
-        sa.Column("cause", sa.String(), nullable=False),
+        sa.Column("run_id", NAME, nullable=False),
+        sa.Column("context", NAME, nullable=True),
+        sa.Column("state", NAME, nullable=False),
+        sa.Column("cause", NAME, nullable=False),
         sa.Column("message", sa.Text(), nullable=False),
-        sa.Column("key", sa.String(), nullable=False),
-        sa.Column("report", sa.JSON(), nullable=False),
+        sa.Column("key", NAME, nullable=False),
+        sa.Column("report", JSON, nullable=False),
         sa.Column("coverage", sa.Float(), nullable=True),
         sa.Column("baseline", sa.BigInteger(), nullable=True),
         sa.Column("revision", sa.BigInteger(), nullable=True),
@@ -153,13 +166,13 @@ def _tables() -> None:
     op.create_table(
         "calibration_table",
         sa.Column("id", ID, nullable=False),
-        sa.Column("name", sa.String(), nullable=False),
-        sa.Column("run_id", sa.String(), nullable=False),
+        sa.Column("name", NAME, nullable=False),
+        sa.Column("run_id", NAME, nullable=False),
         sa.Column("store_id", ID, nullable=False),
         sa.Column("start", sa.BigInteger(), nullable=False),
         sa.Column("end", sa.BigInteger(), nullable=False),
-        sa.Column("key", sa.String(), nullable=False),
-        sa.Column("context", sa.String(), nullable=True),
+        sa.Column("key", NAME, nullable=False),
+        sa.Column("context", NAME, nullable=True),
         sa.ForeignKeyConstraint(
             ["run_id"],
             ["run.id"],
@@ -175,8 +188,8 @@ def _tables() -> None:
         "certification",
         sa.Column("id", ID, nullable=False),
         sa.Column("table_id", ID, nullable=False),
-        sa.Column("name", sa.String(), nullable=False),
-        sa.Column("context", sa.String(), nullable=False),
+        sa.Column("name", NAME, nullable=False),
+        sa.Column("context", NAME, nullable=False),
         sa.Column("start", sa.BigInteger(), nullable=False),
         sa.Column("end", sa.BigInteger(), nullable=False),
         sa.ForeignKeyConstraint(
@@ -192,36 +205,36 @@ def _models_and_files() -> None:
     op.create_table(
         "model",
         sa.Column("id", ID, nullable=False),
-        sa.Column("name", sa.String(), nullable=False),
+        sa.Column("name", NAME, nullable=False),
         sa.Column("version", sa.BigInteger(), nullable=False),
         sa.Column("parent", sa.BigInteger(), nullable=True),
         sa.Column("text", sa.Text(), nullable=False),
-        sa.Column("sha256", sa.String(), nullable=False),
+        sa.Column("sha256", NAME, nullable=False),
         sa.Column("message", sa.Text(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
+        sa.Column("created", NAME, nullable=False),
         sa.PrimaryKeyConstraint("id"),
         sa.UniqueConstraint("name", "version", name="model_version_never_reused"),
     )
     op.create_table(
         "context",
-        sa.Column("id", sa.String(), nullable=False),
+        sa.Column("id", NAME, nullable=False),
         sa.Column("mission_text", sa.Text(), nullable=False),
-        sa.Column("model_name", sa.String(), nullable=False),
+        sa.Column("model_name", NAME, nullable=False),
         sa.Column("model_version", sa.BigInteger(), nullable=False),
-        sa.Column("tables", sa.JSON(), nullable=False),
+        sa.Column("tables", JSON, nullable=False),
         sa.PrimaryKeyConstraint("id"),
     )
     op.create_table(
         "file",
         sa.Column("id", ID, nullable=False),
-        sa.Column("run_id", sa.String(), nullable=False),
-        sa.Column("instrument", sa.String(), nullable=False),
+        sa.Column("run_id", NAME, nullable=False),
+        sa.Column("instrument", NAME, nullable=False),
         sa.Column("path", sa.Text(), nullable=False),
-        sa.Column("sha256", sa.String(), nullable=False),
+        sa.Column("sha256", NAME, nullable=False),
         sa.Column("size", sa.BigInteger(), nullable=False),
         sa.Column("mtime_ns", sa.BigInteger(), nullable=False),
-        sa.Column("days", sa.JSON(), nullable=False),
-        sa.Column("report", sa.JSON(), nullable=False),
+        sa.Column("days", JSON, nullable=False),
+        sa.Column("report", JSON, nullable=False),
         sa.Column("taken", sa.Boolean(), nullable=False),
         sa.ForeignKeyConstraint(
             ["run_id"],
@@ -238,11 +251,11 @@ def _releases() -> None:
     op.create_table(
         "release",
         sa.Column("id", ID, nullable=False),
-        sa.Column("version", sa.String(), nullable=False),
-        sa.Column("context", sa.String(), nullable=True),
+        sa.Column("version", NAME, nullable=False),
+        sa.Column("context", NAME, nullable=True),
         sa.Column("notes", sa.Text(), nullable=False),
         sa.Column("path", sa.Text(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
+        sa.Column("created", NAME, nullable=False),
         sa.PrimaryKeyConstraint("id"),
         sa.UniqueConstraint("version"),
     )

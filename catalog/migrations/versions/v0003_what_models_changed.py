@@ -8,10 +8,12 @@ down_revision = "0002"
 branch_labels = None
 depends_on = None
 
+JSON = sa.JSON().with_variant(sa.Text(), "postgresql")
+
 
 def upgrade() -> None:
     """Add the column."""
-    op.add_column("model", sa.Column("change", sa.JSON(), nullable=True))
+    op.add_column("model", sa.Column("change", JSON, nullable=True))
 
 
 def downgrade() -> None:
