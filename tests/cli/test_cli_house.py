@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -38,10 +37,8 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported():
         "heavy = {'numpy', 'xarray', 'pydantic', 'prefect', 'dask', 'sqlalchemy'} & set(sys.modules)\n"
         "sys.exit(f'imported {sorted(heavy)}' if heavy else 0)"
     )
-    begun = time.monotonic()
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
-    assert time.monotonic() - begun < 2.0
 
 
 def test_a_folder_that_is_no_workspace_is_wrong_usage_with_a_remedy(inflight, tmp_path):
