@@ -58,6 +58,8 @@ class Flag(IntFlag):
     NOT_CORRECTED = 1 << 18
     #: An axis reads the very same for long while that of the boom's other sensor changes.
     STILL = 1 << 19
+    #: The calibration table was learnt from a span that does not hold the sample; the uncertainty is wider.
+    EXTRAPOLATED = 1 << 20
 
 
 #: Flags that take a sample out of every fit.

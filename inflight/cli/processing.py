@@ -197,6 +197,14 @@ def reprocess(
             "what the model does not know.",
         ),
     ] = False,
+    use_table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:NUMBER]",
+            help="Fit nothing: take this table of the catalog, such as main-span:12, as it is",
+            show_default=False,
+        ),
+    ] = None,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
@@ -213,6 +221,7 @@ def reprocess(
         trend=trend,
         origin=origin,
         distribute=distribute or None,
+        use_table=use_table,
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
@@ -60,6 +60,9 @@ class ReprocessSettings(BaseModel):
     distribute : bool
         In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
         step, which hides what the model does not have. Products state its size either way.
+    use_table : str, optional
+        A table that the catalog has, ``main-span`` (the newest) or ``main-span:12``: products take it as it
+        is, and nothing is fitted. Days that it was not learnt from are flagged, with a wider uncertainty.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -73,6 +76,19 @@ class ReprocessSettings(BaseModel):
     origin: dt.date | None = None
     mean_days: float = Field(260.0, gt=0.0)
     distribute: bool = False
+    use_table: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _table_of_name(cls, given: Any) -> Any:
+        """Take the kind of table from the name of the one to use: ``main-span`` is the span's."""
+        if not isinstance(given, Mapping) or not given.get("use_table"):
+            return given
+        comparison = given.get("comparison", "main")
+        kind = str(given["use_table"]).partition(":")[0].removeprefix(f"{comparison}-")
+        if given.get("table", kind) != kind:
+            raise ValueError(f"use_table {given['use_table']!r} is no table {given['table']!r}")
+        return {**given, "table": kind}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,6 +31,7 @@ from inflight.tasks.pipelines.base.publication import (
     register_outcome,
     reuse_interrupted_days,
 )
+from inflight.tasks.pipelines.base.stored_table import take_stored_table
 from inflight.tasks.report import RunReport, no_work_problems
 
 #: Passes of linearisation at most; each one squares the linearisation error.
@@ -48,16 +49,20 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     with cat.run("reprocess", plan.recorded, context=plan.context) as run:
         work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
         run.record_no_work(plan.product, plan.no_work)
-        statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
-        if pipeline.statistics and not statistics.days:
-            return _report(pipeline, work, None, _Products())
-        solved = pipeline.solve(work, statistics.days)
+        if plan.settings.use_table is not None:
+            statistics, solved = _Statistics(), take_stored_table(work, plan.settings.use_table)
+        else:
+            statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
+            if pipeline.statistics and not statistics.days:
+                return _report(pipeline, work, None, _Products())
+            solved = pipeline.solve(work, statistics.days)
         made = (
             _make_products(pipeline, work, solved)
             if pipeline.has_products
             else _Products(statistics.fresh, plan.unchanged)
         )
-        pipeline.finish(work, statistics.days, solved, made.reports)
+        if plan.settings.use_table is None:
+            pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
         report = _report(pipeline, work, solved, made)
         if not work.failed:
