@@ -69,6 +69,14 @@ _LIMITS: Final = {
     "degC": (-273.15, 1.0e4),
     "K": (0.0, 1.0e4),
 }
+#: Attributes of a product that say what it was made with; in a CDF their names begin with a capital.
+_MADE_WITH: Final = (
+    "calibration_method",
+    "calibration_model",
+    "calibration_table",
+    "calibration_coefficients",
+    "typical_values",
+)
 _CF_UNITS: Final = {"deg": "degree", "latitude": "degrees_north", "longitude": "degrees_east"}
 
 
@@ -437,6 +445,9 @@ def _istp(dataset: xr.Dataset, header: DayHeader) -> dict[str, list[str]]:
         "Skeleton_version": ["1.0"],
         "Time_resolution": [f"{step:g} s"],
     }
+    for name in _MADE_WITH:
+        told = dataset.attrs.get(name, [])
+        out[name.capitalize()] = [told] if isinstance(told, str) else list(told)
     if keys.doi:
         out["DOI"] = [keys.doi]
     if keys.link:
@@ -551,6 +562,7 @@ def _cf_header(dataset: xr.Dataset, header: DayHeader) -> dict[str, Any]:
         "history": "; ".join([*istp["MODS"], *istp.get("Parents", [])]),
         "references": header.mission.release.doi or header.mission.release.link,
     }
-    own = {key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)}
+    told = {name: "; ".join(istp.get(name.capitalize(), [])) for name in _MADE_WITH}
+    own = told | {key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)}
     extra = {key: value for key, value in own.items() if key not in {*out, "version", "day"}}
     return {key: value for key, value in (out | extra).items() if value}

@@ -84,10 +84,14 @@ class ProductBatch(Batch):
         The calibration table whose values the model takes.
     preflight : Model
         What the residual before calibration is made with.
+    table_name, model_name : str
+        What of both the product's header says.
     """
 
     table: xr.Dataset
     preflight: Model
+    table_name: str = ""
+    model_name: str = ""
 
 
 @dataclass

@@ -28,6 +28,8 @@ MODEL, FITTED = "model", "fitted_model"
 def find_table(cat: Catalog, named: str) -> TableRecord:
     """Return the record of a table ``main-span:12``, or the newest one called ``main-span``.
 
+    In place of the number stands the key, or its first digits, that the header of a product has.
+
     Raises
     ------
     CatalogError
@@ -35,7 +37,12 @@ def find_table(cat: Catalog, named: str) -> TableRecord:
     """
     name, _, number = named.partition(":")
     records = cat.tables(name)
-    known = [one for one in records if number in ("", str(one.id)) and not one.damaged]
+    known = [
+        one
+        for one in records
+        if (number in ("", str(one.id)) or (len(number) > 7 and one.key.startswith(number)))
+        and not one.damaged
+    ]
     if not known:
         numbers = ", ".join(f"{name}:{one.id}" for one in records)
         names = sorted({one.name for one in cat.tables()})
