@@ -15,11 +15,13 @@ from inflight.catalog.database import Database
 from inflight.catalog.days import (
     current_day,
     day_of_version,
+    days_by_id,
     published_days,
     release_records,
     released_days,
     revisions_of_days,
     status_of_days,
+    stored_together,
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
@@ -200,6 +202,28 @@ class Catalog:
         """Return every published revision of each day in a span, past ones too, the oldest first."""
         with self._database.read() as session:
             return revisions_of_days(session, name, parse_span(time))
+
+    def collection(self, name: str, datasets: Sequence[str] = ("l2/*",)) -> list[Day]:
+        """Return the days of a collection; its names are those of `differences`, and ``v01.03``.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such release, or nothing was published with such a model.
+        """
+        with self._database.read() as session:
+            return days_of_collection(session, name, datasets)
+
+    def days_by_id(self, ids: Iterable[str]) -> list[Day]:
+        """Return the records of days by their lineage ids, whatever became of them; others are left out."""
+        numbers = [int(item.partition(":")[2]) for item in ids if item.startswith("day:")]
+        with self._database.read() as session:
+            return days_by_id(session, numbers)
+
+    def stored_together(self, day: Day) -> tuple[str, list[Day]]:
+        """Return the sha256 of the manifest of a day's store, and all days in that store in order."""
+        with self._database.read() as session:
+            return stored_together(session, day.segment)
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""

@@ -563,6 +563,8 @@ def _cf_header(dataset: xr.Dataset, header: DayHeader) -> dict[str, Any]:
         "references": header.mission.release.doi or header.mission.release.link,
     }
     told = {name: "; ".join(istp.get(name.capitalize(), [])) for name in _MADE_WITH}
-    own = told | {key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)}
+    own = told | {
+        key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)
+    }
     extra = {key: value for key, value in own.items() if key not in {*out, "version", "day"}}
     return {key: value for key, value in (out | extra).items() if value}

@@ -228,6 +228,31 @@ def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
     return [(day, key) for day, key in found]
 
 
+def days_by_id(session: Session, ids: Iterable[int]) -> list[Day]:
+    """Return the records of days of any state by the numbers of their rows."""
+    rows = _with_store().add_columns(DatasetRow.name).join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+    found = []
+    numbers = sorted(set(ids))
+    for first in range(0, len(numbers), 500):  # databases bound the number of values in one statement
+        some = rows.where(DayRow.id.in_(numbers[first : first + 500]))
+        found += [day_record(row, name, path) for row, path, name in session.execute(some)]
+    return found
+
+
+def stored_together(session: Session, path: str) -> tuple[str, list[Day]]:
+    """Return the sha256 of a store's manifest, and the days in it in order, each once."""
+    sha256 = session.scalars(select(StoreRow.sha256).where(StoreRow.path == path)).one()
+    rows = session.scalars(
+        select(DayRow.id)
+        .join(StoreRow, StoreRow.id == DayRow.store_id)
+        .where(StoreRow.path == path)
+        .order_by(DayRow.start, DayRow.id)
+    )
+    # A run that was killed has left rows of the same days that another one took over.
+    by_day = {day.day: day for day in sorted(days_by_id(session, rows), key=lambda day: int(day.id[4:]))}
+    return sha256, [by_day[day] for day in sorted(by_day)]
+
+
 def _with_store() -> Select[Any]:
     return select(DayRow, StoreRow.path).outerjoin(StoreRow, StoreRow.id == DayRow.store_id)
 

@@ -36,6 +36,7 @@ from .registry import (
     table_sections,
     tables_report,
 )
+from .remake import remake
 from .scalar import load_equations
 
 __all__ = [
@@ -66,6 +67,7 @@ __all__ = [
     "product_of",
     "published_products",
     "register_outcome",
+    "remake",
     "reprocess",
     "reprocess_if_unchanged",
     "residual_of_days",

@@ -1,4 +1,4 @@
-"""What a released file says of itself: with what it was really made, also where a table was chosen by hand."""
+"""What a released file says of itself: with what it was made, also where a table was chosen by hand."""
 
 import cdflib
 import h5py

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,6 +118,7 @@ def make_days(
     job: Job,
     make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
     unify: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
+    folder: Path | None = None,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -128,6 +130,8 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
+    folder : Path, optional
+        Where the segment goes; the workspace when absent.
     unify : callable, optional
         Returns the datasets of the days with variables of one size, as one store needs them.
 
@@ -148,5 +152,5 @@ def make_days(
         if made:
             unified = unify([one.dataset for one in made])
             made = [replace(one, dataset=dataset) for one, dataset in zip(made, unified, strict=True)]
-            outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
+            outcome.segment = write_segment(folder or cat.workspace, job.run, job.dataset, made)
     return outcome

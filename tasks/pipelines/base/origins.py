@@ -1,4 +1,4 @@
-"""What a product was really made with, as its header says it: method, model, table, origin of each coefficient.
+"""What a product was really made with, as its header says it: method, model, table, origin of coefficients.
 
 In go what a worker was given and the day; out come the product's attributes. They name the table that was
 used, also where it was chosen by hand, by its key, which holds in any workspace.
@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import LEARNT, VALUE_ORIGINS
+from inflight.catalog import TableRecord
 from inflight.model import TimedValue, component_names
 from inflight.tasks.pipelines.base.job import ProductBatch
 from inflight.tasks.pipelines.base.pipeline import Pipeline
@@ -20,6 +21,16 @@ from inflight.time import day_bounds, utc_text
 
 #: Digits of a key that name a table.
 KEY_DIGITS = 12
+
+
+def table_label(record: TableRecord) -> str:
+    """Return how a header names a table: its name and the first digits of its key."""
+    return f"{record.name}:{record.key[:KEY_DIGITS]}"
+
+
+def model_label(name: str, version: int) -> str:
+    """Return how a header names a model."""
+    return f"{name} version {version}"
 
 
 def origin_attributes(

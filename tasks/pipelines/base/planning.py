@@ -218,6 +218,18 @@ def plan_days(
     )
 
 
+def product_needs(
+    mission: Mission, model: Model, preflight: Model, channels: Iterable[str] = ()
+) -> tuple[Need, ...]:
+    """Return the series of the archive that a day's statistics and product are made from.
+
+    Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
+    """
+    before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
+    named = needs_of(mission, model, [*geometry_channels(mission), *channels, *before_flight])
+    return tuple(replaceable_needs(mission, model, named))
+
+
 def plan_archive_days(
     cat: Catalog,
     mission: Mission,
@@ -248,11 +260,8 @@ def plan_archive_days(
     """
     start, end = span
     used = current_model(cat, mission, settings.comparison)
-    # Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
     preflight = preflight_model(cat, mission, settings.comparison)
-    before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
-    named = needs_of(mission, used.model, [*geometry_channels(mission), *channels, *before_flight])
-    needs = tuple(replaceable_needs(mission, used.model, named))
+    needs = product_needs(mission, used.model, preflight, channels)
     # A day is also made from days around it; the farthest have typical values for a missing channel.
     after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1
     before = max(after, *(need.days_before for need in needs))

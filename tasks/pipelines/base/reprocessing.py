@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
-from inflight.tasks.pipelines.base.origins import KEY_DIGITS, origin_attributes
+from inflight.tasks.pipelines.base.origins import model_label, origin_attributes, table_label
 from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.tasks.pipelines.base.planning import Plan
 from inflight.tasks.pipelines.base.publication import (
@@ -204,14 +205,17 @@ def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
     return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
 
 
-def product_batch(pipeline: Pipeline, batch: ProductBatch) -> Outcome:
-    """Make the products of a batch of days in a worker, and write them as one segment."""
+def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None = None) -> Outcome:
+    """Make the products of a batch of days in a worker, and write them as one segment.
+
+    `folder` is the workspace unless given.
+    """
 
     def make(day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         product, report = pipeline.make_product(batch, day)
         return product.assign_attrs(origin_attributes(pipeline, batch, day, report)), report
 
-    return make_days(batch.cat, batch.job, make)
+    return make_days(batch.cat, batch.job, make, folder=folder)
 
 
 def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
@@ -235,7 +239,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     todo = [day for day in todo if day not in adopted]
     preflight = preflight_model(cat, work.mission, plan.settings.comparison)
     # The days of a batch have one table in common.
-    names = {record.id: f"{record.name}:{record.key[:KEY_DIGITS]}" for record in cat.tables()}
+    names = {record.id: table_label(record) for record in cat.tables()}
     # A model that was fitted is one more thing that products are made from.
     fitted = solved.model.name != plan.model.name
     version = solved.model.version if fitted else plan.used.version
@@ -254,7 +258,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
                 table=solved.used[days[0]].table,
                 preflight=preflight,
                 table_name=names[number],
-                model_name=f"{solved.model.name} version {version}",
+                model_name=model_label(solved.model.name, version),
             )
             arguments.append((pipeline, batch))
     done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()
