@@ -16,6 +16,7 @@ from inflight.catalog.days import (
     current_day,
     day_of_version,
     days_by_id,
+    maturities,
     published_days,
     release_records,
     released_days,
@@ -57,7 +58,7 @@ from inflight.catalog.upkeep import (
     repair,
     summary_of_days,
 )
-from inflight.catalog.validity import certify_table, table_records, valid_table
+from inflight.catalog.validity import approve_table, certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
@@ -213,6 +214,11 @@ class Catalog:
         """
         with self._database.read() as session:
             return days_of_collection(session, name, datasets)
+
+    def maturities(self, name: str) -> dict[str, str]:
+        """Return the maturity of the days of a dataset that a release holds, by their ids."""
+        with self._database.read() as session:
+            return maturities(session, name)
 
     def days_by_id(self, ids: Iterable[str]) -> list[Day]:
         """Return the records of days by their lineage ids, whatever became of them; others are left out."""
@@ -391,6 +397,17 @@ class Catalog:
         with self._database.write() as session:
             certify_table(session, (table_id, start, end, context), supersede=supersede)
 
+    def approve(self, table_id: int, person: str, note: str = "") -> None:
+        """Record that a person answers for a table: definitive releases take no other.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such table, or no person is named.
+        """
+        with self._database.write() as session:
+            approve_table(session, table_id, person, note)
+
     # --- models, contexts, files -----------------------------------------------------------------
 
     def save_model(
@@ -518,6 +535,7 @@ class Catalog:
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
         documents: Documents | None = None,
+        maturity: str = "preliminary",
     ) -> Path:
         """Freeze the published days of some datasets as a release and copy it out.
 
@@ -540,6 +558,9 @@ class Catalog:
         documents : callable, optional
             Called with the folder and a `ReleaseContents` before the manifest is written; writes what else
             goes with the data and returns lines for RELEASE_NOTES.md.
+        maturity : str
+            ``quick-look``, ``preliminary`` or ``definitive``: of its products; catalog, header and file name
+            say so.
 
         Raises
         ------
@@ -555,6 +576,7 @@ class Catalog:
             notes=notes,
             formats=tuple(formats),
             mission=mission,
+            maturity=maturity,
         )
         return freeze_release(self.workspace, self._database, request, target, documents)
 
@@ -588,6 +610,7 @@ class Catalog:
         *,
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
+        maturity: str = "preliminary",
     ) -> ReleasePlan:
         """Return what a release would hold and what stands against it; nothing is written.
 
@@ -604,6 +627,7 @@ class Catalog:
             datasets=tuple(datasets),
             formats=tuple(formats),
             mission=mission,
+            maturity=maturity,
         )
         return plan_release(self.workspace, self._database, request)
 

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from inflight.errors import CatalogError, StorageError
 
 #: Newest migration; a test holds it equal to the head of ``migrations/versions``.
-HEAD: Final = "0003"
+HEAD: Final = "0005"
 #: How long a writer waits for another one, ms.
 BUSY_TIMEOUT_MS: Final = 30_000
 

@@ -76,6 +76,7 @@ _MADE_WITH: Final = (
     "calibration_table",
     "calibration_coefficients",
     "typical_values",
+    "exclusions",
 )
 _CF_UNITS: Final = {"deg": "degree", "latitude": "degrees_north", "longitude": "degrees_east"}
 
@@ -121,6 +122,8 @@ class DayHeader:
         ``yyyymmdd``; see `inflight.catalog.release`.
     parents : tuple of str
         ``CDF>logical_file_id`` of files of the release, or ``kind>name`` of what is none.
+    maturity : str
+        Of the products of the release.
     """
 
     mission: Mission
@@ -130,16 +133,17 @@ class DayHeader:
     day_version: str
     generated: str
     parents: tuple[str, ...] = ()
+    maturity: str = "preliminary"
 
     @property
     def source(self) -> str:
-        """ISTP's Logical_source, such as ``champ_l2_field``."""
-        return logical_source(self.mission, self.dataset)
+        """ISTP's Logical_source, such as ``champ_l2_field-definitive``."""
+        return logical_source(self.mission, self.dataset, self.maturity)
 
     @property
     def stem(self) -> str:
         """ISTP's Logical_file_id: the file's name without its ending."""
-        return logical_file_id(self.mission, self.dataset, self.day, self.version)
+        return logical_file_id(self.mission, self.dataset, self.day, self.version, self.maturity)
 
 
 def file_version(version: str) -> str:
@@ -159,15 +163,21 @@ def file_version(version: str) -> str:
     return f"v{int(found[1]):02d}.{int(found[2]):02d}"
 
 
-def logical_source(mission: Mission, dataset: str) -> str:
-    """Return source, data type and descriptor of a dataset, such as ``champ_l2_field``."""
+def logical_source(mission: Mission, dataset: str, maturity: str) -> str:
+    """Return source, data type and descriptor of a dataset, such as ``champ_l2_field-definitive``.
+
+    What was delivered, ``champ_l1_fgm``, has no maturity.
+    """
     short = mission.release.source_name.partition(">")[0]
-    return f"{short}_{dataset.replace('/', '_')}".lower()
+    checked = f"-{maturity}" if dataset.startswith("l2/") else ""
+    return f"{short}_{dataset.replace('/', '_')}{checked}".lower()
 
 
-def logical_file_id(mission: Mission, dataset: str, day: np.datetime64, version: str) -> str:
-    """Return the name of a day's file without its ending, such as ``champ_l2_field_20050101_v01.00``."""
-    return f"{logical_source(mission, dataset)}_{str(day).replace('-', '')}_{version}"
+def logical_file_id(
+    mission: Mission, dataset: str, day: np.datetime64, version: str, maturity: str = "preliminary"
+) -> str:
+    """Return a file's name without its ending, such as ``champ_l2_field-definitive_20050101_v01.00``."""
+    return f"{logical_source(mission, dataset, maturity)}_{str(day).replace('-', '')}_{version}"
 
 
 def write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
@@ -445,6 +455,8 @@ def _istp(dataset: xr.Dataset, header: DayHeader) -> dict[str, list[str]]:
         "Skeleton_version": ["1.0"],
         "Time_resolution": [f"{step:g} s"],
     }
+    if level == "l2":
+        out["Maturity"] = [header.maturity]
     for name in _MADE_WITH:
         told = dataset.attrs.get(name, [])
         out[name.capitalize()] = [told] if isinstance(told, str) else list(told)
@@ -562,6 +574,8 @@ def _cf_header(dataset: xr.Dataset, header: DayHeader) -> dict[str, Any]:
         "history": "; ".join([*istp["MODS"], *istp.get("Parents", [])]),
         "references": header.mission.release.doi or header.mission.release.link,
     }
+    if "Maturity" in istp:
+        out["maturity"] = first["Maturity"]
     told = {name: "; ".join(istp.get(name.capitalize(), [])) for name in _MADE_WITH}
     own = told | {
         key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)

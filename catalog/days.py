@@ -194,7 +194,10 @@ def release_records(session: Session) -> list[ReleaseRecord]:
         datasets[release][name] = first, last
     rows = session.scalars(select(ReleaseRow).order_by(ReleaseRow.id))
     return [
-        ReleaseRecord(version=row.version, created=row.created, datasets=datasets[row.id]) for row in rows
+        ReleaseRecord(
+            version=row.version, created=row.created, datasets=datasets[row.id], maturity=row.maturity
+        )
+        for row in rows
     ]
 
 
@@ -226,6 +229,19 @@ def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
         .where(DatasetRow.name == name, DayRow.state == "verified", RunRow.state != "running")
     )
     return [(day, key) for day, key in found]
+
+
+def maturities(session: Session, name: str) -> dict[str, str]:
+    """Return the maturity of the days of a dataset that a release holds, that of the last one."""
+    dataset = dataset_id(session, name)
+    rows = session.execute(
+        select(DayRow.id, ReleaseRow.maturity)
+        .join(ReleaseDayRow, ReleaseDayRow.day_id == DayRow.id)
+        .join(ReleaseRow, ReleaseRow.id == ReleaseDayRow.release_id)
+        .where(DayRow.dataset_id == dataset)
+        .order_by(ReleaseRow.id)
+    )
+    return {f"day:{id}": maturity for id, maturity in rows}
 
 
 def days_by_id(session: Session, ids: Iterable[int]) -> list[Day]:

@@ -43,7 +43,8 @@ def origin_attributes(
     dict
         ``calibration_method`` (pipeline, versions of its algorithms), ``calibration_model``,
         ``calibration_table`` (name:key, and what taught the row that holds), ``calibration_coefficients`` (a
-        list: value at noon and where it is from), and ``typical_values`` where channels were missing.
+        list: value at noon and where it is from), ``exclusions`` that touch the day, and ``typical_values``
+        where channels were missing.
     """
     start, end = day_bounds(day)
     middle = (start + end) // 2
@@ -63,6 +64,9 @@ def origin_attributes(
     ]
     if coefficients:
         attributes["calibration_coefficients"] = coefficients
+    excluded = [one.words for one in batch.mission.exclusions if one.start < end and start < one.end]
+    if excluded:
+        attributes["exclusions"] = excluded
     if report.get("partial"):
         attributes["typical_values"] = str(report["partial"])
     return attributes
