@@ -116,7 +116,7 @@ def expected_change(table: xr.Dataset, elapsed: float, names: Sequence[str]) -> 
     return np.sqrt([np.interp(elapsed, known, squares) for squares in change.T**2])
 
 
-def extrapolation(
+def change_outside(
     row: xr.Dataset, table: xr.Dataset, span: tuple[int, int], names: Sequence[str]
 ) -> Floats | None:
     """Return by how much parameters may have changed since a row was learnt; None within that span.

@@ -21,7 +21,7 @@ import scipy
 import xarray as xr
 
 from inflight.arrays import Floats, finite_rows
-from inflight.calibration.extrapolation import LEARNT, extrapolation
+from inflight.calibration.extrapolation import LEARNT, change_outside
 from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
 from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
@@ -480,7 +480,7 @@ def day_parameters(
     if not np.isfinite(noise) and known.size:
         noise = float(np.median(known))
     interval = table.isel(interval=row)
-    change = extrapolation(interval, table, span or (tt2000, tt2000), reference.columns)
+    change = change_outside(interval, table, span or (tt2000, tt2000), reference.columns)
     return DayParameters(
         np.array(table["value"].values[row, columns], dtype=np.float64),
         np.array(table["covariance"].values[row][np.ix_(columns, columns)], dtype=np.float64),

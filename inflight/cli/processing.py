@@ -262,14 +262,14 @@ def _remake(
     details: bool,
 ) -> None:
     """Make an old version again, and tell whether its bytes are equal."""
-    from inflight.flows.cluster import lazy_client
+    from inflight.flows import lazy_client
     from inflight.tasks import batch_mapper
-    from inflight.tasks.pipelines import remake
+    from inflight.tasks.pipelines import remake_version
 
     catalog = command.open_catalog()
     folder = destination or catalog.workspace / "as-of" / version.replace(":", "-")
     with command.progress() as progress, lazy_client(workers) as client:
-        report = remake(catalog, version, span, folder, batch_mapper(client, progress))
+        report = remake_version(catalog, version, span, folder, batch_mapper(client, progress))
     stores = report.extra["stores"]
     equal = sum(one["equal"] for one in stores)
     command.finish(report, [f"{equal} of {len(stores)} stores have equal bytes"], details)

@@ -37,7 +37,7 @@ from .registry import (
     table_sections,
     tables_report,
 )
-from .remake import remake
+from .remake import remake_version
 from .scalar import load_equations
 
 __all__ = [
@@ -69,7 +69,7 @@ __all__ = [
     "product_of",
     "published_products",
     "register_outcome",
-    "remake",
+    "remake_version",
     "reprocess",
     "reprocess_if_unchanged",
     "residual_of_days",

@@ -40,7 +40,7 @@ from inflight.tasks.report import RunReport, problem
 from inflight.time import DayLike, day_bounds, is_within
 
 
-def remake(
+def remake_version(
     cat: Catalog,
     version: str,
     span: tuple[DayLike | None, DayLike | None],

@@ -6,8 +6,8 @@ import xarray as xr
 from numpy.testing import assert_allclose
 
 from inflight.calibration.extrapolation import (
+    change_outside,
     expected_change,
-    extrapolation,
     held_table,
     outside_learnt,
     with_changes,
@@ -68,16 +68,16 @@ def test_a_table_of_few_rows_takes_the_changes_of_a_finer_one_or_the_prior():
 def test_only_what_is_outside_the_span_that_taught_it_is_extrapolated():
     table = with_changes(table_of(np.arange(4.0)[:, None] * [1.0, 1.0]))
     row = table.isel(interval=1)
-    assert extrapolation(row, table, (DAY, 2 * DAY), NAMES) is None
+    assert change_outside(row, table, (DAY, 2 * DAY), NAMES) is None
     # Its middle is a day and a half from the farthest sample; squares go from 1 to 4 in two days.
-    assert_allclose(extrapolation(row, table, (DAY, 3 * DAY), NAMES), np.sqrt([2.5, 2.5]))
+    assert_allclose(change_outside(row, table, (DAY, 3 * DAY), NAMES), np.sqrt([2.5, 2.5]))
     assert outside_learnt(row, np.array([DAY - 1, DAY, 2 * DAY - 1, 2 * DAY])).tolist() == [1, 0, 0, 1]
 
 
 def test_a_row_that_nothing_taught_holds_the_prior_and_is_not_extrapolated():
     table = table_of(np.arange(4.0)[:, None] * [1.0, 1.0], learnt=np.array([True, True, True, False]))
     row = table.isel(interval=3)
-    assert extrapolation(row, table, (3 * DAY, 4 * DAY), NAMES) is None
+    assert change_outside(row, table, (3 * DAY, 4 * DAY), NAMES) is None
     assert not outside_learnt(row, np.array([3 * DAY])).any()
 
 

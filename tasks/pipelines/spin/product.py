@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import extrapolation, outside_learnt
+from inflight.calibration import change_outside, outside_learnt
 from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
 from inflight.model import Model, rows_of
@@ -41,7 +41,7 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
     covariance = np.asarray(row["covariance"].values)
-    change = extrapolation(row, table, span, row["parameter"].values.tolist())
+    change = change_outside(row, table, span, row["parameter"].values.tolist())
     outside = outside_learnt(row, np.asarray(samples["tt2000"].values))
     product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
     free = np.array([entry.parameters[name.partition("[")[0]].free for name in PARAMETER_NAMES])
