@@ -169,8 +169,12 @@ def logical_source(mission: Mission, dataset: str, maturity: str) -> str:
     What was delivered, ``champ_l1_fgm``, has no maturity.
     """
     short = mission.release.source_name.partition(">")[0]
-    checked = f"-{maturity}" if dataset.startswith("l2/") else ""
-    return f"{short}_{dataset.replace('/', '_')}{checked}".lower()
+    return f"{short}_{dataset.replace('/', '_')}{_checked(dataset, maturity)}".lower()
+
+
+def _checked(dataset: str, maturity: str) -> str:
+    """Return what a descriptor tells of the maturity."""
+    return f"-{maturity}" if dataset.startswith("l2/") else ""
 
 
 def logical_file_id(
@@ -433,7 +437,10 @@ def _istp(dataset: xr.Dataset, header: DayHeader) -> dict[str, list[str]]:
         "Source_name": [keys.source_name],
         "Discipline": [keys.discipline],
         "Data_type": [_LEVELS.get(level, f"{level.upper()}>{level}")],
-        "Descriptor": [f"{descriptor.upper()}>{_descriptor(descriptor, level, mission)}"],
+        "Descriptor": [
+            f"{(descriptor + _checked(header.dataset, header.maturity)).upper()}>"
+            f"{_descriptor(descriptor, level, mission)}"
+        ],
         "Data_version": [header.version.removeprefix("v")],
         "Logical_source": [header.source],
         "Logical_source_description": [title],

@@ -8,7 +8,7 @@ down_revision = "0003"
 branch_labels = None
 depends_on = None
 
-_ID = sa.BigInteger().with_variant(sa.Integer, "sqlite")
+_ID = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 
 
 def upgrade() -> None:
@@ -17,7 +17,7 @@ def upgrade() -> None:
     op.create_table(
         "approval",
         sa.Column("id", _ID, primary_key=True),
-        sa.Column("table_id", sa.BigInteger(), sa.ForeignKey("calibration_table.id"), nullable=False),
+        sa.Column("table_id", _ID, sa.ForeignKey("calibration_table.id"), nullable=False),
         sa.Column("person", sa.String(), nullable=False),
         sa.Column("note", sa.Text(), nullable=False),
         sa.Column("created", sa.String(), nullable=False),
