@@ -15,11 +15,14 @@ from inflight.catalog.database import Database
 from inflight.catalog.days import (
     current_day,
     day_of_version,
+    days_by_id,
+    maturities,
     published_days,
     release_records,
     released_days,
     revisions_of_days,
     status_of_days,
+    stored_together,
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
@@ -56,7 +59,7 @@ from inflight.catalog.upkeep import (
     repair,
     summary_of_days,
 )
-from inflight.catalog.validity import certify_table, table_records, valid_table
+from inflight.catalog.validity import approve_table, certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
@@ -198,6 +201,29 @@ class Catalog:
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
         """Return every published revision of each day in a span, past ones too, the oldest first."""
         return self._database.read(revisions_of_days, name, parse_span(time))
+
+    def collection(self, name: str, datasets: Sequence[str] = ("l2/*",)) -> list[Day]:
+        """Return the days of a collection; its names are those of `differences`, and ``v01.03``.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such release, or nothing was published with such a model.
+        """
+        return self._database.read(days_of_collection, name, datasets)
+
+    def maturities(self, name: str) -> dict[str, str]:
+        """Return the maturity of the days of a dataset that a release holds, by their ids."""
+        return self._database.read(maturities, name)
+
+    def days_by_id(self, ids: Iterable[str]) -> list[Day]:
+        """Return the records of days by their lineage ids, whatever became of them; others are left out."""
+        numbers = [int(item.partition(":")[2]) for item in ids if item.startswith("day:")]
+        return self._database.read(days_by_id, numbers)
+
+    def stored_together(self, day: Day) -> tuple[str, list[Day]]:
+        """Return the sha256 of the manifest of a day's store, and all days in that store in order."""
+        return self._database.read(stored_together, day.segment)
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
@@ -359,6 +385,16 @@ class Catalog:
         """
         self._database.write(certify_table, (table_id, start, end, context), supersede=supersede)
 
+    def approve(self, table_id: int, person: str, note: str = "") -> None:
+        """Record that a person answers for a table: definitive releases take no other.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such table, or no person is named.
+        """
+        self._database.write(approve_table, table_id, person, note)
+
     # --- models, contexts, files -----------------------------------------------------------------
 
     def save_model(
@@ -475,6 +511,7 @@ class Catalog:
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
         documents: Documents | None = None,
+        maturity: str = "preliminary",
     ) -> Path:
         """Freeze the published days of some datasets as a release and copy it out.
 
@@ -497,6 +534,9 @@ class Catalog:
         documents : callable, optional
             Called with the folder and a `ReleaseContents` before the manifest is written; writes what else
             goes with the data and returns lines for RELEASE_NOTES.md.
+        maturity : str
+            ``quick-look``, ``preliminary`` or ``definitive``: of its products; catalog, header and file name
+            say so.
 
         Raises
         ------
@@ -512,6 +552,7 @@ class Catalog:
             notes=notes,
             formats=tuple(formats),
             mission=mission,
+            maturity=maturity,
         )
         return freeze_release(self.workspace, self._database, request, target, documents)
 
@@ -544,6 +585,7 @@ class Catalog:
         *,
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
+        maturity: str = "preliminary",
     ) -> ReleasePlan:
         """Return what a release would hold and what stands against it; nothing is written.
 
@@ -560,6 +602,7 @@ class Catalog:
             datasets=tuple(datasets),
             formats=tuple(formats),
             mission=mission,
+            maturity=maturity,
         )
         return plan_release(self.workspace, self._database, request)
 

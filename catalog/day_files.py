@@ -69,6 +69,15 @@ _LIMITS: Final = {
     "degC": (-273.15, 1.0e4),
     "K": (0.0, 1.0e4),
 }
+#: Attributes of a product that say what it was made with; in a CDF their names begin with a capital.
+_MADE_WITH: Final = (
+    "calibration_method",
+    "calibration_model",
+    "calibration_table",
+    "calibration_coefficients",
+    "typical_values",
+    "exclusions",
+)
 _CF_UNITS: Final = {"deg": "degree", "latitude": "degrees_north", "longitude": "degrees_east"}
 
 
@@ -113,6 +122,8 @@ class DayHeader:
         ``yyyymmdd``; see `inflight.catalog.release`.
     parents : tuple of str
         ``CDF>logical_file_id`` of files of the release, or ``kind>name`` of what is none.
+    maturity : str
+        Of the products of the release.
     """
 
     mission: Mission
@@ -122,16 +133,17 @@ class DayHeader:
     day_version: str
     generated: str
     parents: tuple[str, ...] = ()
+    maturity: str = "preliminary"
 
     @property
     def source(self) -> str:
-        """ISTP's Logical_source, such as ``champ_l2_field``."""
-        return logical_source(self.mission, self.dataset)
+        """ISTP's Logical_source, such as ``champ_l2_field-definitive``."""
+        return logical_source(self.mission, self.dataset, self.maturity)
 
     @property
     def stem(self) -> str:
         """ISTP's Logical_file_id: the file's name without its ending."""
-        return logical_file_id(self.mission, self.dataset, self.day, self.version)
+        return logical_file_id(self.mission, self.dataset, self.day, self.version, self.maturity)
 
 
 def file_version(version: str) -> str:
@@ -151,15 +163,25 @@ def file_version(version: str) -> str:
     return f"v{int(found[1]):02d}.{int(found[2]):02d}"
 
 
-def logical_source(mission: Mission, dataset: str) -> str:
-    """Return source, data type and descriptor of a dataset, such as ``champ_l2_field``."""
+def logical_source(mission: Mission, dataset: str, maturity: str) -> str:
+    """Return source, data type and descriptor of a dataset, such as ``champ_l2_field-definitive``.
+
+    What was delivered, ``champ_l1_fgm``, has no maturity.
+    """
     short = mission.release.source_name.partition(">")[0]
-    return f"{short}_{dataset.replace('/', '_')}".lower()
+    return f"{short}_{dataset.replace('/', '_')}{_checked(dataset, maturity)}".lower()
 
 
-def logical_file_id(mission: Mission, dataset: str, day: np.datetime64, version: str) -> str:
-    """Return the name of a day's file without its ending, such as ``champ_l2_field_20050101_v01.00``."""
-    return f"{logical_source(mission, dataset)}_{str(day).replace('-', '')}_{version}"
+def _checked(dataset: str, maturity: str) -> str:
+    """Return what a descriptor tells of the maturity."""
+    return f"-{maturity}" if dataset.startswith("l2/") else ""
+
+
+def logical_file_id(
+    mission: Mission, dataset: str, day: np.datetime64, version: str, maturity: str = "preliminary"
+) -> str:
+    """Return a file's name without its ending, such as ``champ_l2_field-definitive_20050101_v01.00``."""
+    return f"{logical_source(mission, dataset, maturity)}_{str(day).replace('-', '')}_{version}"
 
 
 def write_cdf(path: Path, dataset: xr.Dataset, header: DayHeader) -> None:
@@ -415,7 +437,10 @@ def _istp(dataset: xr.Dataset, header: DayHeader) -> dict[str, list[str]]:
         "Source_name": [keys.source_name],
         "Discipline": [keys.discipline],
         "Data_type": [_LEVELS.get(level, f"{level.upper()}>{level}")],
-        "Descriptor": [f"{descriptor.upper()}>{_descriptor(descriptor, level, mission)}"],
+        "Descriptor": [
+            f"{(descriptor + _checked(header.dataset, header.maturity)).upper()}>"
+            f"{_descriptor(descriptor, level, mission)}"
+        ],
         "Data_version": [header.version.removeprefix("v")],
         "Logical_source": [header.source],
         "Logical_source_description": [title],
@@ -437,6 +462,11 @@ def _istp(dataset: xr.Dataset, header: DayHeader) -> dict[str, list[str]]:
         "Skeleton_version": ["1.0"],
         "Time_resolution": [f"{step:g} s"],
     }
+    if level == "l2":
+        out["Maturity"] = [header.maturity]
+    for name in _MADE_WITH:
+        told = dataset.attrs.get(name, [])
+        out[name.capitalize()] = [told] if isinstance(told, str) else list(told)
     if keys.doi:
         out["DOI"] = [keys.doi]
     if keys.link:
@@ -551,6 +581,11 @@ def _cf_header(dataset: xr.Dataset, header: DayHeader) -> dict[str, Any]:
         "history": "; ".join([*istp["MODS"], *istp.get("Parents", [])]),
         "references": header.mission.release.doi or header.mission.release.link,
     }
-    own = {key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)}
+    if "Maturity" in istp:
+        out["maturity"] = first["Maturity"]
+    told = {name: "; ".join(istp.get(name.capitalize(), [])) for name in _MADE_WITH}
+    own = told | {
+        key: str(value) for key, value in dataset.attrs.items() if isinstance(value, str | int | float)
+    }
     extra = {key: value for key, value in own.items() if key not in {*out, "version", "day"}}
     return {key: value for key, value in (out | extra).items() if value}

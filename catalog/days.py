@@ -194,7 +194,10 @@ def release_records(session: Session) -> list[ReleaseRecord]:
         datasets[release][name] = first, last
     rows = session.scalars(select(ReleaseRow).order_by(ReleaseRow.id))
     return [
-        ReleaseRecord(version=row.version, created=row.created, datasets=datasets[row.id]) for row in rows
+        ReleaseRecord(
+            version=row.version, created=row.created, datasets=datasets[row.id], maturity=row.maturity
+        )
+        for row in rows
     ]
 
 
@@ -226,6 +229,44 @@ def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
         .where(DatasetRow.name == name, DayRow.state == "verified", RunRow.state != "running")
     )
     return [(day, key) for day, key in found]
+
+
+def maturities(session: Session, name: str) -> dict[str, str]:
+    """Return the maturity of the days of a dataset that a release holds, that of the last one."""
+    dataset = dataset_id(session, name)
+    rows = session.execute(
+        select(DayRow.id, ReleaseRow.maturity)
+        .join(ReleaseDayRow, ReleaseDayRow.day_id == DayRow.id)
+        .join(ReleaseRow, ReleaseRow.id == ReleaseDayRow.release_id)
+        .where(DayRow.dataset_id == dataset)
+        .order_by(ReleaseRow.id)
+    )
+    return {f"day:{id}": maturity for id, maturity in rows}
+
+
+def days_by_id(session: Session, ids: Iterable[int]) -> list[Day]:
+    """Return the records of days of any state by the numbers of their rows."""
+    rows = _with_store().add_columns(DatasetRow.name).join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+    found = []
+    numbers = sorted(set(ids))
+    for first in range(0, len(numbers), 500):  # databases bound the number of values in one statement
+        some = rows.where(DayRow.id.in_(numbers[first : first + 500]))
+        found += [day_record(row, name, path) for row, path, name in session.execute(some)]
+    return found
+
+
+def stored_together(session: Session, path: str) -> tuple[str, list[Day]]:
+    """Return the sha256 of a store's manifest, and the days in it in order, each once."""
+    sha256 = session.scalars(select(StoreRow.sha256).where(StoreRow.path == path)).one()
+    rows = session.scalars(
+        select(DayRow.id)
+        .join(StoreRow, StoreRow.id == DayRow.store_id)
+        .where(StoreRow.path == path)
+        .order_by(DayRow.start, DayRow.id)
+    )
+    # A run that was killed has left rows of the same days that another one took over.
+    by_day = {day.day: day for day in sorted(days_by_id(session, rows), key=lambda day: int(day.id[4:]))}
+    return sha256, [by_day[day] for day in sorted(by_day)]
 
 
 def _with_store() -> Select[Any]:

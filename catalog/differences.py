@@ -7,6 +7,7 @@ read, one day at a time, and compared where their samples have the same stamp.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from sqlalchemy import select
 
-from inflight.catalog.days import dataset_names, published_days, released_days
+from inflight.catalog.days import dataset_names, published_days, released_days, revisions_of_days
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.records import Day
 from inflight.catalog.schema import ContextRow
@@ -84,6 +85,8 @@ class DayChange:
 def days_of_collection(session: Session, name: str, patterns: Sequence[str]) -> list[Day]:
     """Return the days of a release, of what is published ``now``, or of a model's version (``model:2``).
 
+    ``v01.03`` is that revision of every day that has it.
+
     Parameters
     ----------
     patterns : sequence of str
@@ -99,6 +102,8 @@ def days_of_collection(session: Session, name: str, patterns: Sequence[str]) -> 
     if name == NOW:
         return [day for one in names for day in published_days(session, one, whole, None)]
     version = name.removeprefix("model:")
+    if re.fullmatch(r"v\d+\.\d+", name):
+        return [day for one in names for day in revisions_of_days(session, one, whole) if day.version == name]
     if version == name:
         return [day for day in released_days(session, name, None, whole) if day.dataset in set(names)]
     contexts = select(ContextRow.id).where(

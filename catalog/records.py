@@ -25,6 +25,9 @@ DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "f
 #: Why a day is not there, or, with ``partial``, why not all of it is.
 CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")
 
+#: How far a product is checked. What no release holds is quick-look; definitive needs approved tables.
+MATURITIES: Final = ("quick-look", "preliminary", "definitive")
+
 #: Begins the note of a store that was found damaged and is not to be used any more.
 DAMAGED: Final = "damaged: "
 
@@ -126,18 +129,23 @@ class Day:
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseRecord:
-    """A release: its version, when it was made (ISO 8601, UTC), first and last day of each dataset in it."""
+    """A release: its version, when it was made (ISO 8601, UTC), first and last day of each dataset in it.
+
+    `maturity` is one of `MATURITIES`.
+    """
 
     version: str
     created: str
     datasets: Mapping[str, tuple[dt.date, dt.date]]
+    maturity: str = "preliminary"
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 
-    A `damaged` one is known by its record only: its store was found not to be as it was written.
+    A `damaged` one is known by its record only: its store was found not to be as it was written. `approved`
+    lists who answers for it and when they said so, with a note.
     """
 
     id: int
@@ -150,6 +158,7 @@ class TableRecord:
     segment: str
     certified: tuple[tuple[str | None, int, int], ...] = ()
     damaged: bool = False
+    approved: tuple[tuple[str, str, str], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

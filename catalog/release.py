@@ -36,7 +36,7 @@ from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.opening import read_one_day
 from inflight.catalog.provenance import Edge, context_record, model_text, parent_names, unknown_ids, walk
-from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
+from inflight.catalog.records import MATURITIES, ContextRecord, Day, DayData, TableRecord
 from inflight.catalog.release_folder import MARKER, marker_text
 from inflight.catalog.schema import ReleaseDayRow, ReleaseRow
 from inflight.catalog.segments import write_segment, write_table
@@ -47,7 +47,7 @@ from inflight.catalog.upkeep import missing_days
 from inflight.catalog.validity import table_records
 from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
 from inflight.mission import Mission
-from inflight.time import to_utc
+from inflight.time import to_utc, utc_text
 
 #: Days of one released store: bounds the memory a release needs.
 DAYS_PER_STORE: Final = 10
@@ -67,8 +67,14 @@ class ReleaseRequest:
     notes: str = ""
     formats: tuple[str, ...] = ("zarr",)
     mission: Mission | None = None
+    maturity: str = "preliminary"
 
     def __post_init__(self) -> None:
+        if self.maturity not in MATURITIES:
+            raise SettingsError(
+                f"{self.maturity!r} is no maturity{did_you_mean(self.maturity, MATURITIES)}",
+                remedy=f"use {', '.join(MATURITIES)}",
+            )
         if unknown := [name for name in self.formats if name not in FORMATS]:
             raise SettingsError(
                 f"{unknown[0]!r} is no format of a release{did_you_mean(unknown[0], FORMATS)}",
@@ -243,6 +249,9 @@ def _considered(
     contexts = [context_record(session, one) for one in named]
     models = {one.id: f"{one.model_name}@{one.model_version}" for one in contexts}
     collection = replace(collection, used=used, models=models)
+    if request.maturity == "definitive":
+        records = {record.id: record for record in table_records(session, None)}
+        checks.append(lambda: _refuse_without_approval(collection, records))
     if request.day_files:
         parents = parent_names(session, edges, (day.id for day in collection.days))
         collection = replace(collection, parents=parents)
@@ -264,6 +273,18 @@ def _refuse_bad_version(version: str) -> None:
     if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
         raise CatalogError(
             f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
+        )
+
+
+def _refuse_without_approval(collection: ReleaseContents, records: Mapping[int, TableRecord]) -> None:
+    """Somebody answers for each table that the products of a definitive release took."""
+    used = {number for numbers in collection.used.values() for number in numbers}
+    open_ = [records[number] for number in sorted(used) if not records[number].approved]
+    if open_:
+        listed = ", ".join(f"{one.name}:{one.id}" for one in open_[:5])
+        raise CatalogError(
+            f"{len(open_)} tables of a definitive release are not approved, among them {listed}",
+            remedy=f"inflight catalog approve {open_[0].name}:{open_[0].id} --by NAME, or another maturity",
         )
 
 
@@ -409,7 +430,7 @@ def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, d
     for _, group in groupby(collection.days, key=lambda day: (day.dataset, day.segment)):
         members = list(group)
         for first in range(0, len(members) if "zarr" in request.formats else 0, DAYS_PER_STORE):
-            _copy_days(workspace, folder, members[first : first + DAYS_PER_STORE])
+            _copy_days(workspace, folder, members[first : first + DAYS_PER_STORE], request.maturity)
         for day in members if request.day_files else ():
             _write_day_files(workspace, folder, day, collection)
     for table in collection.tables:
@@ -438,9 +459,15 @@ def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, d
     )
     _write_csv(
         folder / "tables.csv",
-        ("table", "name", "context", "valid_from", "valid_to", "valid_from_tt2000", "valid_to_tt2000"),
         (
-            (table.id, table.name, context or "", to_utc(start), to_utc(end), start, end)
+            *("table", "name", "context", "valid_from", "valid_to", "valid_from_tt2000", "valid_to_tt2000"),
+            *("key", "approved_by"),
+        ),
+        (
+            (
+                *(table.id, table.name, context or "", to_utc(start), to_utc(end), start, end, table.key),
+                "; ".join(dict.fromkeys(person for person, _, _ in table.approved)),
+            )
             for table in collection.tables
             for context, start, end in table.certified or ((table.context, table.start, table.end),)
         ),
@@ -449,13 +476,22 @@ def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, d
         (folder / "mission.yaml").write_text(collection.context.mission_text, "utf-8")
         (folder / "model.yaml").write_text(collection.model, "utf-8")
     (folder / "software.txt").write_text(_software(), "utf-8")
+    if request.mission is not None and request.mission.exclusions:
+        _write_csv(
+            folder / "exclusions.csv",
+            ("instrument", "start", "end", "author", "reason"),
+            (
+                (one.instrument, utc_text(one.start), utc_text(one.end), one.author, one.reason)
+                for one in request.mission.exclusions
+            ),
+        )
     if request.mission is not None and not request.mission.missing_release_keys():
         (folder / "CITATION.cff").write_text(_citation(request.version, request.mission), "utf-8")
     notes = [f"# Release notes, {request.version}", "", request.notes.strip() or "No notes were given."]
     notes += ["", *documents(folder, collection)]
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / "README.md").write_text(_readme(collection, folder), "utf-8")
-    (folder / MARKER).write_text(marker_text(request.version, request.mission), "utf-8")
+    (folder / MARKER).write_text(marker_text(request.version, request.mission, request.maturity), "utf-8")
     write_manifest(folder)
     flush_files(folder)
 
@@ -475,12 +511,17 @@ def _copy_table(workspace: Path, folder: Path, table: TableRecord) -> None:
         write(folder / "stores" / "tables" / f"{stem}.{ending}", dataset)
 
 
-def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
+def _maturity_of(dataset: str, maturity: str) -> dict[str, str]:
+    """Return what says how far a product is checked; what was delivered is as it is."""
+    return {"maturity": maturity} if dataset.startswith("l2/") else {}
+
+
+def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day], maturity: str) -> None:
     """Write days again without the delta filter, and compare every value with the original."""
     contents = [
         read_one_day(workspace, day, None)
         .drop_vars("time", errors="ignore")
-        .assign_attrs(version=day.version)
+        .assign_attrs(version=day.version, **_maturity_of(day.dataset, maturity))
         for day in batch
     ]
     data = [
@@ -509,7 +550,9 @@ def _write_day_files(workspace: Path, folder: Path, day: Day, collection: Releas
     for parent in collection.parents.get(day.id, ()):
         item = released.get(parent.removeprefix("day>"))
         parents.append(
-            f"CDF>{logical_file_id(request.mission, item.dataset, item.day, version)}" if item else parent
+            f"CDF>{logical_file_id(request.mission, item.dataset, item.day, version, request.maturity)}"
+            if item
+            else parent
         )
     header = DayHeader(
         mission=request.mission,
@@ -519,6 +562,7 @@ def _write_day_files(workspace: Path, folder: Path, day: Day, collection: Releas
         day_version=day.version,
         generated=str(max(item.day for item in collection.days)).replace("-", ""),
         parents=tuple(parents),
+        maturity=request.maturity,
     )
     dataset = read_one_day(workspace, day, None, dated=False)
     for form in request.day_files:
@@ -586,6 +630,7 @@ _DOCUMENTS: Final = {
     "gaps.csv": "of each day of a product: gaps between samples, values that are missing, flags by kind",
     "validation": "residual, noise floor, and what is left in the residual",
     "calendar": "a page a year with a thumbnail a day; click for the day",
+    "exclusions.csv": "readings that no fit took, by whom and why; their samples are flagged",
     "CITATION.cff": "how to cite these data",
 }
 
@@ -599,6 +644,8 @@ _VERSION_RULE: Final = (
 def _readme(collection: ReleaseContents, folder: Path) -> str:
     lines = [
         f"# Release {collection.request.version}",
+        "",
+        f"Its products are {collection.request.maturity}.",
         "",
         *(line for form in FORMATS if form in collection.request.formats for line in _FORMAT_NOTES[form]),
         "`tables/` holds the calibration tables, each as Zarr, CSV and CDF; `tables.csv` says when each is",
@@ -640,6 +687,7 @@ def _register(session: Session, collection: ReleaseContents, staged: Path, targe
         notes=request.notes,
         path=str(target),
         created=created,
+        maturity=request.maturity,
     )
     session.add(row)
     session.flush()

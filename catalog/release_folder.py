@@ -63,9 +63,9 @@ class MissionStatement:
         )
 
 
-def marker_text(version: str, mission: Mission | None) -> str:
-    """Return the content of a release's marker: its version, and what the mission states."""
-    stated: dict[str, Any] = {"version": version}
+def marker_text(version: str, mission: Mission | None, maturity: str) -> str:
+    """Return the content of a release's marker: version, maturity, and what the mission states."""
+    stated: dict[str, Any] = {"version": version, "maturity": maturity}
     if mission is not None:
         stated |= {
             "mission": mission.mission,
@@ -103,6 +103,7 @@ class ReleaseFolder:
         try:
             stated = json.loads((folder / MARKER).read_text("utf-8"))
             self.version = str(stated["version"])
+            self.maturity = str(stated.get("maturity", "preliminary"))
             self.statement = MissionStatement(
                 mission=stated.get("mission", ""),
                 description=stated.get("description", ""),
@@ -131,6 +132,7 @@ class ReleaseFolder:
             version=self.version,
             created=written.isoformat(timespec="seconds"),
             datasets={name: (dates[0], dates[-1]) for name, dates in days.items() if dates},
+            maturity=self.maturity,
         )
 
     def names(self) -> list[str]:

@@ -201,6 +201,18 @@ class CertificationRow(Base):
     end: Mapped[int]
 
 
+class ApprovalRow(Base):
+    """A person answers for a table: definitive releases need one of each table that products took."""
+
+    __tablename__ = "approval"
+    __table_args__ = (Index("approval_by_table", "table_id"),)
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    table_id: Mapped[int] = mapped_column(ForeignKey("calibration_table.id"))
+    person: Mapped[str]
+    note: Mapped[str] = mapped_column(Text, default="")
+    created: Mapped[str]
+
+
 class ModelRow(Base):
     """One version of a model file."""
 
@@ -267,6 +279,7 @@ class ReleaseRow(Base):
     notes: Mapped[str] = mapped_column(Text, default="")
     path: Mapped[str] = mapped_column(Text)
     created: Mapped[str]
+    maturity: Mapped[str] = mapped_column(default="preliminary", server_default="preliminary")
 
 
 class ReleaseDayRow(Base):

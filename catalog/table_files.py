@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 #: Variables of a table that hold TT2000.
-_TIMES = ("start", "end")
+_TIMES = ("start", "end", "learnt_start", "learnt_end")
 #: Dimensions of matrices between parameters: of a symmetric one half is written.
 _SQUARE = ("parameter", "other")
 
@@ -29,12 +29,14 @@ def write_table_csv(path: Path, table: xr.Dataset) -> None:
 
     ``value[scale_factor[x]]`` is one parameter's value; ``start_utc`` and ``end_utc`` say in UTC what
     ``start`` and ``end`` say in TT2000; numbers that stand for words are written as these. What does not
-    depend on the interval is repeated in each row.
+    depend on the interval is repeated in each row; how much parameters change (along ``lag``) is left out.
     """
     rows = _row_dimension(table)
     columns: dict[str, list[Any]] = {}
     count = int(table.sizes[rows]) if rows else 1
-    for name in sorted(map(str, table.data_vars), key=lambda one: (one not in _TIMES, one == "end", one)):
+    names = [name for name in map(str, table.data_vars) if "lag" not in table[name].dims]
+    order = {name: place for place, name in enumerate(_TIMES)}
+    for name in sorted(names, key=lambda one: (order.get(one, len(order)), one)):
         for label, values in _columns(name, table[name], rows, count):
             meanings = str(table[name].attrs.get("flag_meanings", "")).split()
             columns[label] = [meanings[value] for value in values] if meanings else values

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Sequence
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.records import TableRecord, is_damaged
-from inflight.catalog.schema import CertificationRow, ContextRow, StoreRow, TableRow
+from inflight.catalog.schema import ApprovalRow, CertificationRow, ContextRow, StoreRow, TableRow
 from inflight.errors import CatalogError, ValidityError
 from inflight.time import to_utc
 
@@ -90,6 +91,9 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
     query = select(TableRow, StoreRow).join(StoreRow, StoreRow.id == TableRow.store_id).order_by(TableRow.id)
     if name is not None:
         query = query.where(TableRow.name == name)
+    approvals: dict[int, list[tuple[str, str, str]]] = {}
+    for one in session.scalars(select(ApprovalRow).order_by(ApprovalRow.id)):
+        approvals.setdefault(one.table_id, []).append((one.person, one.created, one.note))
     validities: dict[int, list[tuple[str | None, int, int]]] = {}
     for row in session.scalars(select(CertificationRow).order_by(CertificationRow.start)):
         validities.setdefault(row.table_id, []).append((row.context or None, row.start, row.end))
@@ -100,9 +104,20 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
             segment=store.path,
             certified=tuple(validities.get(row.id, ())),
             damaged=is_damaged(store.notes),
+            approved=tuple(approvals.get(row.id, ())),
         )
         for row, store in session.execute(query)
     ]
+
+
+def approve_table(session: Session, table_id: int, person: str, note: str) -> None:
+    """Record that a person answers for a table; see `Catalog.approve`."""
+    if not person.strip():
+        raise CatalogError("an approval needs a person", remedy="say who: --by NAME")
+    require_tables(session, [table_id])
+    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    session.add(ApprovalRow(table_id=table_id, person=person.strip(), note=note, created=created))
+    session.flush()
 
 
 def require_tables(session: Session, ids: Sequence[int]) -> None:

@@ -23,7 +23,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from inflight.catalog import Catalog, Workspace
 from inflight.flows.cluster import lazy_client
@@ -154,6 +154,7 @@ def release(
     notes: str = "",
     destination: Path | None = None,
     formats: tuple[str, ...] = ("zarr",),
+    maturity: Literal["quick-look", "preliminary", "definitive"] = "preliminary",
 ) -> dict[str, Any]:
     """Freeze the published collection under a version and copy it out with manifest and notes.
 
@@ -167,11 +168,15 @@ def release(
         Folder the release goes to; ``releases`` in the workspace when absent.
     formats : tuple of str
         ``zarr``, ``cdf`` and ``netcdf``.
+    maturity : str
+        Of the products; a definitive release takes approved tables only.
     """
     from inflight.tasks import make_release
 
     place = Workspace.open(workspace)
-    report: RunReport = runner().run("copy out", make_release, place, version, notes, destination, formats)
+    report: RunReport = runner().run(
+        "copy out", make_release, place, version, notes, destination, formats, maturity
+    )
     return report.as_json()
 
 

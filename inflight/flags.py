@@ -58,12 +58,16 @@ class Flag(IntFlag):
     NOT_CORRECTED = 1 << 18
     #: An axis reads the very same for long while that of the boom's other sensor changes.
     STILL = 1 << 19
+    #: The calibration table was learnt from a span that does not hold the sample; the uncertainty is wider.
+    EXTRAPOLATED = 1 << 20
+    #: The mission YAML excludes the reading from every fit; it names author and reason.
+    EXCLUDED = 1 << 21
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
 
-UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL | Flag.EXCLUDED
 
 
 def flag_meanings() -> tuple[list[int], str]:

@@ -36,6 +36,7 @@ from inflight.instruments import (
     Unit,
     Vector3,
 )
+from inflight.time import utc_text
 
 __all__ = [
     "Channel",
@@ -44,6 +45,7 @@ __all__ = [
     "DualComparison",
     "Duration",
     "Event",
+    "ExcludedInterval",
     "Files",
     "Instant",
     "Instrument",
@@ -77,6 +79,29 @@ class Event(Strict):
     at: Instant
     name: str
     kind: str = "event"
+
+
+class ExcludedInterval(Strict):
+    """Readings of an instrument that no fit takes: from when to when (half-open), who says so, and why."""
+
+    instrument: str
+    start: Instant
+    end: Instant
+    author: str = Field(min_length=1)
+    reason: str = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.end <= self.start:
+            raise ValueError(f"exclusions: that of {self.instrument!r} ends before it begins")
+        return self
+
+    @property
+    def words(self) -> str:
+        """The interval with its reason and author."""
+        return (
+            f"{self.instrument} {utc_text(self.start)} to {utc_text(self.end)}: {self.reason} ({self.author})"
+        )
 
 
 class ScalarComparison(Strict):
@@ -253,10 +278,21 @@ class Mission(Strict):
     #: names, unless that states one of its own.
     preflight: str | None = None
     events: list[Event] = Field(default_factory=list)
+    exclusions: list[ExcludedInterval] = Field(default_factory=list)
     #: Python files with the user's own effects.
     effects: list[str] = Field(default_factory=list)
     release: ReleaseHeader = ReleaseHeader()
     _text: str = PrivateAttr(default="")
+
+    @model_validator(mode="after")
+    def _excluded_instruments(self) -> Self:
+        for one in self.exclusions:
+            if one.instrument not in self.instruments:
+                raise ValueError(
+                    f"exclusions: no instrument {one.instrument!r}"
+                    f"{did_you_mean(one.instrument, self.instruments)}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _references(self) -> Self:

@@ -130,6 +130,7 @@ class Served:
             "citation": _doi_url(header.doi),
             "x_version": self.release.version,
             "x_frozen": True,
+            "x_maturity": self.release.maturity if self.dataset.startswith("l2/") else "",
             "x_dataset": self.dataset,
             "x_days": described.days,
             "x_samples": described.samples,

@@ -17,6 +17,7 @@ def make_release(
     notes: str = "",
     destination: Path | None = None,
     formats: Sequence[str] = ("zarr",),
+    maturity: str = "preliminary",
 ) -> RunReport:
     """Freeze the published collection under a version and copy it out.
 
@@ -32,6 +33,8 @@ def make_release(
         Folder the release goes to; ``releases`` in the workspace when absent.
     formats : sequence of str
         ``zarr``, ``cdf`` and ``netcdf``.
+    maturity : str
+        ``quick-look``, ``preliminary`` or ``definitive``, for which tables must be approved.
 
     Returns
     -------
@@ -54,6 +57,7 @@ def make_release(
         formats=formats,
         mission=workspace.mission(),
         documents=partial(write_documents, workspace),
+        maturity=maturity,
     )
     released = (item for item in catalog.inventory() if item["dataset"].startswith(("l1/", "l2/")))
     published = sum(item["days"] for item in released)
@@ -61,24 +65,32 @@ def make_release(
         "release",
         days={"planned": published, "done": published},
         outputs=[workspace.relative(folder)],
-        extra={"version": version, "formats": list(formats)},
+        extra={"version": version, "formats": list(formats), "maturity": maturity},
     )
 
 
-def plan_release(workspace: Workspace, version: str, formats: Sequence[str] = ("zarr",)) -> dict[str, Any]:
+def plan_release(
+    workspace: Workspace,
+    version: str,
+    formats: Sequence[str] = ("zarr",),
+    maturity: str = "preliminary",
+) -> dict[str, Any]:
     """Return what `make_release` would copy out and what stands against it; nothing is written.
 
     Returns
     -------
     dict
-        ``version``, ``formats``, ``tables``, ``parts``, ``previous``, ``changes``, ``next_version`` (as
-        `ReleasePlan` has them) and ``objections``: the fields of an error each.
+        ``version``, ``formats``, ``maturity``, ``tables``, ``parts``, ``previous``, ``changes``,
+        ``next_version`` (as `ReleasePlan` has them) and ``objections``: the fields of an error each.
     """
-    plan = Catalog(workspace.root).plan_release(version, formats=formats, mission=workspace.mission())
+    plan = Catalog(workspace.root).plan_release(
+        version, formats=formats, mission=workspace.mission(), maturity=maturity
+    )
     return {
         "command": "release",
         "version": version,
         "formats": list(formats),
+        "maturity": maturity,
         "tables": plan.tables,
         "parts": [dict(part) for part in plan.parts],
         "previous": plan.previous,

@@ -27,21 +27,29 @@ TINY_GAIN = np.array([1.0002, 0.9999, 1.0001])
 
 
 def tiny_readings(
-    day: str, seed: int = 0, offset: np.ndarray = TINY_OFFSET
+    day: str, seed: int = 0, offset: np.ndarray = TINY_OFFSET, gain: np.ndarray = TINY_GAIN
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return UTC stamps (time,), vector readings (time, axis) and scalar readings (time,) of one day, nT."""
     generator = np.random.default_rng([seed, int(np.datetime64(day, "D").astype(int))])
     times = np.datetime64(day, "s") + 60 * np.arange(1440)
+    field = tiny_field()
+    reading = field * gain + offset + generator.normal(0, 0.05, (1440, 3))
+    return times, reading, np.linalg.norm(field, axis=1) + generator.normal(0, 0.05, 1440)
+
+
+def tiny_field() -> np.ndarray:
+    """Return the true field of every day; (time, axis), nT."""
     turn, tilt = np.linspace(0, 20 * np.pi, 1440), np.linspace(-1.5, 1.5, 1440)
     strength = 45_000 + 2_000 * np.sin(turn / 3)
     direction = np.stack([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)], axis=1)
-    reading = direction * strength[:, None] * TINY_GAIN + offset + generator.normal(0, 0.05, (1440, 3))
-    return times, reading, strength + generator.normal(0, 0.05, 1440)
+    return direction * strength[:, None]
 
 
-def deliver_tiny_day(folder: Path, day: str, seed: int = 0, offset: np.ndarray = TINY_OFFSET) -> None:
+def deliver_tiny_day(
+    folder: Path, day: str, seed: int = 0, offset: np.ndarray = TINY_OFFSET, gain: np.ndarray = TINY_GAIN
+) -> None:
     """Write one day of both instruments as two files."""
-    times, reading, scalar = tiny_readings(day, seed, offset)
+    times, reading, scalar = tiny_readings(day, seed, offset, gain)
     stamp = day.replace("-", "")
     folder.mkdir(parents=True, exist_ok=True)
     rows = [f"{t}," + ",".join(f"{v:.3f}" for v in row) for t, row in zip(times, reading, strict=True)]

@@ -1,3 +1,12 @@
+from .extrapolation import (
+    CHANGE,
+    LEARNT,
+    change_outside,
+    held_table,
+    outside_learnt,
+    with_changes,
+    with_learnt_spans,
+)
 from .normal_equations import (
     NINE_PARAMETER_NAMES,
     NINE_PARAMETER_UNITS,
@@ -38,7 +47,9 @@ from .table import (
 )
 
 __all__ = [
+    "CHANGE",
     "FILTER_PERIOD_S",
+    "LEARNT",
     "NINE_PARAMETER_NAMES",
     "NINE_PARAMETER_UNITS",
     "PARAMETER_GROUPS",
@@ -53,6 +64,7 @@ __all__ = [
     "ResidualCorrection",
     "block_equations",
     "calibration_table",
+    "change_outside",
     "concat_equations",
     "day_parameters",
     "describe_directions",
@@ -63,11 +75,13 @@ __all__ = [
     "fit_difference",
     "fit_squares",
     "grams",
+    "held_table",
     "kernel_scale",
     "level2",
     "linearisation_error",
     "matrix_parameters",
     "nine_columns",
+    "outside_learnt",
     "reference_of",
     "remove_other_effects",
     "sub_block_count",
@@ -76,4 +90,6 @@ __all__ = [
     "trend_jumps",
     "usable_samples",
     "vector_sensor_of",
+    "with_changes",
+    "with_learnt_spans",
 ]

@@ -21,6 +21,7 @@ import scipy
 import xarray as xr
 
 from inflight.arrays import Floats, finite_rows
+from inflight.calibration.extrapolation import LEARNT, change_outside
 from inflight.calibration.scalar import ParameterPrior, sensor_reading, usable_samples
 from inflight.effects import field_strength
 from inflight.errors import ModelError, SamplesError
@@ -256,12 +257,18 @@ _Flags = npt.NDArray[np.uint32]
 
 @dataclass(frozen=True)
 class DayParameters:
-    """The nine parameters that hold for a day, with their covariance; physical units."""
+    """The nine parameters that hold for a day, with their covariance; physical units.
+
+    Samples outside `learnt`, the span that taught them (half-open TT2000, None for any time), are flagged,
+    and there parameters may have changed by `change` (one sigma): see `inflight.calibration.extrapolation`.
+    """
 
     value: Floats
     covariance: Floats
     all_determined: bool
     noise: float
+    learnt: tuple[int, int] | None = None
+    change: Floats | None = None
 
 
 def level2(
@@ -318,6 +325,9 @@ def level2(
     body = rotate(field, np.asarray(sensor.orientation))
     before = raw.residual(samples)[:, 0]
     variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
+    if parameters.change is not None:
+        outside = flag & np.uint32(Flag.EXTRAPOLATED) > 0
+        variance[outside] += _effect_of_change(reading[outside], parameters) ** 2
     sigma = np.sqrt(variance if widening is None else variance + widening)
     variables: _Variables = {
         "field_sensor": (_VECTOR, field, _attributes("calibrated field", "sensor")),
@@ -377,11 +387,31 @@ def _quality_flag(
         flag[good & (np.abs(residual - centre) > wide)] |= np.uint32(Flag.OUTLIER)
     if not known.all_determined:
         flag |= np.uint32(Flag.PRIOR_PARAMETERS)
+    if known.learnt is not None:
+        stamps = samples["tt2000"].values
+        inside = (known.learnt[0] <= stamps) & (stamps < known.learnt[1])
+        flag[~inside] |= np.uint32(Flag.EXTRAPOLATED)
     return flag
 
 
 def _variance(reading: Floats, known: DayParameters) -> Floats:
-    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT^2, sensor axes.
+    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT^2, sensor axes."""
+    out = np.empty_like(reading)
+    for axis, (index, derivative) in enumerate(_derivatives(reading, known)):
+        own = known.covariance[np.ix_(index, index)]
+        out[:, axis] = np.einsum("ti,ij,tj->t", derivative, own, derivative, optimize=True)
+    return np.asarray(np.maximum(out, 0.0) + known.noise**2)
+
+
+def _effect_of_change(reading: Floats, known: DayParameters) -> Floats:
+    """Return what changes of all parameters together may do to the field; (time, axis) nT, sensor axes."""
+    assert known.change is not None
+    parts = [np.abs(slope) @ known.change[index] for index, slope in _derivatives(reading, known)]
+    return np.stack(parts, axis=1)
+
+
+def _derivatives(reading: Floats, known: DayParameters) -> list[tuple[list[int], Floats]]:
+    """Return of each component which parameters it depends on, and its derivatives, (time, parameter).
 
     B = K (E - E0): a row of K and the offsets enter each component.
     """
@@ -399,12 +429,7 @@ def _variance(reading: Floats, known: DayParameters) -> Floats:
         ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * ones, -cos[2] * ones]),
         ([2, 8], [e[:, 2], -k[2] * ones]),
     )
-    out = np.empty_like(e)
-    for axis, (index, parts) in enumerate(rows):
-        derivative = np.stack(parts, axis=1)
-        covariance = known.covariance[np.ix_(index, index)]
-        out[:, axis] = np.einsum("ti,ij,tj->t", derivative, covariance, derivative, optimize=True)
-    return np.asarray(np.maximum(out, 0.0) + known.noise**2)
+    return [(index, np.stack(parts, axis=1)) for index, parts in rows]
 
 
 def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag: _Flags) -> _Flags:
@@ -425,10 +450,14 @@ def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag
     return np.asarray(flag | lost.astype(np.uint32), dtype=np.uint32)
 
 
-def day_parameters(table: xr.Dataset, tt2000: int, reference: ParameterPrior) -> DayParameters:
+def day_parameters(
+    table: xr.Dataset, tt2000: int, reference: ParameterPrior, span: tuple[int, int] | None = None
+) -> DayParameters:
     """Return the nine parameters of a calibration table at an instant.
 
-    The noise is that of the interval, or the median of the others' where its own data do not determine it.
+    They are extrapolated where the half-open TT2000 `span`, the instant alone without one, is not within the
+    one they were learnt from. The noise is that of the interval, or the median of the others' where its own
+    data do not determine it.
 
     Raises
     ------
@@ -450,9 +479,13 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: ParameterPrior) ->
     known = known[np.isfinite(known)]
     if not np.isfinite(noise) and known.size:
         noise = float(np.median(known))
+    interval = table.isel(interval=row)
+    change = change_outside(interval, table, span or (tt2000, tt2000), reference.columns)
     return DayParameters(
         np.array(table["value"].values[row, columns], dtype=np.float64),
         np.array(table["covariance"].values[row][np.ix_(columns, columns)], dtype=np.float64),
         bool(np.all(table["determined"].values[row, columns][free])),
         noise,
+        None if change is None else (int(interval[LEARNT[0]]), int(interval[LEARNT[1]])),
+        change,
     )

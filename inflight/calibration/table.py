@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.calibration.extrapolation import with_learnt_spans
 from inflight.calibration.scalar import PARAMETER_GROUPS, PARAMETER_UNITS, ParameterPrior
 from inflight.errors import CalibrationError
 from inflight.lsq import Solution
@@ -25,10 +26,14 @@ VALUE_ORIGINS = ("prior", "combination", "data")
 
 @dataclass(frozen=True)
 class Interval:
-    """One row of a table: a half-open TT2000 span, its solution and what it was made from."""
+    """One row of a table: a half-open TT2000 span, its solution and what it was made from.
+
+    `learnt` is the part of the span that has data, half-open TT2000; empty where nothing has.
+    """
 
     start: int
     end: int
+    learnt: tuple[int, int]
     value: Floats
     covariance: Floats
     solution: Solution
@@ -50,7 +55,8 @@ def calibration_table(
         the units of `units` (parameter); `determined` (bool), `retained`, `source` (codes of
         `VALUE_ORIGINS`): *prior* never moved, *combination* moved only as part of a combination that the
         data determine, *data* determined by itself; `start`, `end` TT2000; `count`, `before`,
-        `after` (nT rms), `directions` (number of combinations determined), `inflation`.
+        `after` (nT rms), `directions` (number of combinations determined), `inflation`; `learnt_start`,
+        `learnt_end`: see `inflight.calibration.extrapolation`.
     """
     names = reference.columns
     of_rows, each = ("interval",), ("interval", "parameter")
@@ -64,7 +70,7 @@ def calibration_table(
         "after": [row.after for row in rows],
         "inflation": [row.solution.inflation for row in rows],
     }
-    return xr.Dataset(
+    table = xr.Dataset(
         {
             "value": (each, np.array([row.value for row in rows])),
             "sigma": (each, sigma),
@@ -88,6 +94,8 @@ def calibration_table(
         coords={"parameter": names, "other": names},
         attrs=attributes,
     )
+    learnt = np.array([row.learnt for row in rows], dtype=np.int64)
+    return with_learnt_spans(table, learnt[:, 0], learnt[:, 1])
 
 
 def describe_directions(solution: Solution, names: Sequence[str], smallest: float = 0.2) -> list[str]:

@@ -67,6 +67,11 @@ def show_dataset(
     """Show the days of a dataset, the validity of a table, or what something was made from."""
     catalog = command.open_catalog()
     columns, items = _items_of(catalog, name, slice(start, end))
+    if name.startswith("l2/"):
+        # What no release holds yet is quick-look.
+        known = catalog.maturities(name)
+        items = [item | {"maturity": known.get(item["id"], "quick-look")} for item in items]
+        columns = (*columns[:3], "maturity", *columns[3:])
 
     def show(console: Console) -> None:
         # A day without a message shows what its report states.
@@ -103,7 +108,7 @@ def _items_of(catalog: Catalog, name: str, span: slice) -> tuple[tuple[str, ...]
     table = name.removeprefix("tables/")
     tables = [_table_fields(record) for record in catalog.tables(table)]
     if tables:
-        return ("id", "name", "start", "end", "run", "valid"), tables
+        return ("id", "name", "start", "end", "run", "valid", "approved_by"), tables
     days = [_day_fields(day) for day in catalog.days(name, span)]
     if not days:
         raise CatalogError(
@@ -129,6 +134,31 @@ def _summary_of_report(report: Mapping[str, Any]) -> str:
         f"{count} {why.replace('_', ' ')} dropped" for why, count in (report.get("dropped") or {}).items()
     ]
     return "; ".join(parts)
+
+
+@verb(group, "approve")
+def approve(
+    command: Command,
+    name: Annotated[
+        str, typer.Argument(metavar="NAME[:NUMBER]", help="Table, such as main-window:12 (or the newest).")
+    ],
+    *,
+    by: Annotated[str, typer.Option(help="Who answers for it.")],
+    note: Annotated[str, typer.Option(help="What was checked.")] = "",
+) -> None:
+    """Approve a calibration table in a person's name: a definitive release takes no other."""
+    from inflight.tasks.pipelines import find_table
+
+    catalog = command.open_catalog()
+    record = find_table(catalog, name.removeprefix("tables/"))
+    catalog.approve(record.id, by, note)
+    (approved,) = [one for one in catalog.tables(record.name) if one.id == record.id]
+
+    def show(console: Console) -> None:
+        who = ", ".join(dict.fromkeys(person for person, _, _ in approved.approved))
+        console.print(f"table {record.name}:{record.id} is approved by {who}", markup=False)
+
+    command.emit({"command": "catalog approve", "items": [_table_fields(approved)]}, show)
 
 
 @verb(group, "verify")
@@ -260,7 +290,8 @@ def _table_fields(record: Any) -> dict[str, Any]:
     fields = _plain_fields(record)
     fields |= {"start": utc(record.start), "end": utc(record.end)}
     spans = [f"{utc(start)} to {utc(end)}" for _, start, end in record.certified]
-    return fields | {"valid": ", ".join(spans) or "not certified"}
+    people = ", ".join(dict.fromkeys(person for person, _, _ in record.approved))
+    return fields | {"valid": ", ".join(spans) or "not certified", "approved_by": people}
 
 
 @verb(group, "runs")

@@ -197,6 +197,27 @@ def reprocess(
             "what the model does not know.",
         ),
     ] = False,
+    use_table: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:NUMBER]",
+            help="Fit nothing: take this table of the catalog, such as main-span:12, as it is",
+            show_default=False,
+        ),
+    ] = None,
+    as_of: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VERSION",
+            help="Make an old version again with its own model and tables, and compare it: a release (1.0), "
+            "model:2 or v01.03; nothing is published",
+            show_default=False,
+        ),
+    ] = None,
+    destination: Annotated[
+        Path | None,
+        typer.Option(help="Folder for what --as-of makes (default: as-of/VERSION)", show_default=False),
+    ] = None,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
@@ -204,6 +225,15 @@ def reprocess(
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
     from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 
+    if as_of is not None:
+        chosen = (table, window_days, min_coverage, batch_days, trend, origin, distribute or None, use_table)
+        if any(option is not None for option in chosen):
+            raise SettingsError(
+                f"--as-of {as_of} takes model, table and settings of that version",
+                remedy="leave out all other options but --start, --end, --destination and --workers",
+            )
+        _remake(command, as_of, (start, end), destination, workers, details)
+        return
     settings = _given(
         comparison=comparison,
         table=table,
@@ -213,6 +243,7 @@ def reprocess(
         trend=trend,
         origin=origin,
         distribute=distribute or None,
+        use_table=use_table,
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
@@ -220,6 +251,28 @@ def reprocess(
     pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
     there = report.days["done"] + report.days["unchanged"]
     command.finish(report, [*pipeline.remarks(report.extra), *([_NEXT_REPROCESS] if there else [])], details)
+
+
+def _remake(
+    command: Command,
+    version: str,
+    span: tuple[str | None, str | None],
+    destination: Path | None,
+    workers: int | None,
+    details: bool,
+) -> None:
+    """Make an old version again, and tell whether its bytes are equal."""
+    from inflight.flows import lazy_client
+    from inflight.tasks import batch_mapper
+    from inflight.tasks.pipelines import remake_version
+
+    catalog = command.open_catalog()
+    folder = destination or catalog.workspace / "as-of" / version.replace(":", "-")
+    with command.progress() as progress, lazy_client(workers) as client:
+        report = remake_version(catalog, version, span, folder, batch_mapper(client, progress))
+    stores = report.extra["stores"]
+    equal = sum(one["equal"] for one in stores)
+    command.finish(report, [f"{equal} of {len(stores)} stores have equal bytes"], details)
 
 
 def backfill(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -202,6 +202,10 @@ def release(
             show_default=False,
         ),
     ] = None,
+    maturity: Annotated[
+        Literal["quick-look", "preliminary", "definitive"],
+        typer.Option(help="Of its products; definitive needs approved tables: 'inflight catalog approve'"),
+    ] = "preliminary",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only tell what would go in and what stands against it.")
     ] = False,
@@ -213,16 +217,18 @@ def release(
     if dry_run:
         from inflight.tasks import plan_release
 
-        plan = plan_release(workspace, version, chosen)
+        plan = plan_release(workspace, version, chosen, maturity)
         command.emit(plan, lambda console: _print_plan(console, plan))
         if plan["objections"]:
             raise typer.Exit(1)
         return
     # What can be refused is, before any server starts.
     mission = workspace.mission()
-    if refused := command.open_catalog().plan_release(version, formats=chosen, mission=mission).objections:
+    plans = command.open_catalog().plan_release
+    if refused := plans(version, formats=chosen, mission=mission, maturity=maturity).objections:
         raise refused[0]
     parameters = {"version": version, "notes": notes, "destination": destination, "formats": chosen}
+    parameters["maturity"] = maturity
     report = run_flow(command, "release", parameters, workers=None, prefect=not no_prefect)
     command.finish(report, ["next: read the notes in this folder, and hand it out as it is"])
 

@@ -24,7 +24,7 @@ from .farrell import (
 from .fits import SpinFits, despin, fit_spins, respin
 from .intervals import BlockLayout, Bools, Exclusion, SubIntervals, cut_into_blocks
 from .phase import PeriodCheck, PhaseFault, SpinPhase, check_period, phase_from_angle, phase_from_pulses
-from .product import Attitude, make_spin_product
+from .product import Attitude, field_uncertainty, make_spin_product
 from .residual import (
     ROW_NAMES,
     TONES,
@@ -91,6 +91,7 @@ __all__ = [
     "despin",
     "estimate_jointly",
     "estimate_pairs",
+    "field_uncertainty",
     "fit_folded_samples",
     "fit_spins",
     "join_parameters",

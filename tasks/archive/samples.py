@@ -233,6 +233,16 @@ def flip_flags(mission: Mission, day: np.datetime64, stamps: Int64) -> np.ndarra
     return np.where(outside, np.uint32(Flag.FLIPPED), np.uint32(0))
 
 
+def exclusion_flags(mission: Mission, comparison: str, stamps: Int64) -> np.ndarray:
+    """Return ``EXCLUDED`` for the samples that no fit of a comparison takes; (time,) uint32."""
+    out = np.zeros(stamps.shape, dtype=np.uint32)
+    instruments = set(mission.comparisons[comparison].instruments().values())
+    for one in mission.exclusions:
+        if one.instrument in instruments:
+            out[(one.start <= stamps) & (stamps < one.end)] = np.uint32(Flag.EXCLUDED)
+    return out
+
+
 def position_edges(mission: Mission) -> list[np.datetime64]:
     """Return the first days of each position after the first one."""
     edges = []
@@ -527,6 +537,7 @@ def load_samples(
     stamps = present[base.name].stamps
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
+    samples["flag"] = samples["flag"] | exclusion_flags(mission, model.comparison, samples["tt2000"].values)
     if clock is not None:
         series = channel_series(cat, clock, day, index)
         found = spin_phase(mission, model.comparison, clock, series, samples["tt2000"].values)

@@ -15,6 +15,7 @@ from .base import (
     Versions,
     blocks_of,
     earlier_products,
+    find_table,
     make_days,
     newest_table,
     product_of,
@@ -36,6 +37,7 @@ from .registry import (
     table_sections,
     tables_report,
 )
+from .remake import remake_version
 from .scalar import load_equations
 
 __all__ = [
@@ -58,6 +60,7 @@ __all__ = [
     "check_pipeline",
     "earlier_products",
     "find_pipeline",
+    "find_table",
     "learns_states",
     "load_equations",
     "make_days",
@@ -66,6 +69,7 @@ __all__ = [
     "product_of",
     "published_products",
     "register_outcome",
+    "remake_version",
     "reprocess",
     "reprocess_if_unchanged",
     "residual_of_days",

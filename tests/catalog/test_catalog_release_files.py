@@ -70,12 +70,12 @@ def test_cdf_files_keep_istp_and_read_back_equal(published, caplog, tmp_path):
     assert list(files) == [
         "probe_l1_fgm_20051231_v01.02",
         "probe_l1_fgm_20060101_v01.02",
-        "probe_l2_field_20051231_v01.02",
+        "probe_l2_field-preliminary_20051231_v01.02",
     ]
     for path in files.values():
         assert istp_findings(path) == []
     expected = published.read_day("l2/field", DAYS[0])
-    file = cdflib.CDF(files["probe_l2_field_20051231_v01.02"])
+    file = cdflib.CDF(files["probe_l2_field-preliminary_20051231_v01.02"])
     np.testing.assert_array_equal(file.varget("Epoch"), expected["tt2000"])
     np.testing.assert_array_equal(file.varget("flag"), expected["flag"])
     field = file.varget("field")
@@ -84,10 +84,12 @@ def test_cdf_files_keep_istp_and_read_back_equal(published, caplog, tmp_path):
     assert "524288 still" in file.varattsget("flag")["VAR_NOTES"]
     assert [text.split()[-1] for text in file.varget("field_label").tolist()] == ["x", "y", "z"]
     assert not (folder / "data").exists()
-    assert "cdf/probe_l2_field/2005/" in (folder / "MANIFEST.sha256").read_text()
+    assert "cdf/probe_l2_field-preliminary/2005/" in (folder / "MANIFEST.sha256").read_text()
     # cdflib's own checks ask for a variable behind each dimension, where the labels stand: of nothing else.
     with caplog.at_level(logging.WARNING):
-        dataset = cdflib.xarray.cdf_to_xarray(files["probe_l2_field_20051231_v01.02"], fillval_to_nan=False)
+        dataset = cdflib.xarray.cdf_to_xarray(
+            files["probe_l2_field-preliminary_20051231_v01.02"], fillval_to_nan=False
+        )
         cdflib.xarray.xarray_to_cdf(dataset, tmp_path / "again.cdf", istp=True)
     rest = [
         item for item in caplog.messages if not re.search(r"a dimension dim\d+ that is not defined", item)
@@ -98,14 +100,16 @@ def test_cdf_files_keep_istp_and_read_back_equal(published, caplog, tmp_path):
 def test_parents_name_files_of_the_release_and_what_was_delivered(published):
     folder = published.release("1.0", formats=("cdf",), mission=MISSION)
     files = {name: cdflib.CDF(path).globalattsget() for name, path in _files(folder, "cdf").items()}
-    assert files["probe_l2_field_20051231_v01.00"]["Parents"] == ["CDF>probe_l1_fgm_20051231_v01.00"]
+    assert files["probe_l2_field-preliminary_20051231_v01.00"]["Parents"] == [
+        "CDF>probe_l1_fgm_20051231_v01.00"
+    ]
     assert files["probe_l1_fgm_20060101_v01.00"]["Parents"] == ["file>a.cdf sha256:" + "a" * 64]
     assert {told["Generation_date"][0] for told in files.values()} == {"20060101"}
 
 
 def test_netcdf_files_read_back_equal_by_another_reader(published):
     folder = published.release("1.0", formats=("netcdf",), mission=MISSION)
-    path = _files(folder, "nc")["probe_l2_field_20051231_v01.00"]
+    path = _files(folder, "nc")["probe_l2_field-preliminary_20051231_v01.00"]
     expected = published.read_day("l2/field", DAYS[0])
     with h5py.File(path) as file:
         assert file.attrs["Conventions"] == "CF-1.11, ACDD-1.3"

@@ -2,6 +2,9 @@
 
 import pytest
 
+from inflight.catalog import Catalog
+from inflight.flags import Flag
+
 PLAIN = ("--no-prefect", "--workers", 1, "--json")
 
 
@@ -12,10 +15,10 @@ def root(tmp_path_factory):
 
 def test_a_spinning_mission_goes_through_the_verbs(inflight, root):
     assert inflight("new", "imp8", root).code == 0
-    told = inflight("simulate", "--days", 1, "--start", "2012-03-01", "--workers", 1, "--json", "-w", root)
-    assert told.json["files"] == 4
+    told = inflight("simulate", "--days", 2, "--start", "2012-03-01", "--workers", 1, "--json", "-w", root)
+    assert told.json["files"] == 8
     assert inflight("ingest", *PLAIN, "-w", root).json["days"]["failed"] == 0
-    told = inflight("reprocess", "--table", "daily", *PLAIN, "-w", root)
+    told = inflight("reprocess", "--table", "daily", "--end", "2012-03-02", *PLAIN, "-w", root)
     assert told.code == 0
     assert told.json["days"]["done"] == 1
     assert told.json["residual"]["after_nT"] < 0.02 < 1.0 < told.json["residual"]["before_nT"]
@@ -46,3 +49,15 @@ def test_the_tables_of_the_spin_are_told_and_drawn(inflight, root, tmp_path):
     shown = inflight("chain", "-w", root).out
     assert "gain_ratio" in shown
     assert "remain at their ground values" in shown
+
+
+def test_a_day_that_taught_no_table_is_flagged_and_less_certain(inflight, root):
+    told = inflight("reprocess", "--start", "2012-03-02", "--use-table", "main-daily", *PLAIN, "-w", root)
+    assert told.json["days"]["done"] == 1
+    taught, other = (Catalog(root).read_day("l2/field", f"2012-03-0{day}") for day in (1, 2))
+    assert not (taught["flag"].values & Flag.EXTRAPOLATED).any()
+    assert (other["flag"].values & Flag.EXTRAPOLATED).all()
+    # One day tells no changes: what was known before flight stands for them.
+    assert (other["uncertainty"].mean("time") > 10 * taught["uncertainty"].mean("time")).all()
+    assert other.attrs["calibration_table"].endswith("learnt 2012-03-01 to 2012-03-02, extrapolated")
+    assert inflight("reprocess", "--as-of", "v01.00", "--workers", 1, "-w", root).code == 0

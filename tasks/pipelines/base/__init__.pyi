@@ -28,6 +28,7 @@ from .compare_rows import (
     scalar_channels,
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
+from .origins import model_label, table_label
 from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_error
 from .pipeline import Pipeline, Versions
 from .planning import (
@@ -37,6 +38,7 @@ from .planning import (
     ReprocessSettings,
     equations_of,
     plan_days,
+    product_needs,
     product_of,
 )
 from .publication import (
@@ -48,12 +50,15 @@ from .publication import (
     reuse_interrupted_days,
     rounded,
 )
-from .reprocessing import product_key, report_if_unchanged, residual_of_days, run_plan
+from .reprocessing import product_batch, product_key, report_if_unchanged, residual_of_days, run_plan
+from .stored_table import FITTED, MODEL, find_table
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
     "ALL_DAYS_STATISTICS",
+    "FITTED",
     "MATTERS",
+    "MODEL",
     "ONE_DAY",
     "Batch",
     "CompareReport",
@@ -88,10 +93,12 @@ __all__ = [
     "equations_of",
     "failure_of",
     "fall_figure_of",
+    "find_table",
     "geometry_means",
     "history_section",
     "iter_digests",
     "make_days",
+    "model_label",
     "month_edges",
     "newest_record",
     "newest_table",
@@ -99,7 +106,9 @@ __all__ = [
     "page_sections",
     "plan_days",
     "plumbing_lines",
+    "product_batch",
     "product_key",
+    "product_needs",
     "product_of",
     "published_products",
     "record_failure",
@@ -114,6 +123,7 @@ __all__ = [
     "scatter_html",
     "sizes_html",
     "structures_html",
+    "table_label",
     "tables_in_use",
     "window_edges",
     "with_error",

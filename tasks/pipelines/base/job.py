@@ -89,10 +89,14 @@ class ProductBatch(Batch):
         The calibration table whose values the model takes.
     preflight : Model
         What the residual before calibration is made with.
+    table_name, model_name : str
+        What of both the product's header says.
     """
 
     table: xr.Dataset
     preflight: Model
+    table_name: str = ""
+    model_name: str = ""
 
 
 @dataclass
@@ -140,6 +144,7 @@ def make_days(
     job: Job,
     make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
     unify: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
+    folder: Path | None = None,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -151,6 +156,8 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
+    folder : Path, optional
+        Where the segment goes; the workspace when absent.
     unify : callable, optional
         Returns the datasets of the days with variables of one size, as one store needs them.
 
@@ -172,5 +179,5 @@ def make_days(
         if made:
             unified = unify([one.dataset for one in made])
             made = [replace(one, dataset=dataset) for one, dataset in zip(made, unified, strict=True)]
-            outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
+            outcome.segment = write_segment(folder or cat.workspace, job.run, job.dataset, made)
     return outcome

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
@@ -60,6 +60,9 @@ class ReprocessSettings(BaseModel):
     distribute : bool
         In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
         step, which hides what the model does not have. Products state its size either way.
+    use_table : str, optional
+        A table that the catalog has, ``main-span`` (the newest) or ``main-span:12``: products take it as it
+        is, and nothing is fitted. Days that it was not learnt from are flagged, with a wider uncertainty.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -73,6 +76,19 @@ class ReprocessSettings(BaseModel):
     origin: dt.date | None = None
     mean_days: float = Field(260.0, gt=0.0)
     distribute: bool = False
+    use_table: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _table_of_name(cls, given: Any) -> Any:
+        """Take the kind of table from the name of the one to use: ``main-span`` is the span's."""
+        if not isinstance(given, Mapping) or not given.get("use_table"):
+            return given
+        comparison = given.get("comparison", "main")
+        kind = str(given["use_table"]).partition(":")[0].removeprefix(f"{comparison}-")
+        if given.get("table", kind) != kind:
+            raise ValueError(f"use_table {given['use_table']!r} is no table {given['table']!r}")
+        return {**given, "table": kind}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +218,18 @@ def plan_days(
     )
 
 
+def product_needs(
+    mission: Mission, model: Model, preflight: Model, channels: Iterable[str] = ()
+) -> tuple[Need, ...]:
+    """Return the series of the archive that a day's statistics and product are made from.
+
+    Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
+    """
+    before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
+    named = needs_of(mission, model, [*geometry_channels(mission), *channels, *before_flight])
+    return tuple(replaceable_needs(mission, model, named))
+
+
 def plan_archive_days(
     cat: Catalog,
     mission: Mission,
@@ -232,11 +260,8 @@ def plan_archive_days(
     """
     start, end = span
     used = current_model(cat, mission, settings.comparison)
-    # Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
     preflight = preflight_model(cat, mission, settings.comparison)
-    before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
-    named = needs_of(mission, used.model, [*geometry_channels(mission), *channels, *before_flight])
-    needs = tuple(replaceable_needs(mission, used.model, named))
+    needs = product_needs(mission, used.model, preflight, channels)
     # A day is also made from days around it; the farthest have typical values for a missing channel.
     after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1
     before = max(after, *(need.days_before for need in needs))

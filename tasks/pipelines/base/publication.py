@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from inflight.calibration import CHANGE, LEARNT, outside_learnt
 from inflight.catalog import Catalog, Day, Run
 from inflight.errors import InflightError
 from inflight.mission import Mission
@@ -198,7 +199,10 @@ def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
         return ""
     row = table.isel(interval=int(inside[-1]))
     digest = hashlib.sha256()
-    for name in ("value", "covariance", "determined", "after"):
+    names = ["value", "covariance", "determined", "after", *LEARNT]
+    if outside_learnt(row, np.array([tt2000])).any():
+        names += CHANGE
+    for name in names:
         if name in row:
             digest.update(np.ascontiguousarray(row[name].values).tobytes())
     return digest.hexdigest()

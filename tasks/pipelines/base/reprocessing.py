@@ -12,7 +12,8 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
+from inflight.tasks.pipelines.base.origins import model_label, origin_attributes, table_label
 from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.tasks.pipelines.base.planning import Plan
 from inflight.tasks.pipelines.base.publication import (
@@ -31,7 +33,11 @@ from inflight.tasks.pipelines.base.publication import (
     register_outcome,
     reuse_interrupted_days,
 )
+from inflight.tasks.pipelines.base.stored_table import take_stored_table
 from inflight.tasks.report import RunReport, no_work_problems
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Passes of linearisation at most; each one squares the linearisation error.
 _MOST_PASSES = 4
@@ -48,16 +54,20 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     with cat.run("reprocess", plan.recorded, context=plan.context) as run:
         work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
         run.record_no_work(plan.product, plan.no_work)
-        statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
-        if pipeline.statistics and not statistics.days:
-            return _report(pipeline, work, None, _Products())
-        solved = pipeline.solve(work, statistics.days)
+        if plan.settings.use_table is not None:
+            statistics, solved = _Statistics(), take_stored_table(work, plan.settings.use_table)
+        else:
+            statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
+            if pipeline.statistics and not statistics.days:
+                return _report(pipeline, work, None, _Products())
+            solved = pipeline.solve(work, statistics.days)
         made = (
             _make_products(pipeline, work, solved)
             if pipeline.has_products
             else _Products(statistics.fresh, plan.unchanged)
         )
-        pipeline.finish(work, statistics.days, solved, made.reports)
+        if plan.settings.use_table is None:
+            pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
         report = _report(pipeline, work, solved, made)
         if not work.failed:
@@ -195,9 +205,17 @@ def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
     return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.unify_variables)
 
 
-def product_batch(pipeline: Pipeline, batch: ProductBatch) -> Outcome:
-    """Make the products of a batch of days in a worker, and write them as one segment."""
-    return make_days(batch.cat, batch.job, partial(pipeline.make_product, batch))
+def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None = None) -> Outcome:
+    """Make the products of a batch of days in a worker, and write them as one segment.
+
+    `folder` is the workspace unless given.
+    """
+
+    def make(day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        product, report = pipeline.make_product(batch, day)
+        return product.assign_attrs(origin_attributes(pipeline, batch, day, report)), report
+
+    return make_days(batch.cat, batch.job, make, folder=folder)
 
 
 def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
@@ -221,11 +239,16 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     todo = [day for day in todo if day not in adopted]
     preflight = preflight_model(cat, work.mission, plan.settings.comparison)
     # The days of a batch have one table in common.
+    names = {record.id: table_label(record) for record in cat.tables()}
+    # A model that was fitted is one more thing that products are made from.
+    fitted = solved.model.name != plan.model.name
+    version = solved.model.version if fitted else plan.used.version
+    lineage = [f"model:{solved.model.name}@{version}"] if fitted else []
     arguments = []
     for number in sorted({solved.used[day].number for day in todo}):
         days = [day for day in todo if solved.used[day].number == number]
         for job in work.jobs(plan.in_batches(days), plan.product, keys):
-            parents = {day: (*ids, f"table:{number}") for day, ids in job.parents.items()}
+            parents = {day: (*ids, f"table:{number}", *lineage) for day, ids in job.parents.items()}
             batch = ProductBatch(
                 cat=cat,
                 mission=work.mission,
@@ -234,6 +257,8 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
                 settings=plan.settings,
                 table=solved.used[days[0]].table,
                 preflight=preflight,
+                table_name=names[number],
+                model_name=model_label(solved.model.name, version),
             )
             arguments.append((pipeline, batch))
     done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.calibration import with_changes, with_learnt_spans
 from inflight.catalog import Catalog, Day, Run
 from inflight.errors import CalibrationError, CatalogError, InflightError, SamplesError, SettingsError
 from inflight.mission import Mission
@@ -37,6 +38,8 @@ from inflight.model import Model
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
+    FITTED,
+    MODEL,
     Plan,
     equations_of,
     newest_record,
@@ -147,11 +150,18 @@ def fit_mission_tables(
     equations = drift.remove_drift(equations, scale_factor_rates(found.fit, equations))
     fitted_days = [read[place] for place in places]
     out = MissionTables(found)
-    out.tables["continuous"] = continuous_table(equations, found, model, noise)
+    own = own_fits(fitted_days, found)
+    table = continuous_table(equations, found, model, noise)
+    table = table.assign_attrs({MODEL: model.sha, FITTED: named_fit(model, found).sha})
+    # All fitted days taught every row: between them the trend interpolates.
+    first, last = table["start"].values[places[0]], table["end"].values[places[-1]]
+    start, end = (np.full(len(read), at) for at in (first, last))
+    # How much parameters change is told by the days' own: a trend has none of what it does not follow.
+    out.tables["continuous"] = with_changes(with_learnt_spans(table, start, end), [own])
+    out.tables["own-fit"] = own
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
-    out.tables["own-fit"] = own_fits(fitted_days, found)
 
     @cache
     def epochs() -> xr.Dataset:
@@ -182,9 +192,14 @@ def fit_mission_tables(
     return out
 
 
+def named_fit(base: Model, found: MissionFit) -> Model:
+    """Return the fitted model under the name that the catalog has it by."""
+    return replace(found.model, name=f"{base.name}-continuous")
+
+
 def save_fitted(cat: Catalog, base: Model, run: Run, found: MissionFit) -> Model:
     """Save the fitted model as a version of ``<model>-continuous`` and return it."""
-    model = replace(found.model, name=f"{base.name}-continuous")
+    model = named_fit(base, found)
     version = cat.save_model(model.name, model.text, message=f"all days together, run {run.id}")
     return replace(model, version=version)
 

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
+from inflight.calibration import NormalEquations, with_learnt_spans
 from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.mission import Mission
 from inflight.mission_fit import (
@@ -117,7 +117,7 @@ def own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
     }
     each, names = ("interval", "parameter"), list(found.fit.trends)[:9]
     sigma = np.sqrt(np.diagonal(joined["fit_covariance"], axis1=1, axis2=2))
-    return xr.Dataset(
+    table = xr.Dataset(
         {
             "value": (each, joined["fit"]),
             "sigma": (each, sigma),
@@ -129,6 +129,7 @@ def own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
         },
         coords={"parameter": names, "other": names},
     )
+    return with_learnt_spans(table, joined["start"], joined["end"])
 
 
 def torquer_band(read: Sequence[xr.Dataset]) -> xr.Dataset:

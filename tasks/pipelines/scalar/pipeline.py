@@ -44,7 +44,7 @@ class ScalarPipeline(Pipeline):
     """
 
     tag = "scalar"
-    versions = Versions(statistics=3, tables=4, products=5)
+    versions = Versions(statistics=3, tables=5, products=6)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison, unless all days are to be fitted at once."""
@@ -79,9 +79,10 @@ class ScalarPipeline(Pipeline):
         }
         if plan.settings.table == "monthly":
             edges["monthly"] = month_edges(min(days), max(days))
-        stager.table("daily", partial(daily_table, equations, model))
+        finer = [stager.table("daily", partial(daily_table, equations, model))]
         for name, bounds in edges.items():
-            stager.table(name, partial(window_table, equations, model, bounds, name))
+            make = partial(window_table, equations, model, bounds, name, tuple(finer))
+            finer.insert(0, stager.table(name, make))
         return stager.solved(plan.settings.table, model)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:

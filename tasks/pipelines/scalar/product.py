@@ -18,7 +18,7 @@ from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.time import day_bounds, usual_step
 
 #: Flags that do not lower the coverage.
-_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
+_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.EXTRAPOLATED
 
 
 def level2_day(
@@ -44,7 +44,7 @@ def level2_day(
     samples = load_samples(batch.cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
-    parameters = day_parameters(batch.table, middle, reference_of(model, middle))
+    parameters = day_parameters(batch.table, middle, reference_of(model, middle), (start, end))
     fitted, preflight, extra_variance = model.bind(batch.table), batch.preflight, None
     substituted: dict[str, Any] = {}
     typical = substitute_missing(batch.cat, mission, model, job.needs, job.index, day, samples)

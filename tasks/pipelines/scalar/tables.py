@@ -21,6 +21,7 @@ from inflight.calibration import (
     empty_block,
     linearisation_error,
     reference_of,
+    with_changes,
 )
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
@@ -87,6 +88,7 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
             Interval(
                 start,
                 end,
+                (start, end),
                 np.asarray(data["fit"].values[index, :-1]),
                 np.asarray(data["fit_covariance"].values[index, :-1, :-1]),
                 solution,
@@ -95,26 +97,47 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
                 float(data["after"].values[index]),
             )
         )
-    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
+    return with_changes(
+        calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
+    )
 
 
 def window_table(
-    equations: NormalEquations, model: Model, edges: Sequence[np.datetime64], kind: str
+    equations: NormalEquations,
+    model: Model,
+    edges: Sequence[np.datetime64],
+    kind: str,
+    finer: Sequence[xr.Dataset] = (),
 ) -> xr.Dataset:
-    """Return the table of windows solved from the sums of their blocks; empty windows are skipped."""
+    """Return the table of windows solved from the sums of their blocks; empty windows are skipped.
+
+    How much parameters change is told by its own windows, or by those of `finer` where they are too few.
+    """
     rows = []
     for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         part = equations.within(start, end)
         if len(part):
             rows.append(_solved_interval(part, model, start, end))
-    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+    table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+    return with_changes(table, [table, *finer])
 
 
 def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
     """Return the row of a span without usable data: the model's values, with their prior uncertainty."""
     prior = reference_of(model, (start + end) // 2)
     empty = empty_block(prior, prior)
-    return Interval(start, end, prior.value, empty.covariance, empty.solution, 0.0, np.nan, np.nan, len(part))
+    return Interval(
+        start,
+        end,
+        (start, start),
+        prior.value,
+        empty.covariance,
+        empty.solution,
+        0.0,
+        np.nan,
+        np.nan,
+        len(part),
+    )
 
 
 def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
@@ -131,6 +154,7 @@ def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) 
     return Interval(
         start,
         end,
+        (int(part.dataset["start"].values[0]), int(part.dataset["end"].values[-1])),
         value,
         covariance,
         solution,

@@ -7,18 +7,23 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.calibration import change_outside, outside_learnt
 from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
 from inflight.model import Model, rows_of
 from inflight.samples import fold_spins
-from inflight.spin import PARAMETER_NAMES, CalibrationParameters, make_spin_product
+from inflight.spin import PARAMETER_NAMES, CalibrationParameters, field_uncertainty, make_spin_product
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
 
 #: Flags of samples that count in the coverage.
-_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.PHASE_BRIDGED
+#: A matrix for each of the twelve parameters: 1 where it meets itself.
+_ONE_EACH = np.eye(12)[:, :, None] * np.eye(12)[:, None, :]
+_HARMLESS = (
+    Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.PHASE_BRIDGED | Flag.EXTRAPOLATED
+)
 
 
 def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -36,8 +41,16 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
     covariance = np.asarray(row["covariance"].values)
+    change = change_outside(row, table, span, row["parameter"].values.tolist())
+    outside = outside_learnt(row, np.asarray(samples["tt2000"].values))
     product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
     free = np.array([entry.parameters[name.partition("[")[0]].free for name in PARAMETER_NAMES])
+    if change is not None:
+        product["flag"] = product["flag"] | (np.uint32(Flag.EXTRAPOLATED) * outside).astype(np.uint32)
+        # Of all parameters together: each by itself, added up.
+        parts = [field_uncertainty(readings, twelve, one) for one in change[:, None, None] ** 2 * _ONE_EACH]
+        wider = np.hypot(product["uncertainty"].values, np.sum(parts, axis=0))
+        product["uncertainty"] = product["uncertainty"].where(~outside[:, None], wider)
     if not np.all(row["determined"].values[free]):
         product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0

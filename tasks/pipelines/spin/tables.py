@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.calibration import with_changes, with_learnt_spans
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError, InflightError
 from inflight.figures import SubintervalEstimates
@@ -97,6 +98,8 @@ class _Row:
 
     Attributes
     ----------
+    learnt : tuple of int
+        Half-open TT2000 of the days with estimates that the values in use rest on last; empty for none.
     twelve, covariance : ParameterTable and ndarray, shape (12, 12)
         The values in use and their covariance.
     decisions : mapping of str to Decision
@@ -111,6 +114,7 @@ class _Row:
 
     start: int
     end: int
+    learnt: tuple[int, int]
     twelve: ParameterTable
     covariance: Floats
     decisions: Mapping[str, Decision]
@@ -174,6 +178,7 @@ class _InUse:
     eight: SpinParametersInUse
     axial: ValueInUse
     source: str = GROUND
+    learnt: tuple[int, int] = (0, 0)
 
     @classmethod
     def from_ground(cls, entry: ModelEffect, tt2000: int) -> _InUse:
@@ -216,7 +221,13 @@ class _InUse:
                 axial.sigma,
             )
         full = _full_covariance(twelve, step.covariance, stated)
-        return _Row(start, end, twelve, full, decisions, (own_value, own_sigma), len(days), used, excess)
+        taught = [day for day in days if np.isfinite(day["sigma"].values[0]).any()]
+        if taught:
+            # An interval without estimates goes on with values that an earlier one was taught.
+            self.learnt = int(taught[0]["start"].values[0]), int(taught[-1]["end"].values[0])
+        return _Row(
+            start, end, self.learnt, twelve, full, decisions, (own_value, own_sigma), len(days), used, excess
+        )
 
 
 def _combine_days(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
@@ -309,7 +320,7 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
     undecided = "nothing in flight tells it: as on the ground"
     verdicts = [[one.verdict if one else "" for one in row] for row in decided]
     reasons = [[one.reason if one else undecided for one in row] for row in decided]
-    return xr.Dataset(
+    table = xr.Dataset(
         {
             "value": (each, np.array([row.twelve.value for row in rows])),
             "sigma": (each, np.array([row.twelve.sigma for row in rows])),
@@ -333,6 +344,11 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
         coords={"parameter": names, "other": names},
         attrs=dict(attributes),
     )
+    learnt = np.array([row.learnt for row in rows], dtype=np.int64)
+    table = with_learnt_spans(table, learnt[:, 0], learnt[:, 1])
+    # Values in use stay as they are until an estimate warrants others: the estimates tell the changes.
+    own = table["own"].where(np.isfinite(table["own"]), table["value"])
+    return with_changes(table, [table.assign(value=own)])
 
 
 def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64]) -> xr.Dataset:
