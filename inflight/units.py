@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import re
 from functools import cache, lru_cache
+from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pint
 
+#: Numbers smaller than this are written with an exponent.
+_PLAIN = 1e-4
 #: Units that nearly every mission states: known without the registry, which takes a moment to load.
 COMMON_UNITS = frozenset({"1", "nT", "deg", "rad", "s", "m", "km", "A", "mA", "V", "K", "degC", "count"})
 
@@ -130,3 +133,16 @@ def _size(unit: str) -> float:
     if plain == "dimensionless":  # pint parses it to a unit without a name, which it then does not find
         return 1.0
     return factor_and_offset(plain, str(registry().get_base_units(plain)[1]))[0]
+
+
+def with_error(value: float, sigma: float) -> str:
+    """Return a value and its error to the same digit, two of the error's: ``-0.0450 ± 0.0012``."""
+    if not isfinite(value):
+        return ""
+    if not 0.0 < sigma < float("inf"):
+        return f"{value:.5g}"
+    place = floor(log10(sigma)) - 1
+    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
+        return f"{value:.{-place}f} ± {sigma:.{-place}f}"
+    digits = max(1, floor(log10(max(abs(value), sigma))) - place)
+    return f"{value:.{digits}e} ± {sigma:.1e}"

@@ -11,18 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.command import Command, text_table, verb
+from inflight.cli.command import Command, TextTable, text_table, verb
+from inflight.cli.diagnose import with_error
 from inflight.cli.processing import EndOption, StartOption
 
 if TYPE_CHECKING:
+    import xarray as xr
     from rich.console import Console
-    from rich.table import Table
 
     from inflight.catalog import Catalog, Day, DayChange, RunRecord
 
 group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Datasets that hold neither measurements nor products: equations, and what is kept of comparisons.
 _OWN = ("comparison/", "equations/")
+#: Attributes of a table that are no result.
+_HASHES = ("comparison", "kind", "model", "made_from")
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
@@ -72,6 +75,8 @@ def show_dataset(
         known = catalog.maturities(name)
         items = [item | {"maturity": known.get(item["id"], "quick-look")} for item in items]
         columns = (*columns[:3], "maturity", *columns[3:])
+    certified = [item["id"] for item in items if item.get("certified")]
+    values = catalog.table_by_id(certified[-1]) if certified and not command.json else None
 
     def show(console: Console) -> None:
         # A day without a message shows what its report states.
@@ -84,8 +89,97 @@ def show_dataset(
         console.print(_table(columns, shown))
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
+        if values is not None:
+            _print_values(console, values)
 
     command.emit({"command": "catalog show", "name": name, "items": items}, show)
+
+
+def _print_values(console: Console, table: xr.Dataset) -> None:
+    """Print the newest interval of a calibration table: single numbers, then what goes by parameter or state.
+
+    Vectors by axis share a cell; matrices, such as the covariance, are left to Python.
+    """
+    last = table.isel(interval=-1) if "interval" in table.dims else table
+    count = table.sizes.get("interval", 1)
+    which = f" (the last of {count} intervals)" if count > 1 else ""
+    edges = [last[edge] for edge in ("start", "end") if edge in last and not last[edge].dims]
+    span = f" from {' to '.join(_utc(int(edge)) for edge in edges)}" if edges else ""
+    console.print(f"\nvalues{span}{which}")
+    for name, text in last.attrs.items():
+        if isinstance(text, str) and text and text[0] not in "{[" and name not in _HASHES:
+            console.print(f"  {_in_words(name)}: {text}", soft_wrap=True, markup=False)
+    names = [str(name) for name in (*last.coords, *last.data_vars)]
+    names = [name for name in names if name not in last.dims or last[name].ndim > 1]
+    names = [name for name in names if name not in ("start", "end") and not _is_error(last, name)]
+    for name in (one for one in names if not last[one].dims):
+        if text := _value_text(last, name, ()):
+            unit = last[name].attrs.get("units", "")
+            unit = "" if unit in ("", "1") else f" {unit}"
+            console.print(f"  {_in_words(name)}: {text}{unit}", soft_wrap=True, markup=False)
+    shapes = {name: last[name].dims for name in names if last[name].dims}
+    rows_of = {name: dims[0] for name, dims in shapes.items() if dims[1:] in ((), ("axis",))}
+    for dim in dict.fromkeys(rows_of.values()):
+        _print_rows(console, last, str(dim), [name for name, own in rows_of.items() if own == dim])
+    if rest := [name for name in shapes if name not in rows_of]:
+        text = f"in Python, by Catalog.table(name, at), too: {', '.join(rest)}"
+        console.print(text, soft_wrap=True, markup=False)
+
+
+def _print_rows(console: Console, table: xr.Dataset, dim: str, names: Sequence[str]) -> None:
+    """Print what a table holds by one dimension: a row each parameter, state or method."""
+    # The value and its unit first, sentences last.
+    names = sorted(names, key=lambda name: {"value": 0, "units": 1, "reason": 3}.get(name, 2))
+    labelled = dim in table.coords and table[dim].ndim == 1
+    keys = (
+        [str(key) for key in table[dim].values] if labelled else [str(at) for at in range(table.sizes[dim])]
+    )
+    if dim == "parameter":
+        keys = [key.rpartition(".")[2] for key in keys]
+    rows = []
+    for at, key in enumerate(keys):
+        cells = []
+        for name in names:
+            deep = table[name].dims[1:]
+            places = [(at, axis) for axis in range(table.sizes["axis"])] if deep else [(at,)]
+            cells.append(" ".join(_value_text(table, name, place) for place in places))
+        rows.append([key, *cells])
+    heads = [_in_words(dim)]
+    for name in names:
+        unit = table[name].attrs.get("units", "")
+        heads.append(_in_words(name) + (f", {unit}" if unit not in ("", "1") else ""))
+    folded = [head for head, name in zip(heads[1:], names, strict=True) if table[name].dtype.kind == "U"]
+    console.print(text_table(heads, rows, folded=folded))
+
+
+def _in_words(name: str) -> str:
+    """Return the name of a variable without its underscores."""
+    return name.replace("_", " ")
+
+
+def _error_of(name: str) -> str:
+    """Return what the error of a variable is called in a table."""
+    return "sigma" if name == "value" else f"{name.removesuffix('_value')}_sigma"
+
+
+def _is_error(table: xr.Dataset, name: str) -> bool:
+    return name in {_error_of(str(one)) for one in table.data_vars}
+
+
+def _value_text(table: xr.Dataset, name: str, at: tuple[int, ...]) -> str:
+    """Return one value of a table as a person reads it, with the digits that its error leaves."""
+    import numpy as np
+
+    value, error = table[name].values[at], _error_of(name)
+    if isinstance(value, np.bool_):
+        return "yes" if value else "no"
+    if not isinstance(value, np.floating):
+        return str(value)
+    if not np.isfinite(value):
+        return ""
+    if error in table and table[error].dims == table[name].dims and np.isfinite(table[error].values[at]):
+        return " ± ".join(with_error(float(value), float(table[error].values[at])))
+    return f"{value:.4g}"
 
 
 def _is_own(dataset: str) -> bool:
@@ -108,7 +202,7 @@ def _items_of(catalog: Catalog, name: str, span: slice) -> tuple[tuple[str, ...]
     table = name.removeprefix("tables/")
     tables = [_table_fields(record) for record in catalog.tables(table)]
     if tables:
-        return ("id", "name", "start", "end", "run", "valid", "approved_by"), tables
+        return ("id", "name", "valid", "approved_by", "run"), tables
     days = [_day_fields(day) for day in catalog.days(name, span)]
     if not days:
         raise CatalogError(
@@ -281,15 +375,16 @@ def _day_fields(day: Day) -> dict[str, Any]:
     return _plain_fields(day) | {"day": str(day.day)}
 
 
-def _table_fields(record: Any) -> dict[str, Any]:
+def _utc(tt2000: int) -> str:
     from inflight.time import to_utc
 
-    def utc(tt2000: int) -> str:
-        return str(to_utc(tt2000).astype("datetime64[s]"))
+    return str(to_utc(tt2000).astype("datetime64[s]"))
 
+
+def _table_fields(record: Any) -> dict[str, Any]:
     fields = _plain_fields(record)
-    fields |= {"start": utc(record.start), "end": utc(record.end)}
-    spans = [f"{utc(start)} to {utc(end)}" for _, start, end in record.certified]
+    fields |= {"start": _utc(record.start), "end": _utc(record.end)}
+    spans = [f"{_utc(start)} to {_utc(end)}" for _, start, end in record.certified]
     people = ", ".join(dict.fromkeys(person for person, _, _ in record.approved))
     return fields | {"valid": ", ".join(spans) or "not certified", "approved_by": people}
 
@@ -453,7 +548,7 @@ def _plain_fields(record: Any) -> dict[str, Any]:
     return {item.name: getattr(record, item.name) for item in dataclasses.fields(record)}
 
 
-def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Table:
+def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> TextTable:
     from inflight.tasks import in_plain_words
 
     def cell(name: str, value: Any) -> str:

@@ -11,6 +11,7 @@ import inspect
 import os
 import signal
 import sys
+import textwrap
 import threading
 import time
 import traceback
@@ -27,7 +28,8 @@ from inflight.errors import SettingsError, WorkspaceError
 from inflight.tasks import Progress, as_settings_error, error_fields, location_of
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions
+    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
@@ -201,13 +203,93 @@ class _ProgressLines:
 _FIRST_LINE_S, _LINE_EVERY_S = 2.0, 15.0
 
 
+@dataclass(frozen=True)
+class TextTable:
+    """A table without lines that breaks no word: names, times and commands stay whole in any window.
+
+    Where the rows do not fit, first the headings are folded, then the cells that may be; where not even
+    single words fit, each row becomes a paragraph of ``heading: cell``.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | Text, ...], ...]
+    right: frozenset[str]
+    folded: frozenset[str]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table | Text | Padding]:
+        """Yield the table, or the paragraphs that take its place in a narrow window."""
+        cells = [
+            [str(row[at]) if at < len(row) else "" for row in self.rows] for at in range(len(self.columns))
+        ]
+        natural = [max(map(len, cell), default=0) for cell in cells]
+        least = [
+            max(map(_longest_word, cell), default=0) if name in self.folded else width
+            for name, cell, width in zip(self.columns, cells, natural, strict=True)
+        ]
+        room = options.max_width - 2 * (len(self.columns) - 1)
+        if sum(max(width, len(name)) for name, width in zip(self.columns, natural, strict=True)) <= room:
+            yield self._table(self.columns, least)
+            return
+        heads = [
+            "\n".join(textwrap.wrap(name, max(width, _longest_word(name), 1), break_long_words=False))
+            for name, width in zip(self.columns, natural, strict=True)
+        ]
+        least = [max(width, _longest_word(head)) for width, head in zip(least, heads, strict=True)]
+        for gap in (2, 1):
+            if sum(least) + gap * (len(self.columns) - 1) <= options.max_width:
+                yield self._table(heads, least, gap)
+                return
+        for row in self.rows:
+            yield from self._paragraph(row)
+
+    def _table(self, heads: Sequence[str], least: Sequence[int], gap: int = 2) -> Table:
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, padding=(0, 1, 0, gap - 1))
+        for name, head, width in zip(self.columns, heads, least, strict=True):
+            table.add_column(
+                head,
+                justify="right" if name in self.right else "left",
+                overflow="fold",
+                no_wrap=name not in self.folded,
+                min_width=width,
+            )
+        for row in self.rows:
+            table.add_row(*map(_as_text, row))
+        return table
+
+    def _paragraph(self, row: Sequence[str | Text]) -> Iterator[Text | Padding]:
+        """Yield the first cell of a row, and below it the others with their headings."""
+        from rich.padding import Padding
+        from rich.text import Text
+
+        first, *others = [
+            Text(f"{name}: " if name else "") + cell if (cell := _as_text(part)).plain else Text()
+            for name, part in zip(self.columns, row, strict=False)
+        ]
+        if first.plain:
+            yield first
+        if parts := [part for part in others if part.plain]:
+            yield Padding(Text(", ").join(parts), (0, 0, 0, 2))
+
+
+def _as_text(cell: str | Text) -> Text:
+    from rich.text import Text
+
+    return Text(cell) if isinstance(cell, str) else cell
+
+
+def _longest_word(text: str) -> int:
+    return max(map(len, text.split()), default=0)
+
+
 def text_table(
     columns: Sequence[str],
     rows: Iterable[Iterable[str | Text]],
     *,
     right: Sequence[str] = (),
     folded: Sequence[str] | None = None,
-) -> Table:
+) -> TextTable:
     """Return a table without lines; cells are shown as they are, without markup.
 
     Parameters
@@ -219,22 +301,10 @@ def text_table(
     right : sequence of str
         Columns set flush right.
     folded : sequence of str, optional
-        Columns whose cells may be folded over several lines; all when absent.
+        Columns whose cells may be folded between words; all when absent.
     """
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False)
-    for name in columns:
-        table.add_column(
-            name,
-            justify="right" if name in right else "left",
-            overflow="fold",
-            no_wrap=folded is not None and name not in folded,
-        )
-    for row in rows:
-        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
-    return table
+    foldable = frozenset(columns if folded is None else folded)
+    return TextTable(tuple(columns), tuple(map(tuple, rows)), frozenset(right), foldable)
 
 
 def exit_code_of(error: Exception) -> int:
@@ -319,7 +389,10 @@ def verb(
         parameters = [item.replace(kind=inspect.Parameter.KEYWORD_ONLY) for item in parameters]
         invoke.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         invoke.__annotations__ = {item.name: item.annotation for item in parameters}
-        app.command(name, rich_help_panel=panel, epilog=epilog)(invoke)
+        # A line of the source ends no line of the help: its window has another width.
+        paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+        text = "\n\n".join(" ".join(one.split()) for one in paragraphs)
+        app.command(name, help=text, rich_help_panel=panel, epilog=epilog)(invoke)
         return function
 
     return register

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.command import Command, text_table
+from inflight.cli.command import Command, TextTable, text_table
 from inflight.cli.processing import (
     DetailsOption,
     EndOption,
@@ -26,7 +26,6 @@ from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from inflight.tasks.analysis import Revision, Workbench
 
@@ -48,8 +47,10 @@ _SAME = 0.002
 _NOTHING = 0.01
 #: Heading of the part of an effect that no parameter of the calibration takes up.
 _NOT_ABSORBED = "share not absorbed by the calibration"
+#: Size from which on a number is written without a power of ten.
+_PLAIN = 1e-3
 #: Where a coefficient acts, in plain words.
-_AT = {"difference": "vector minus scalar"}
+_AT = {"difference": "difference of both sensors"}
 #: Columns set flush right.
 _NUMERIC = (
     "value",
@@ -333,12 +334,15 @@ def _last_day(end: str) -> str:
 
 
 def _sizes_text(residual: Fields) -> str:
-    names: tuple[str, ...] = ("before", "after", "held_out_before", "held_out_after")
-    names += ("noise_floor", "noise_floor_low", "noise_floor_high")
+    from inflight.diagnosis import fall_text
+
+    names = ("noise_floor", "noise_floor_low", "noise_floor_high")
     size = {name: _number(residual[f"{name}_nT"], 3) for name in names}
+    held_out, every = (
+        fall_text(residual[f"{which}before_nT"], residual[f"{which}after_nT"]) for which in ("held_out_", "")
+    )
     return (
-        f"residual {size['held_out_before']} -> {size['held_out_after']} nT on days not used in the fit "
-        f"({size['before']} -> {size['after']} nT on all days); noise floor "
+        f"residual {held_out} nT on days not used in the fit ({every} nT on all days); noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
     )
 
@@ -386,7 +390,7 @@ def _print_entries(console: Console, entries: Sequence[Fields]) -> None:
                 console.print(f"  type: {command}", soft_wrap=True, markup=False)
 
 
-def _effects_table(effects: Sequence[Fields]) -> Table:
+def _effects_table(effects: Sequence[Fields]) -> TextTable:
     """One row a coefficient; effect, family and its scores stand in the first of its rows.
 
     Of more than `_COEFFICIENTS` coefficients, those beyond three sigma are shown.
@@ -437,7 +441,7 @@ def _size(gain: float | None, rms: float | None) -> str:
     return "" if gain is None or rms is None else _number(rms * max(gain, 0.0) ** 0.5, 2)
 
 
-def _candidates_table(candidates: Sequence[Fields], sizes: tuple[float | None, float | None]) -> Table:
+def _candidates_table(candidates: Sequence[Fields], sizes: tuple[float | None, float | None]) -> TextTable:
     """The best candidates of the first round, and the best placebos; `sizes` are rms before and after, nT."""
     real = [each for each in candidates if not each["placebo"]]
     placebos = [each for each in candidates if each["placebo"]]
@@ -540,7 +544,10 @@ def _next_step(fields: Fields) -> str:
     elif fields["effects"]:
         best = fields["effects"][0]
         doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
-        what = f'inflight add "{best["name"]}"    ({doubt or "all of them: inflight auto"})'
+        # The numbers are those of all of them together: one alone has others.
+        numbers = ", with the numbers above" if len(fields["effects"]) > 1 else ""
+        every = f"all of them{numbers}: inflight auto"
+        what = f'inflight add "{best["name"]}"    ({doubt or every})'
     elif unknown and unknown[0] != "inflight compare":
         what = f"{unknown[0]}    (its cause stays to be found)"
     if what:
@@ -634,7 +641,7 @@ def with_error(value: float, sigma: float) -> tuple[str, str]:
     if not 0.0 < sigma < float("inf"):
         return f"{value:.4g}", f"{sigma:.2g}"
     place = floor(log10(sigma)) - 1
-    if -6 <= place <= 0:
+    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
         return f"{value:.{-place}f}", f"{sigma:.{-place}f}"
     digits = max(1, floor(log10(max(abs(value), sigma))) - place)
     return f"{value:.{digits}e}", f"{sigma:.1e}"

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.command import Command, text_table
+from inflight.cli.command import Command, TextTable, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
 _COLOURS = {"reproduced": "green", "contradicted": "red", "not reproducible": "yellow", "needs data": "dim"}
 #: Digits shown of what is printed, and of what is obtained; --json has all.
@@ -65,7 +64,7 @@ def _counts(results: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     return {kind: {name: count[name] for name in _COLOURS if count[name]} for kind, count in counts.items()}
 
 
-def _table(results: list[dict[str, Any]]) -> Table:
+def _table(results: list[dict[str, Any]]) -> TextTable:
     from rich.text import Text
 
     rows: list[tuple[str | Text, ...]] = []

@@ -48,7 +48,10 @@ def show_model(
         why = f": {message}" if message else ""
         console.print(f"{found.label}{parent}{why}", soft_wrap=True, markup=False)
         columns = ("effect", "sensor", "parameter", "value", "sigma", "unit", "time", "fit")
-        console.print(text_table(columns, _rows(tree), right=("value", "sigma")))
+        if tree["effects"]:
+            console.print(text_table(columns, _rows(tree), right=("value", "sigma")))
+        else:
+            console.print("the model has no effect: readings are taken as they are")
         for entry in tree["effects"]:
             if "source" in entry:
                 console.print(f"{entry['effect']} is the mission's own effect, source {entry['source']}")

@@ -154,6 +154,9 @@ def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iter
     from inflight.tasks.analysis import last_diagnosis
 
     version = fields.get("model_version")
+    if fields.get("kind") == "dual":
+        yield "next: inflight diagnose    (the channel behind each unit), or inflight release VERSION"
+        return
     if fields["command"] != "compare" or not version:
         return
     history = ModelHistory(Catalog(workspace.root), workspace.mission(), fields["comparison"])
@@ -316,7 +319,10 @@ def chain(
     mission, catalog = workspace.mission(), command.open_catalog()
     _require_comparison(mission, comparison)
     page = _page_path(html) if html else None
-    report = tables_report(catalog, mission, comparison, page, cross_talk)
+    with command.progress() as progress:
+        progress("report", 0, 1)
+        report = tables_report(catalog, mission, comparison, page, cross_talk)
+        progress("report", 1, 1)
     fields = report.as_json()
 
     def show(console: Console) -> None:

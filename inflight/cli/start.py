@@ -106,7 +106,10 @@ def simulate(
     start: Annotated[str, typer.Option(help="First day, YYYY-MM-DD.")] = "2005-01-01",
     days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
     seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
-    hide: Annotated[list[str] | None, typer.Option(help="Effect that only the truth names.")] = None,
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(help="Effect that only the truth names; a wrong name is answered with those there are."),
+    ] = None,
     without: Annotated[list[str] | None, typer.Option(help="Effect to leave out.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: the cores).")] = None,
 ) -> None:

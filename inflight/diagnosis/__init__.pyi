@@ -24,6 +24,7 @@ from .figure_data import (
     error_waterfall,
     heat_maps,
     responses,
+    rival_curves,
     sizes_of,
     superposed_epoch,
     trials,
@@ -60,7 +61,7 @@ from .time_changes import (
     time_variable_columns,
 )
 from .verdict import lag_profile, run_search
-from .words import WHY_MOVED, quantity
+from .words import WHY_MOVED, fall_text, quantity
 
 __all__ = [
     "DRIFTS",
@@ -111,6 +112,7 @@ __all__ = [
     "episodes",
     "error_waterfall",
     "estimate",
+    "fall_text",
     "family_wise_p",
     "features_of",
     "find_request",
@@ -130,6 +132,7 @@ __all__ = [
     "quantity",
     "residual_lines",
     "responses",
+    "rival_curves",
     "row_variance",
     "run_search",
     "score",

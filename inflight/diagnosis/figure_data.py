@@ -9,8 +9,9 @@ The last are algebra on the Gram blocks of the search; nothing here changes the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +66,8 @@ class ViewSettings:
         Days of a record whose uncertainties are taken between days. Assumed.
     most_parameters, most_trials : int
         Parameters of a cross-talk matrix at most; candidates whose values are worked out.
+    rivals : int
+        Rivals of one effect that are drawn at most.
     """
 
     map_rows: int = 84
@@ -79,6 +82,7 @@ class ViewSettings:
     day_blocks: int = 10
     most_parameters: int = 42
     most_trials: int = 16
+    rivals: int = 3
 
 
 VIEW_SETTINGS = ViewSettings()
@@ -177,6 +181,8 @@ class EntryCurve:
         Mean coordinate.
     measured, measured_sigma, made, left, left_sigma : ndarray, shape (bin,)
         nT: measured with all else in the model, made by the effect, left with it in the model, too.
+    instead_of : str
+        The effect whose place a rival takes; empty for an effect that was taken.
     """
 
     name: str
@@ -189,6 +195,7 @@ class EntryCurve:
     made: Floats
     left: Floats
     left_sigma: Floats
+    instead_of: str = ""
 
 
 def entry_curves(search: Search, data: DiagnosisData, seen: BeforeAfter) -> list[EntryCurve]:
@@ -198,14 +205,51 @@ def entry_curves(search: Search, data: DiagnosisData, seen: BeforeAfter) -> list
     """
     known = with_correctable_rows(search, data)
     out: list[tuple[float, EntryCurve]] = []
+    for option in search.accepted:
+        size, curve = _curve_with(search, known, seen, option)
+        if curve is not None:
+            out.append((-size, curve))
+    return [curve for _, curve in sorted(out, key=lambda one: one[0])]
+
+
+def rival_curves(
+    search: Search, data: DiagnosisData, seen: BeforeAfter, confusion_set: Sequence[Mapping[str, Any]]
+) -> list[EntryCurve]:
+    """Return the curves of causes that cannot be told from those taken, each in the place of its rival.
+
+    They look as good as the causes taken, or nearly so: that is what makes them rivals.
+
+    Parameters
+    ----------
+    confusion_set : sequence of mapping
+        Of the verdict: a cause that was taken, then its rivals.
+    """
+    known, options = with_correctable_rows(search, data), {one.name: one for one in search.options}
+    taken = {one.name: one for one in search.accepted}
+    out, place, count = [], None, 0
+    for one in confusion_set:
+        if one["name"] in taken:
+            place, count = taken[one["name"]], 0
+        elif place is not None and one["name"] in options and count < VIEW_SETTINGS.rivals:
+            rival, count = options[one["name"]], count + 1
+            others = [rival if each is place else each for each in search.accepted]
+            instead = search.with_accepted(others)
+            residual = replace(seen, after=remaining_residual(instead, known))
+            curve = _curve_with(instead, known, residual, rival)[1]
+            if curve is not None:
+                out.append(replace(curve, instead_of=place.name))
+    return out
+
+
+def _curve_with(
+    search: Search, data: DiagnosisData, seen: BeforeAfter, option: Option
+) -> tuple[float, EntryCurve | None]:
+    """Return the rms of what an option that was taken makes, and its curve when there are bins enough."""
     thin = seen.thinned()
     step = -(-len(seen.before) // len(thin.before))
-    for option in search.accepted:
-        made = contribution(search, known, option)[::step]
-        curve = _curve_along_axis(thin, option, made) or _curve_of_sizes(thin, option, made)
-        if curve is not None:
-            out.append((-float(np.nanstd(made[thin.good])), curve))
-    return [curve for _, curve in sorted(out, key=lambda one: one[0])]
+    made = contribution(search, data, option)[::step]
+    curve = _curve_along_axis(thin, option, made) or _curve_of_sizes(thin, option, made)
+    return float(np.nanstd(made[thin.good])), curve
 
 
 #: Effects that are fields along fixed axes, by the beginnings of their names: drawn axis by axis.

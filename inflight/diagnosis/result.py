@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from inflight.diagnosis.words import numbers_text, what_it_is
+from inflight.diagnosis.words import fall_text, numbers_text, quantity, what_it_is
 from inflight.residual import above_floor, format_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
@@ -422,10 +422,9 @@ def sentence(facts: Mapping[str, Any]) -> str:
     """Return what a diagnosis means, in one or two sentences."""
     residual = facts["residual"]
     floor = residual["noise_floor_nT"]
-    sizes = (
-        f"residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT on days "
-        f"not used in the fit, noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
-    )
+    held_out = fall_text(residual["held_out_before_nT"], residual["held_out_after_nT"])
+    noise = f"{floor:.3g} nT" if isfinite(floor) else "unknown"
+    sizes = f"residual {held_out} nT on days not used in the fit, noise floor {noise}"
     bursts = _burst_text(facts.get("outliers", {})) + _lost_text(facts["blocks"].get("lost", {}))
     entries = ranked_entries(facts)
     parts = [entry.words for entry in entries if entry.name != LEFT]
@@ -725,11 +724,12 @@ def _signature_text(signature: Signature | None) -> str:
 def _unit_text(signature: Signature) -> str:
     often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
     steps = [
-        f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
+        f"{quantity(size, sigma, 'nT')} on {name}" for name, (size, sigma) in signature.steps.items() if sigma
     ]
     return (
         f"a unit without housekeeping was seen to switch {often}, which steps the difference of both sensors "
-        f"by {', '.join(steps)}; no channel changes with it, and the sizes are those between its switchings"
+        f"by {', '.join(steps)}; no channel changes with it; its steps are fitted at each of its switchings, "
+        "and in no other size that is told"
     )
 
 

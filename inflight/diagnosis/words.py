@@ -135,6 +135,12 @@ def _number_text(number: _Number, count: int) -> str:
     )
 
 
+def fall_text(before: float, after: float) -> str:
+    """Return two sizes with an arrow between them, to three digits; the same size only once."""
+    first, last = f"{before:.3g}", f"{after:.3g}"
+    return first if first == last else f"{first} -> {last}"
+
+
 def quantity(value: float, sigma: float, unit: str) -> str:
     """Return a value with its error to two digits of the error, in a unit that suits its size.
 

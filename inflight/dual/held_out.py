@@ -214,8 +214,8 @@ class HeldOutScore:
         """The sentence that is stored with a correction that helps."""
         what = "helps" if self.part == WHOLE else f"{self.part} is sure to help"
         return (
-            f"{self.name}: {what}: chance of harm {self.risk:.2g} with {self.units}, slope of the "
-            f"outboard reading on it {self.slope:.2f} +- {self.sigma:.2f}, held out"
+            f"{self.name}: {what}: chance of harm {self.risk:.2g} with {self.units}; on stretches it was not "
+            f"learnt from the outboard reading has {self.slope:.2f} +- {self.sigma:.2f} of it"
         )
 
     @property

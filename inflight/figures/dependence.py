@@ -31,6 +31,7 @@ from inflight.figures.style import (
     short_name,
 )
 from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
+from inflight.units import with_error
 
 if TYPE_CHECKING:
     from inflight.diagnosis import EntryCurve, LagProfile
@@ -48,7 +49,7 @@ def dependence_figure(
     or more; elsewhere they would only be noise.
     """
     plot = plain_figure(
-        f"{found.coordinate}: rms {found.amplitude:.3f} +- {found.sigma_amplitude:.3f} nT",
+        f"{found.coordinate}: rms {with_error(found.amplitude, found.sigma_amplitude)} nT",
         _axis(found.coordinate, found.unit),
         "nT",
     )
@@ -65,7 +66,7 @@ def dependence_figure(
         )
     loop = found.loop
     if loop is not None and loop.is_open:
-        apart = f"falling; apart by {loop.opening:.3f} +- {loop.sigma_opening:.3f}"
+        apart = f"falling; apart by {with_error(loop.opening, loop.sigma_opening)}"
         for branch, colour, label in ((loop.rising, BEFORE, "rising"), (loop.falling, AFTER, apart)):
             met = np.isfinite(branch.mean)
             error_band(plot, found.centre[met], branch.mean[met], branch.sigma[met], colour)
@@ -85,8 +86,9 @@ def entry_figure(found: EntryCurve) -> figure:
     Were it what is there, points lie on the line, and what is left is flat; bars are one sigma.
     """
     against = _axis(found.coordinate, found.unit) if found.axis else "what it makes (nT)"
+    instead = f" instead of {short_name(found.instead_of)}" if found.instead_of else ""
     plot = plain_figure(
-        f"{short_name(found.name)}{f': field along {found.axis}' if found.axis else ''}",
+        f"{short_name(found.name)}{instead}{f': field along {found.axis}' if found.axis else ''}",
         against,
         "nT",
         width=560,
@@ -114,7 +116,7 @@ def axis_figure(found: AxisResponse) -> figure:
     for index, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
         value, sigma = found.field[:, index], found.sigma[:, index]
         error_bars(plot, found.centre, value, sigma, colour, 0.6)
-        legend = f"{axis} {found.amplitude[index]:.3f} +- {found.sigma_amplitude[index]:.3f}"
+        legend = f"{axis} {with_error(found.amplitude[index], found.sigma_amplitude[index])}"
         plot.line(found.centre, value, color=colour, legend_label=legend)
         plot.scatter(found.centre, value, color=colour, size=4)
     legend_below(plot)

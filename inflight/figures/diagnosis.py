@@ -47,7 +47,7 @@ _WIDTH, _LEFT, _RIGHT = 1080, 10, 1070
 
 #: Heading of the part of an effect that no other parameter explains; where a coefficient acts, in words.
 NOT_ABSORBED = "share not absorbed by the calibration"
-AT_WORDS = {"difference": "vector minus scalar"}
+AT_WORDS = {"difference": "difference of both sensors"}
 
 
 def explained(residual: Mapping[str, Any]) -> float:
@@ -76,7 +76,7 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
         ("residual now", _size_text(residual["held_out_before_nT"])),
         ("with what was found", _size_text(residual["held_out_after_nT"])),
         (f"noise floor ({interval})", _size_text(residual["noise_floor_nT"])),
-        ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
+        ("explained of what is above it", "too little to share out" if np.isnan(part) else f"{part:.0%}"),
         (
             "what is left",
             "only noise" if remaining == "NOTHING_LEFT" else _HEADINGS.get(remaining, remaining),
@@ -223,7 +223,7 @@ def _values(trial: Trial | None) -> tuple[list[str], int]:
         return [], 0
     order = sorted(trial.values, key=lambda one: -abs(one[1]) / max(one[2], 1e-300))
     shown = [one for one in trial.values if one in order[:_VALUES]]
-    lines = [f"{bare_parameter(name)} {value:.3g} ± {sigma:.1g} {unit}" for name, value, sigma, unit in shown]
+    lines = [f"{bare_parameter(name)} {quantity(value, sigma, unit)}" for name, value, sigma, unit in shown]
     return lines, len(trial.values) - len(shown)
 
 

@@ -184,7 +184,7 @@ def switching_steps_figure(difference: Floats, outboard: Floats, corrected: Floa
     plot = plain_figure(
         f"Steps at switchings along {_AXES[axis]}",
         "step of the difference (nT)",
-        "step of the outboard field (nT)",
+        "outboard step (nT)",
     )
     for values, colour, label in ((outboard, BEFORE, "as measured"), (corrected, AFTER, "corrected")):
         plot.scatter(

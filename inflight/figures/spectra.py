@@ -18,10 +18,10 @@ from inflight.residual import SERIES, Line, SpectrumSum, format_period, thin_spe
 
 #: What each series is called above its figure.
 _TITLES = {
-    "residual": "Spectrum of the residual dB",
-    "x": "Spectrum of dB u_x",
-    "y": "Spectrum of dB u_y",
-    "z": "Spectrum of dB u_z",
+    "residual": "Spectrum of the residual",
+    "x": "Spectrum of the residual along x",
+    "y": "Spectrum of the residual along y",
+    "z": "Spectrum of the residual along z",
 }
 
 #: Unknown lines that get a mark, largest first.

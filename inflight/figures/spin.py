@@ -41,6 +41,7 @@ from inflight.spin import (
     Tones,
 )
 from inflight.time import Int64, to_utc
+from inflight.units import with_error
 
 #: Distance of markers of different kinds, in intervals.
 _APART = 0.12
@@ -71,7 +72,7 @@ def _days_panel(table: xr.Dataset, selected: tuple[Floats, Floats], name: str) -
     row = table.isel(parameter=[str(one).split(".", 1)[1] for one in table["parameter"].values].index(name))
     prior, unit = float(row["prior"]), str(row["units"].values)
     plot = plain_figure(
-        f"{name}, pre-flight {prior:.6g} +- {float(row['prior_sigma']):.2g}",
+        f"{name}, pre-flight {with_error(prior, float(row['prior_sigma']))}",
         "",
         f"less pre-flight ({unit})",
         x_axis_type="datetime",
@@ -108,7 +109,7 @@ def zero_drift_figure(table: xr.Dataset, rate: dict[str, tuple[float, float]]) -
         row = table.isel(parameter=names.index(name))
         change, sigma = row["own"].values - float(row["prior"]), row["own_sigma"].values
         known = np.isfinite(sigma)
-        drift = f": {rate[name][0]:+.3g} +- {rate[name][1]:.1g} nT a day" if name in rate else ""
+        drift = f": {with_error(*rate[name])} nT a day" if name in rate else ""
         error_bars(plot, middle[known], change[known], sigma[known], colour, 0.5)
         plot.scatter(middle[known], change[known], color=colour, size=6, legend_label=f"{name}{drift}")
     legend_below(plot)
@@ -410,7 +411,7 @@ def tone_dependence_figure(found: ToneDependence, tone: int) -> figure:
     one = found.coordinate
     size, error = found.amplitude[tone], found.sigma_amplitude[tone]
     label = f"{one.name} ({one.unit})" if one.unit and one.unit != "1" else one.name
-    plot = plain_figure(f"{one.name}: {tone_name(tone)}, rms {size:.4f} +- {error:.4f} nT", label, "nT")
+    plot = plain_figure(f"{tone_name(tone)}: {with_error(size, error)} nT", label, "nT")
     plot.title.text_font_size = "10px"
     met = np.isfinite(found.mean[:, tone])
     order = np.flatnonzero(met)[np.argsort(found.centre[met])]

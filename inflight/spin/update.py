@@ -339,13 +339,19 @@ class ValueInUse:
         return made, self, float(np.sqrt(min(moved, sigma**2 + apart)))
 
 
+def _rounded_times(ratio: float) -> str:
+    """Return a ratio to two digits, without a power of ten: 2.6, 38, 26000."""
+    return f"{float(f'{ratio:.2g}'):.15g}"
+
+
 def accept_first_value(made: Decision) -> Decision:
     """Return the decision to take a first value of the flight: no product was made before it."""
     better = made.present_sigma / made.sigma
+    times = _rounded_times(better)
     return replace(
         made,
         verdict="update",
-        reason=f"the first value that the flight tells, known {better:.3g} times better than on the ground",
+        reason=f"the first value that the flight tells, known {times} times better than on the ground",
     )
 
 

@@ -431,7 +431,7 @@ def diagnosis_data(made: PassResult, mission: Mission) -> DiagnosisData:
     """Return what a verdict needs in addition to the search."""
     return DiagnosisData(
         mission=mission,
-        model=made.used.model,
+        model=replace(made.used.model, version=made.used.version),
         linearised=made.plan.model,
         series=made.loaded.series,
         sums=dict(made.loaded.sums),

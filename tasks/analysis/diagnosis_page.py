@@ -34,6 +34,7 @@ from inflight.diagnosis import (
     periods_of,
     residual_lines,
     responses,
+    rival_curves,
     sizes_of,
     superposed_epoch,
     trials,
@@ -93,7 +94,7 @@ def where_it_fails(seen: BeforeAfter) -> Section:
         "days or steps. The calibration is fitted before and after; both share one scale of colours."
     ]
     if not seen.is_scalar:
-        note.append(f"The residual has several rows; row {'xyz'[seen.row]}, the largest, is drawn.")
+        note.append(f"The residual has three components; {'xyz'[seen.row]}, the largest, is drawn.")
     along = along_field(seen)
     if along:
         note.append(
@@ -107,9 +108,10 @@ def where_it_fails(seen: BeforeAfter) -> Section:
     )
 
 
-def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData) -> Section:
+def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return a figure of each effect that was found: what is measured, what it makes, and what is left."""
     curves = entry_curves(search, data, seen)
+    rivals = rival_curves(search, data, seen, found.confusion_set) if curves else []
     note = (
         "One figure an effect, the strongest first. Points are what is measured with everything else in the "
         "model, the line is what the effect would make with the numbers found, and the dotted line what is "
@@ -117,8 +119,16 @@ def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData) -> S
         "left is flat; points that leave the line say that its form is another one. Fields along an axis are "
         "drawn less their mean."
     )
+    if rivals:
+        note += (
+            " Then come causes that cannot be told from these, each in the place of its rival: where their "
+            "figures look alike, these data do not tell which it is."
+        )
+    left = left_figures(seen, found)
     text = [paragraph(note, kind="quiet")] if curves else []
-    return "What each cause would make", text, [entry_figure(one) for one in curves]
+    if left:
+        text.append(paragraph("What is left is drawn folded by the period it repeats with.", kind="quiet"))
+    return "What each cause would make", text, [*(entry_figure(one) for one in [*curves, *rivals]), *left]
 
 
 def what_it_follows(seen: BeforeAfter, found: Diagnosis) -> Section:
@@ -208,7 +218,7 @@ def error_falls(seen: BeforeAfter, search: Search, data: DiagnosisData, found: D
 
 
 def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
-    """Lag profiles of responses, epochs of events, and the fold of a period that remains."""
+    """Lag profiles of responses, and epochs of events."""
     plots: list[Any] = []
     rows = float(search.forms["raw"].count.sum())
     for option in search.accepted[:_EFFECTS]:
@@ -220,15 +230,20 @@ def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
                 epoch_figure(short_name(option.name), superposed_epoch(seen, when))
                 for when in option.change.at
             ]
-    signature: Signature | None = found.remaining.get("signature")
-    if signature is not None and signature.period_s:
-        good, series = seen.good, seen.series
-        seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, seen.after.shape[1])
-        y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-        curve = fold_by_period(seconds, y, u, signature.period_s)
-        plots.append(fold_figure(format_period(signature.period_s), *curve))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [paragraph(note, kind="quiet")] if plots else [], plots
+
+
+def left_figures(seen: BeforeAfter, found: Diagnosis) -> list[Any]:
+    """Return what is left folded by the period it repeats with; nothing when it has none."""
+    signature: Signature | None = found.remaining.get("signature")
+    if signature is None or not signature.period_s:
+        return []
+    good, series = seen.good, seen.series
+    seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, seen.after.shape[1])
+    y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
+    curve = fold_by_period(seconds, y, u, signature.period_s)
+    return [fold_figure(format_period(signature.period_s), *curve)]
 
 
 # Cross-talk.
@@ -365,7 +380,7 @@ def diagnosis_sections(
             [strip, *entries_html(fields), *found_effects_html(fields), *separating_blocks_html(fields)],
             [],
         ),
-        what_each_makes(seen, search, data),
+        what_each_makes(seen, search, data, found),
         where_it_fails(seen),
         what_it_follows(seen, found),
         spectrum(seen, data),

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from tiny_mission import make_tiny_workspace
 
-from inflight.cli.command import PIPED_WIDTH, Command
+from inflight.cli.command import PIPED_WIDTH, Command, text_table
 from inflight.tasks import RunReport, print_report
 from inflight.tasks.report import problem
 
@@ -138,3 +138,31 @@ def test_tables_in_a_pipe_are_wide_enough_for_paths(monkeypatch):
     assert Command().console.width == PIPED_WIDTH
     monkeypatch.setenv("COLUMNS", "70")
     assert Command().console.width == 70
+
+
+WIDE_ROW = ("channel_field(electronics_temperature)", "temperature", "0.00011", "0.277")
+HEADS = ("candidate", "family", "alone takes off, nT", "t")
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_no_word_of_a_table_is_broken_or_lost_however_narrow_the_window(width):
+    from io import StringIO
+
+    from rich.console import Console
+
+    made = StringIO()
+    Console(file=made, width=width).print(text_table(HEADS, [WIDE_ROW], right=("t",), folded=HEADS[:1]))
+    shown = made.getvalue().split()
+    for word in WIDE_ROW:
+        assert any(part.strip(",") == word for part in shown), made.getvalue()
+    assert max(map(len, made.getvalue().splitlines())) <= width
+
+
+def test_a_table_that_fits_is_one_line_a_row():
+    from io import StringIO
+
+    from rich.console import Console
+
+    made = StringIO()
+    Console(file=made, width=200).print(text_table(HEADS, [WIDE_ROW]))
+    assert len(made.getvalue().splitlines()) == 2

@@ -26,6 +26,17 @@ def test_a_spinning_mission_goes_through_the_verbs(inflight, root):
     assert shown.code == 0
 
 
+def test_a_table_is_shown_with_its_values_and_where_they_came_from(inflight, root):
+    shown = inflight("catalog", "show", "tables/main-daily", "-w", root).out
+    assert "gain_ratio" in shown
+    assert "from ground" in shown or "ground" in shown
+    assert "covariance" in shown.splitlines()[-1]
+    zero = inflight("catalog", "show", "tables/main-zero-level-daily", "-w", root)
+    methods = zero.out if zero.code == 0 else inflight("catalog", "show", "main-zero-level", "-w", root).out
+    for method in ("davis-smith", "wang-pan", "minimum correlation"):
+        assert method in methods
+
+
 def test_compare_tells_what_still_goes_with_the_spin(inflight, root):
     told = inflight("compare", "--json", "-w", root)
     assert told.code == 0
@@ -33,7 +44,12 @@ def test_compare_tells_what_still_goes_with_the_spin(inflight, root):
     assert residual["after_nT"] < 0.02 < 1.0 < residual["before_nT"]
     assert 0 < residual["noise_floor_nT"] < 0.02
     assert [(one["row"], one["harmonic"]) for one in told.json["tones"]][:2] == [("axial", 1), ("axial", 2)]
-    assert "noise floor" in inflight("compare", "-w", root).out
+    shown = inflight("compare", "-w", root).out
+    assert "noise floor" in shown
+    low = residual["noise_floor_interval_nT"][0]
+    assert ("the residual is below it" in shown) == (low is not None and residual["after_nT"] < low)
+    assert told.json["model_version"] == inflight("model", "show", "--json", "-w", root).json["version"] == 1
+    assert "next: " in shown
 
 
 def test_the_tables_of_the_spin_are_told_and_drawn(inflight, root, tmp_path):

@@ -20,11 +20,14 @@ from inflight.diagnosis import (
     Features,
     Series,
     along_field,
+    before_after,
     calibration_biases,
     cross_talk,
+    entry_curves,
     error_waterfall,
     heat_maps,
     responses,
+    rival_curves,
     run_search,
     sizes_of,
     superposed_epoch,
@@ -32,6 +35,7 @@ from inflight.diagnosis import (
 )
 from inflight.diagnosis.figure_data import VIEW_SETTINGS
 from inflight.errors import CatalogError
+from inflight.tasks import current_model
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
 from inflight.tasks.analysis.diagnosis_page import diagnosis_page
@@ -150,6 +154,26 @@ def test_the_hidden_heater_is_what_the_page_is_about(made):
     assert fields["command"] == "report"
     assert fields["path"] == str(made.path)
     assert json.dumps(fields)
+
+
+def test_a_rival_is_drawn_in_the_place_of_the_cause_it_rivals(searched):
+    search, data, _ = searched
+    (taken,) = search.accepted
+    others = [one for one in search.options if one.change is None and one.name != taken.name]
+    rival = next(one for one in others if "heater_current" in one.channels)
+    seen = before_after(search, data)
+    named = [{"name": taken.name}, {"name": rival.name}, {"name": "sensor.offset[x]"}]
+    (own,) = entry_curves(search, data, seen)
+    (instead,) = rival_curves(search, data, seen, named)
+    assert (instead.name, instead.instead_of) == (rival.name, taken.name)
+    assert own.instead_of == ""
+    # This one is no rival in truth: what it leaves says so.
+    assert np.std(instead.left) > 3 * np.std(own.left)
+
+
+def test_the_report_names_the_version_that_the_catalog_has(made, place):
+    used = current_model(Catalog(place.root), place.mission(), "main")
+    assert made.as_json()["model"]["version"] == used.version == 1
 
 
 def test_the_page_is_written_whole_and_small(made):

@@ -7,6 +7,7 @@ import pytest
 from tiny_mission import TINY_GAIN, TINY_OFFSET, TINY_START, deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Day, Workspace
+from inflight.tasks.analysis import compare
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
@@ -174,3 +175,14 @@ def test_daily_tables_and_products_agree_on_the_residual(tiny):
     for index, told in enumerate(table["after"].values):
         residual = tiny.cat.read_day(PRODUCT, day_at(index))["residual"].values
         assert float(np.nanstd(residual)) == pytest.approx(float(told), rel=0.1)
+
+
+def test_products_of_a_fit_of_all_days_are_compared_without_any_other_table(tiny, tmp_path):
+    report = tiny.run(ReprocessSettings(table="continuous", trend="linear", batch_days=2))
+    assert report.exit_code == 0
+    assert not tiny.cat.tables("main-window")
+    page = tmp_path / "compare.html"
+    found = compare(tiny.cat, tiny.mission, output=page).as_json()
+    assert found["residual"]["after_nT"] == pytest.approx(report.extra["residual"]["after_nT"], rel=0.05)
+    assert set(found["parameters"]["determined"]) >= {"vector_sensor.offset[x]"}
+    assert "Parameters" in page.read_text(encoding="utf-8")

@@ -29,7 +29,7 @@ from .compare_rows import (
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
 from .origins import model_label, table_label
-from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_error
+from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_unit
 from .pipeline import Pipeline, Versions
 from .planning import (
     ALL_DAYS_STATISTICS,
@@ -126,5 +126,5 @@ __all__ = [
     "table_label",
     "tables_in_use",
     "window_edges",
-    "with_error",
+    "with_unit",
 ]

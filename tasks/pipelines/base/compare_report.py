@@ -253,7 +253,9 @@ class CompareReport:
         if not isfinite(level):
             yield f"noise floor                  {_NO_FLOOR}"
             return
-        yield f"noise floor                  {level:9.4f} nT"
+        # Estimated at other frequencies or times than the residual: it may lie above what is left.
+        limit = "  (the residual is below it: an upper limit here)" if clear < self.floor.low_nT else ""
+        yield f"noise floor                  {level:9.4f} nT{limit}"
         left = f"{self.above_floor:.3g} nT"
         if self.earlier is not None:
             left = f"{self.earlier.above_floor:.3g} -> {left}"
@@ -291,9 +293,19 @@ def each_day(days: Sequence[Day], progress: Progress) -> Iterator[Day]:
 
 
 def tables_in_use(cat: Catalog, comparison: str, day: Day) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the table of daily fits that holds on a day, and the one that products use."""
-    daily, used = (cat.table(f"{comparison}-{kind}", str(day.day)) for kind in ("daily", "window"))
-    return daily, used
+    """Return the table of daily fits that holds on a day, and the one that products use.
+
+    A workspace that was only ever fitted to all days at once has those of that fit.
+    """
+    at, made = str(day.day), {record.name for record in cat.tables()}
+    alone = [f"{comparison}-{kind}" for kind in ("daily-after", "continuous")]
+    if f"{comparison}-window" in made or not made.issuperset(alone):
+        return cat.table(f"{comparison}-daily", at), cat.table(f"{comparison}-window", at)
+    daily, used = (cat.table(name, at) for name in alone)
+    # What was known beforehand stands in the table of the fit.
+    shared = [name for name in used["parameter"].values if name in daily["parameter"].values]
+    known = used.sel(parameter=shared)
+    return daily.sel(parameter=shared).assign({name: known[name] for name in ("prior", "prior_sigma")}), used
 
 
 def day_summary(

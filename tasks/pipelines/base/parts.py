@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import floor, log10
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from inflight.errors import InflightError
 from inflight.figures import Section, paragraph
 from inflight.plumbing import Finding
-
-#: Numbers smaller than this are written with an exponent.
-_PLAIN = 1e-4
+from inflight.units import with_error
 
 
 class TextLine(NamedTuple):
@@ -102,14 +97,6 @@ class TablesReport:
         return self.lines
 
 
-def with_error(value: float, sigma: float) -> str:
-    """Return a value and its error to the same digit, two of the error's: ``-0.0450 ± 0.0012``."""
-    if not np.isfinite(value):
-        return ""
-    if not 0.0 < sigma < float("inf"):
-        return f"{value:.5g}"
-    place = floor(log10(sigma)) - 1
-    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
-        return f"{value:.{-place}f} ± {sigma:.{-place}f}"
-    digits = max(1, floor(log10(max(abs(value), sigma))) - place)
-    return f"{value:.{digits}e} ± {sigma:.1e}"
+def with_unit(value: float, sigma: float, unit: str) -> str:
+    """Return a value with its error and its unit; one without a unit ends with the error."""
+    return f"{with_error(value, sigma)} {'' if unit == '1' else unit}".rstrip()

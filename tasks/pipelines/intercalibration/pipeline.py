@@ -156,21 +156,21 @@ class RelationPipeline(Pipeline):
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     """Return how two vector sensors stand to each other, and which of the three disagrees."""
-    from inflight.tasks.pipelines.base import TextLine
+    from inflight.tasks.pipelines.base import TextLine, with_unit
 
     sections = fields["sections"]
     first, last = fields["span"]
     items = {name: section.get("items", []) for name, section in sections.items()}
     lines = [
-        f"{one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}"
+        f"{one['name']} {with_unit(one['value'], one['sigma'], one['unit'])}"
         for one in items.get("relation", [])
     ]
     lines += [
-        f"variance of the {one['sensor']} sensor {one['variance']:.4g} ± {one['sigma']:.2g} nT^2"
+        f"variance of the {one['sensor']} sensor {with_unit(one['variance'], one['sigma'], 'nT^2')}"
         for one in items.get("corners", [])
     ]
     lines += [
-        f"{one['day']} bend {one['value']:.4f} ± {one['sigma']:.2g} {one['unit']}"
+        f"{one['day']} bend {with_unit(one['value'], one['sigma'], one['unit'])}"
         for one in items.get("bending", [])[-_LISTED:]
     ]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"

@@ -21,10 +21,11 @@ from inflight.figures import (
     sensor_variance_figure,
 )
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import Part, newest_tables, with_error
+from inflight.tasks.pipelines.base import Part, newest_tables
 from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
 from inflight.tasks.report import write_page
 from inflight.time import day_of
+from inflight.units import with_error
 
 
 def relation_report(

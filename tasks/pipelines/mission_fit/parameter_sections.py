@@ -47,7 +47,7 @@ from inflight.mission_fit import (
     measure_event_steps,
     running_mean,
 )
-from inflight.tasks.pipelines.base import Part, with_error
+from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.sections import MISSION_REPORT_SETTINGS, NINE_SHOWN
 from inflight.tasks.pipelines.mission_fit.tables import (
@@ -59,6 +59,7 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     time_shifts,
 )
 from inflight.time import DAY, mjd2000, to_tt2000
+from inflight.units import with_error
 
 
 class Deviation(NamedTuple):

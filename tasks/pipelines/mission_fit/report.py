@@ -15,7 +15,7 @@ from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
-from inflight.tasks.pipelines.base import Part, TextLine
+from inflight.tasks.pipelines.base import Part, TextLine, with_unit
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults, read_mission_fit
 from inflight.tasks.pipelines.mission_fit.parameter_sections import (
     behaviour,
@@ -142,7 +142,7 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
     return [
         f"{head} beyond {MISSION_REPORT_SETTINGS.far_sigma:g} sigma of what was known before:",
         *(
-            f"  {one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']} "
+            f"  {one['name']} {with_unit(one['value'], one['sigma'], one['unit'])} "
             f"({one['shift_sigma']:+.1f})"
             for one in sorted(far, key=lambda one: -abs(one["shift_sigma"]))
         ),
@@ -157,7 +157,7 @@ def _cross_talk_lines(found: Mapping[str, Any]) -> list[str]:
             out.append(f"ignoring {found['ignored']} = {found['size']:g} {found['size_unit']}, {how}:")
             rows = sorted(rows, key=lambda one: -abs(one["shift"]) / max(one["sigma"], 1e-300))
             out += [
-                f"  {one['parameter']} {one['shift']:+.4g} ± {one['sigma']:.2g} {one['unit']}"
+                f"  {one['parameter']} {with_unit(one['shift'], one['sigma'], one['unit'])}"
                 for one in rows[: MISSION_REPORT_SETTINGS.listed_shifts]
             ]
     return out

@@ -47,10 +47,11 @@ from inflight.mission_fit import (
     stack_epochs,
 )
 from inflight.model import component_names
-from inflight.tasks.pipelines.base import Part, with_error
+from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.tables import node_times, torquer_band
 from inflight.time import Int64, to_utc
+from inflight.units import with_error
 
 
 @dataclass(frozen=True, kw_only=True)

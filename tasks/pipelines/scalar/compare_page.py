@@ -48,6 +48,7 @@ from inflight.tasks.pipelines.base import (
     structures_html,
 )
 from inflight.time import to_utc
+from inflight.units import with_error
 
 #: Points of the figure of the residual in time, at most: what a browser can draw.
 _POINTS = 20_000
@@ -232,7 +233,7 @@ def _lines(report: CompareReport) -> list[str]:
             line.label or line.follows or "unknown",
             f"{line.ratio:.0f}",
             *(
-                f"{a:.4f} +- {s:.4f}" if np.isfinite(a) else ""
+                with_error(a, s) if np.isfinite(a) else ""
                 for a, s in zip(line.amplitude, line.sigma, strict=True)
             ),
         )

@@ -61,6 +61,7 @@ from inflight.tasks.pipelines.base import (
 )
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
+from inflight.units import with_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,11 +137,11 @@ def _residual(report: SpinCompareReport, drawn: SpinDrawn) -> SectionBody:
         (tone_name(tone), f"{before:.5f}", f"{after:.5f}")
         for tone, (before, after) in enumerate(zip(*report.tones, strict=True))
     ]
-    rows.append(("all, a row", f"{report.before.rms:.5f}", f"{report.after.rms:.5f}"))
+    rows.append(("all, a component", f"{report.before.rms:.5f}", f"{report.after.rms:.5f}"))
     floor = report.floor
     note = (
         f"Rms over intervals, by weights that fall with nature's own noise in each. Nature's noise at the "
-        f"neighbouring frequencies would alone leave {floor.level_nT:.5f} nT a row (95 % interval "
+        f"neighbouring frequencies would alone leave {floor.level_nT:.5f} nT a component (95 % interval "
         f"{floor.low_nT:.5f} to {floor.high_nT:.5f}): how much a turn's tones differ from the next turn's. "
         f"{report.skipped} samples of turns with too few readings are left out."
     )
@@ -165,8 +166,15 @@ def _dependences(report: SpinCompareReport, drawn: SpinDrawn) -> SectionBody:
         tone = one.strongest
         slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
         unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
-        amplitude = f"{one.amplitude[tone]:.4f} +- {one.sigma_amplitude[tone]:.4f}"
-        rows.append((one.coordinate.name, tone_name(tone), amplitude, f"{slope:.3g} +- {sigma:.1g} {unit}"))
+        amplitude = with_error(one.amplitude[tone], one.sigma_amplitude[tone])
+        rows.append(
+            (
+                one.coordinate.name,
+                tone_name(tone),
+                amplitude,
+                f"{with_error(float(slope), float(sigma))} {unit}",
+            )
+        )
     head = ("channel", "residual tone in step with it", "rms, nT", "size for each unit")
     varying = [one for one in drawn.found if len(one.centre) > 1]
     varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
@@ -288,6 +296,7 @@ def compare_spin(
         [],
         daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         skipped=found.skipped,
+        version=cat.context(str(days[-1].context)).model_version if days[-1].context else 0,
         tones=(before.size, after.size),
     )
     steady = coordinates["spin phase"]

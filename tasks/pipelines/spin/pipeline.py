@@ -174,13 +174,13 @@ class SpinPipeline(Pipeline):
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     """Return the twelve parameters with their origin, what days replaced, zero levels, and the phase."""
-    from inflight.tasks.pipelines.base import TextLine
+    from inflight.tasks.pipelines.base import TextLine, with_unit
 
     sections = fields["sections"]
     first, last = fields["span"]
     lines = [
-        f"{one['name']:<17} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}, from {one['origin']}; "
-        f"{one['decision'] or 'nothing decided'}: {one['reason']}"
+        f"{one['name']:<17} {with_unit(one['value'], one['sigma'], one['unit'])}, from {one['origin']}; "
+        f"{f'{word}: ' if (word := one['decision']) else ''}{one['reason']}"
         for one in sections["twelve"]["items"]
     ]
     lines.append(f"these remain at their ground values: {', '.join(sections['twelve']['ground']) or 'none'}")

@@ -29,10 +29,11 @@ from inflight.figures import (
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED
-from inflight.tasks.pipelines.base import Part, with_error
+from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
 from inflight.time import DAY, day_of
+from inflight.units import with_error
 from inflight.zero_level import COMBINED_METHODS
 
 #: Days with an update, and days of phase, that the page lists.
@@ -239,7 +240,7 @@ def _zero_levels(found: SpinResults) -> Part:
     part.fields = {
         "items": items,
         "drift": {
-            name: {"nT_per_day": rate, "sigma": sigma, "sentence": f"{rate:+.3g} +- {sigma:.1g} nT a day"}
+            name: {"nT_per_day": rate, "sigma": sigma, "sentence": f"{with_error(rate, sigma)} nT a day"}
             for name, (rate, sigma) in rates.items()
         },
     }
