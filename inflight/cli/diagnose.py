@@ -167,7 +167,7 @@ def add(
         except (OSError, UnicodeDecodeError) as error:
             remedy = "name a file with one entry of a model, or write the entry itself"
             raise SettingsError(f"{effect}: {error}", remedy=remedy) from None
-    _revise(command, comparison, workers, lambda bench: bench.add(entry, empirical=empirical))
+    _revise(command, comparison, workers, lambda bench: bench.add(entry, empirical=empirical), ("add", entry))
 
 
 def drop(

@@ -31,7 +31,7 @@ from .figure_data import (
 )
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
-from .requests import Request, addition_of_entry, best_lag, find_request, held_already
+from .requests import Request, addition_of_entry, best_lag, find_request, held_already, require_known
 from .residual import DiagnosisData, Native
 from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
@@ -130,6 +130,7 @@ __all__ = [
     "plain_json",
     "project_out",
     "quantity",
+    "require_known",
     "residual_lines",
     "responses",
     "rival_curves",

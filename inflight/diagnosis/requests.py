@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,7 +34,7 @@ from inflight.diagnosis.time_changes import DRIFTS, block_length, lines_between_
 from inflight.effects import channels_of, known_effects
 from inflight.errors import ModelError, did_you_mean
 from inflight.frames import GEOMETRY
-from inflight.mission import sensors_of
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, TimedValue, make_effect
 from inflight.samples import base_channels, parse_channel
 from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
@@ -230,17 +230,45 @@ def _addition_of_text(maker: AdditionMaker, given: Mapping[str, Any]) -> Additio
     return found.as_empirical() if given.get("empirical") else found
 
 
-def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
-    sensors = sensors_of(maker.mission, maker.model.comparison)
-    entry = make_effect(given, sensors, maker.model.own, maker.mission)
-    known = {*channels_of(maker.mission), *GEOMETRY}
-    for channel in (base for name in entry.effect.channels for base in base_channels(name)):
+def require_known(effect: str | Mapping[str, Any], model: Model, mission: Mission) -> None:
+    """Refuse an entry of a model, or an effect of a channel, that the mission cannot have; reads no data.
+
+    Raises
+    ------
+    ModelError
+        Names that only a search may know are left to `find_request`.
+    """
+    given = _parse_entry(effect)
+    if isinstance(given, str):
+        match, kinds = _MADE.match(given), known_effects(model.own)
+        if match is None or "channel" not in getattr(kinds.get(match["effect"]), "option_names", list)():
+            return
+        _require_channels(match["effect"], base_channels(match["channel"].strip()), mission)
+    else:
+        entry = make_effect(given, sensors_of(mission, model.comparison), model.own, mission)
+        _require_channels_of(entry, mission)
+
+
+def _require_channels_of(entry: ModelEffect, mission: Mission) -> None:
+    channels = [base for name in entry.effect.channels for base in base_channels(name)]
+    _require_channels(entry.effect.label(), channels, mission)
+
+
+def _require_channels(label: str, channels: Iterable[str], mission: Mission) -> None:
+    known = {*channels_of(mission), *GEOMETRY}
+    for channel in channels:
         if channel not in known:
             raise ModelError(
-                f"effect '{entry.effect.label()}' needs channel {channel!r}, which the mission has not"
+                f"effect '{label}' needs channel {channel!r}, which the mission has not"
                 f"{did_you_mean(channel, known)}",
                 remedy="name it in the mission YAML, or give the option 'channel'",
             )
+
+
+def _unmarked_addition(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
+    sensors = sensors_of(maker.mission, maker.model.comparison)
+    entry = make_effect(given, sensors, maker.model.own, maker.mission)
+    _require_channels_of(entry, maker.mission)
     plain = not set(given) & set(entry.parameters)
     candidate, lag = _matching_candidate(maker, entry)
     # A dipole's columns are those of both sensors; a candidate's are of one.

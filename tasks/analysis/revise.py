@@ -42,6 +42,7 @@ from inflight.diagnosis import (
     line_of,
     neutral_changes,
     plain_json,
+    require_known,
     row_variance,
     run_search,
     time_variable_columns,
@@ -943,7 +944,7 @@ def require_change(workspace: Workspace, comparison: str, verb: str, *names: str
     Parameters
     ----------
     verb : str
-        ``drop``, ``refit``, ``set`` or ``undo``.
+        ``add``, ``drop``, ``refit``, ``set`` or ``undo``.
     names : str
         What the verb was given. What only the Gram blocks can tell is left to the change itself.
 
@@ -958,6 +959,8 @@ def require_change(workspace: Workspace, comparison: str, verb: str, *names: str
     current = current_model(cat, mission, comparison)
     model = current.model
     effects = [entry.name for entry in model.effects]
+    if verb == "add":
+        require_known(names[0], model, mission)
     if verb == "undo":
         version_before_change(cat, mission, current)
     # Additions go by the name that a search gave them, too: it has more than a word.

@@ -91,3 +91,18 @@ def test_an_unknown_comparison_is_wrong_usage(inflight, champ):
     told = inflight("model", "show", "--comparison", "man", "--json", "-w", champ.root)
     assert told.code == 2
     assert "did you mean 'main'" in told.json["error"]["message"]
+
+
+def test_an_effect_of_a_channel_that_is_not_there_is_refused_before_any_data_are_read(
+    inflight, champ, monkeypatch
+):
+    from inflight.tasks.analysis import revise
+
+    monkeypatch.setattr(revise.Workbench, "__post_init__", lambda bench: pytest.fail("data were read"))
+    for wrong in ("channel_field(heater_curent)", "{effect: channel_field, channel: heater_curent}"):
+        told = inflight("add", wrong, "--workspace", champ.root)
+        assert told.code == 1
+        assert "heater_current" in told.out + told.err
+    for wrong in ("{effect: channel_feld, channel: heater_current}",):
+        told = inflight("add", wrong, "--workspace", champ.root)
+        assert "channel_field" in told.out + told.err
