@@ -297,7 +297,14 @@ def test_the_table_shows_what_was_taken_its_rivals_and_the_placebo_behind_the_ba
     html = whole(
         candidate_table(ROWS, {ROWS[0]["name"]: trial}, {ROWS[0]["name"]: ("channel_field(<heater>)",)})
     )
-    for told in ("solar_current, lag 40 s", "taken", "or &lt;heater&gt;", "x +2.00 +- 0.10 nT/A", "50.0%", "0.25"):
+    for told in (
+        "solar_current, lag 40 s",
+        "taken",
+        "or &lt;heater&gt;",
+        "x +2.00 +- 0.10 nT/A",
+        "50.0%",
+        "0.25",
+    ):
         assert told in html
     assert "camera~1" not in html, "a placebo is no candidate"
     bars = [float(width) for width in re.findall(r'<rect x="0" y="\d+" width="([\d.]+)"', html)]
