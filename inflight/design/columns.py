@@ -168,7 +168,11 @@ def _columns_in_and_out(term: Term, rows: DesignRows) -> Iterator[Floats | _Colu
                 pairs.sort(key=lambda pair: pair[1])
             yield from (_Column(direction[axis], series[source]) for axis, source in pairs)
         elif entry.is_additive:
-            yield from (_additive(term, rows, values, name, index, step) for index in range(kinds[name].size))
+            directions = _directions_of(entry, rows)
+            yield from (
+                _additive(term, rows, directions, values, name, index, step)
+                for index in range(kinds[name].size)
+            )
         elif entry.effect.axis_by_axis and kinds[name].size == len(AXES):
             yield from _differenced_by_axis(term, rows, values, name, step)
         else:
@@ -184,9 +188,8 @@ def _of_difference(difference: Difference, rows: DesignRows) -> Floats:
     for low, high in zip(difference.low, difference.high, strict=True):
         sensor = low.sensor
         if low.is_additive:
-            for one, sign in ((high, 1.0), (low, -1.0)):
-                field = one.effect.field(rows.samples, one.values(times), sensor)
-                found -= sign * np.einsum("tra,ta->tr", _directions_of(one, rows), field)
+            fields = [one.effect.field(rows.samples, one.values(times), sensor) for one in (high, low)]
+            found -= np.einsum("tra,ta->tr", _directions_of(high, rows), fields[0] - fields[1])
             continue
         reading = np.asarray(rows.samples[sensor.role].values, dtype=np.float64)
         made = [one.effect.correct(reading, rows.samples, one.values(times), sensor) for one in (high, low)]
@@ -219,14 +222,20 @@ def _with_step(values: Mapping[str, Floats], name: str, index: int | slice, step
 
 
 def _additive(
-    term: Term, rows: DesignRows, values: Mapping[str, Floats], name: str, index: int, step: float
+    term: Term,
+    rows: DesignRows,
+    directions: Floats,
+    values: Mapping[str, Floats],
+    name: str,
+    index: int,
+    step: float,
 ) -> Floats:
     """Column of an effect that only adds a field: one evaluation, it is linear."""
     entry = term.entry
     others = {key: value * 0.0 if key in term.parameters else value for key, value in values.items()}
     others[name] = others[name] * 0.0
     field = entry.effect.field(rows.samples, _with_step(others, name, index, step), entry.sensor)
-    return np.asarray(-np.einsum("tra,ta->tr", _directions_of(entry, rows), field))
+    return np.asarray(-np.einsum("tra,ta->tr", directions, field))
 
 
 def _differenced(

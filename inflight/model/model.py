@@ -108,13 +108,19 @@ def with_dipole(entry: ModelEffect, given: Any, sensors: Mapping[str, Sensor]) -
     Raises
     ------
     ModelError
-        When the effect is no added field, a position is unknown, or both sensors would see the same field.
+        When the effect is no added field of a vector sensor, a position is unknown, or both sensors would
+        see the same field.
     """
     if given is None:
         return replace(entry, dipole=None, others=())
     if not entry.effect.is_additive:
         raise ModelError(
             f"'{entry.name}' has a dipole and does more than add a field", remedy="take 'dipole' out"
+        )
+    if entry.sensor.is_scalar:
+        raise ModelError(
+            f"'{entry.name}' has a dipole and acts on {entry.sensor.name}, a scalar sensor",
+            remedy="name the vector sensor: its field is what the numbers of a dipole are",
         )
     dipole = _dipole_of(entry.name, given)
     others = tuple(one for one in sensors.values() if one.name != entry.sensor.name)

@@ -149,3 +149,9 @@ def test_an_effect_that_follows_the_field_is_no_dipole_of_a_current():
     text = "effects:\n  - {effect: induced, sensor: ovm, dipole: {sigma: 0.1}}\n"
     with pytest.raises(ModelError, match="more than add a field"):
         Model.parse(text, MISSION)
+
+
+def test_the_numbers_of_a_dipole_are_those_of_the_vector_sensor():
+    text = TEXT.replace("name: battery\n    sensor: fgm", "name: battery\n    sensor: ovm")
+    with pytest.raises(ModelError, match="name the vector sensor"):
+        Model.parse(text.format(dipole="dipole: {sigma: 0.1}"), MISSION)

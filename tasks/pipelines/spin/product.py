@@ -18,9 +18,9 @@ from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
 
-#: Flags of samples that count in the coverage.
 #: A matrix for each of the twelve parameters: 1 where it meets itself.
 _ONE_EACH = np.eye(12)[:, :, None] * np.eye(12)[:, None, :]
+#: Flags of samples that count in the coverage.
 _HARMLESS = (
     Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.PHASE_BRIDGED | Flag.EXTRAPOLATED
 )
