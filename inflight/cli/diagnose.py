@@ -535,17 +535,19 @@ def _next_step(fields: Fields) -> str:
         return "next: mend the mission file as told above, then inflight ingest and inflight diagnose"
     if fields["command"] == "auto" and fields.get("versions"):
         return "next: inflight reprocess, then inflight compare    (take the last one back: inflight undo)"
-    entries = fields.get("entries", ())
+    entries = [each for each in fields.get("entries", ()) if not each["followed"]]
+    followed = {each["name"] for each in fields.get("entries", ()) if each["followed"]}
+    effects = [each for each in fields["effects"] if each["name"] not in followed]
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]
     what = ""
     if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
-    elif fields["effects"]:
-        best = fields["effects"][0]
+    elif effects:
+        best = effects[0]
         doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
         # The numbers are those of all of them together: one alone has others.
-        numbers = ", with the numbers above" if len(fields["effects"]) > 1 else ""
+        numbers = ", with the numbers above" if len(effects) > 1 else ""
         every = f"all of them{numbers}: inflight auto"
         what = f'inflight add "{best["name"]}"    ({doubt or every})'
     elif unknown and unknown[0] != "inflight compare":
@@ -554,7 +556,7 @@ def _next_step(fields: Fields) -> str:
         return f"next: {what}"
     if fields["verdict"] == "UNKNOWN_EFFECT":
         return "next: write the effect as a class of your own, and inflight add it"
-    return "next: nothing to add; inflight reprocess uses the model as it is"
+    return "next: nothing to add; inflight compare, then inflight release VERSION"
 
 
 def print_revision(console: Console, fields: Fields) -> None:

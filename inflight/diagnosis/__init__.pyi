@@ -33,7 +33,7 @@ from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already, require_known
 from .residual import DiagnosisData, Native
-from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
+from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -67,6 +67,7 @@ __all__ = [
     "DRIFTS",
     "HEADING",
     "MEANING",
+    "SCALE_DRIFT",
     "VISIBILITY_SETTINGS",
     "WHY_MOVED",
     "Addition",
