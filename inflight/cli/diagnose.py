@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
-from math import floor, log10
+from math import floor, hypot, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -237,13 +237,44 @@ def _revise(
     workspace = command.open_workspace()
     name = _comparison(command, comparison)
     from inflight.flows import lazy_client
-    from inflight.tasks.analysis import open_workbench, require_change
+    from inflight.tasks.analysis import last_diagnosis, open_workbench, require_change
 
     if asked:
         require_change(workspace, name, *asked)
     with command.progress() as progress, lazy_client(workers) as client:
         fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
+    fields["told_with_others"] = _told_with_others(last_diagnosis(workspace, name), fields)
     command.emit(fields, lambda console: print_revision(console, fields))
+
+
+def _told_with_others(found: Fields | None, fields: Fields) -> str:
+    """Return how numbers of an effect that was added differ from those of the diagnosis that named it.
+
+    A diagnosis fits all that it found together; an effect added alone stands for what of the others goes with
+    it, too. Empty where the numbers agree, or the diagnosis is of another version.
+    """
+    from inflight.diagnosis import quantity
+
+    effects = (found or {}).get("effects", ())
+    own = next((one for one in effects if fields["effect"] == f"add {one['name']}"), None)
+    if own is None or found is None or found["model"]["version"] != fields["model"]["parent"]:
+        return ""
+    others = [one["name"] for one in effects if one is not own]
+    told = {one["name"]: one for one in own["coefficients"]}
+    apart = []
+    for now in fields["coefficients"]:
+        was = told.get(now["name"].rpartition(".")[2])
+        if was is None or was["unit"] != now["unit"]:
+            continue
+        if abs(now["value"] - was["value"]) > _SIGMAS * hypot(now["sigma"], was["sigma"]):
+            apart.append(f"{was['name']} {quantity(was['value'], was['sigma'], was['unit'])}")
+    if not (apart and others):
+        return ""
+    return (
+        f"the diagnosis has {', '.join(apart)}: with {' and '.join(others)} beside it. Alone it stands for "
+        "what of them goes with it, too; its own number is the one with all of them: inflight undo, then "
+        "inflight auto"
+    )
 
 
 def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> None:
@@ -576,11 +607,11 @@ def print_revision(console: Console, fields: Fields) -> None:
             rows.append((each["name"], quantity(each["value"], each["sigma"], each["unit"])))
         columns = ("parameter", "value")
         console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
-    if fields["empirical"]:
-        names = ", ".join(fields["empirical"])
-        console.print(f"empirical, causes not known: {names}", soft_wrap=True, markup=False)
-    if fields["told_by_difference"]:
-        console.print(fields["told_by_difference"], soft_wrap=True, markup=False)
+    names = ", ".join(fields["empirical"])
+    empirical = f"empirical, causes not known: {names}" if names else ""
+    for text in (fields.get("told_with_others"), empirical, fields["told_by_difference"]):
+        if text:
+            console.print(text, soft_wrap=True, markup=False)
     changed = fields["moved"]
     if changed:
         rows = []

@@ -755,8 +755,8 @@ def _unit_text(signature: Signature) -> str:
     ]
     return (
         f"a unit without housekeeping was seen to switch {often}, which steps the difference of both sensors "
-        f"by {', '.join(steps)}; no channel changes with it; its steps are fitted at each of its switchings, "
-        "and in no other size that is told"
+        f"by {', '.join(steps)}; no channel changes with it; the level is free at each of its switchings, so "
+        "that no residual told here has its steps: what is left is beside them"
     )
 
 

@@ -31,7 +31,8 @@ def test_version_is_the_packages(inflight):
 
 
 def test_the_package_runs_as_a_module():
-    told = subprocess.run([sys.executable, "-m", "inflight", "--version"], capture_output=True, text=True)
+    command = [sys.executable, "-m", "inflight", "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
     assert told.stdout.strip() == f"inflight {package.__version__}"
 
 
