@@ -133,8 +133,8 @@ def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData, foun
     if unit:
         note = (
             "Points of a unit without housekeeping are the steps of the difference at its switchings with "
-            "the sign of switching on: those of one unit lie on its lines. The level is free at each of them, so "
-            "that the residual has none of the steps."
+            "the sign of switching on: those of one unit lie on its lines. The level is free at each of "
+            "them, so that the residual has none of the steps."
         )
         text.append(paragraph(note, kind="quiet"))
     drawn = [entry_figure(one) for one in [*curves, *rivals]]
