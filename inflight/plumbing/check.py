@@ -52,7 +52,8 @@ def find_faults(
 def field_faults(survey: Survey) -> list[Finding]:
     """Return faults that two fields show against each other, or one against the main field."""
     known = sum(bool(np.isfinite(one.values).any()) for one in survey.fields.values())
-    if survey.kind not in ("scalar", "dual", "platform") or known < 2:
+    alone = survey.kind == "field_model"
+    if survey.kind not in ("scalar", "dual", "platform", "field_model") or known < (1 if alone else 2):
         return []
     orbit = Orbit.of(survey)
     found = position_findings(survey) + unit_findings(survey, field_ratios(survey, orbit) if orbit else None)
@@ -73,6 +74,8 @@ def pairs_of(survey: Survey, orbit: Orbit | None) -> list[Pair]:
     fields = survey.fields
     if survey.kind == "dual":
         pairs = [linear_pair(fields["inboard"], fields["outboard"])]
+    elif survey.kind == "field_model":
+        pairs = []
     else:
         pairs = [scalar_pair(fields["scalar"], fields["vector"])]
     return pairs + (orbit_pairs(survey, orbit) if orbit is not None else [])
