@@ -5,7 +5,7 @@ sensor's nominal axes takes its place (Olsen, Albini, Bouffard, Parrinello and T
 CryoSat-2). Nine numbers of M are three scale factors, three angles between the axes and three angles of the
 sensor's mounting (`euler_angles`); b is the offset with its sign changed.
 
-In go readings and the model's field; `comparison_grams` makes sums of a few hours each, which `fit_twelve`
+In go readings and the model's field; `comparison_grams` makes sums of an orbit each, which `fit_twelve`
 solves for any span. What the model lacks is no white noise: ionosphere and crust change from one pass to the
 next and count by their scatter between blocks, and a field that stays, as that of the ring current, counts as
 a uniform one of a stated size along each Earth-fixed axis.
@@ -24,7 +24,7 @@ from inflight.arrays import Floats, finite_rows
 from inflight.effects import Affine
 from inflight.errors import ModelError
 from inflight.flags import UNUSABLE
-from inflight.lsq import BIWEIGHT_WIDTH, bartlett_covariance
+from inflight.lsq import BIWEIGHT_WIDTH, bartlett_covariance, sandwich
 from inflight.model import correct_plain
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ class FieldModelSettings:
     Attributes
     ----------
     blocks : int
-        Blocks of a day between which the residual's correlation is measured: three hours, two low orbits
-        (assumed).
+        Blocks of a day between which the residual's correlation is measured: an hour and a half, about a low
+        orbit (assumed).
     lags : int
         Neighbouring blocks that may be correlated (assumed).
     matrix_sigma, shift_sigma : float
@@ -51,7 +51,7 @@ class FieldModelSettings:
         Of the robust weights; they settle in three (measured).
     """
 
-    blocks: int = 8
+    blocks: int = 16
     lags: int = 2
     matrix_sigma: float = 0.1
     shift_sigma: float = 1e4
@@ -66,6 +66,9 @@ _WIDTH = 16
 
 #: The reading's unit in the sums, nT: with it all columns of a fit are of one size.
 _UNIT = 1e4
+
+#: Least variance of a residual, nT^2: readings have a resolution.
+_LEAST_NOISE = 1e-6
 
 #: Median of a chi square of three degrees of freedom over its mean.
 _MEDIAN_OF_THREE = 2.366 / 3.0
@@ -229,27 +232,27 @@ def fit_twelve(grams: Floats, value: Floats, sigma: Floats, external_nT: float =
     change, wide = np.zeros(12), _residual_square(total, start) / (3.0 * count)
     information = np.diag(np.where(free, 1.0 / np.maximum(known, 1e-300) ** 2, 0.0))[np.ix_(free, free)]
     gradient = slope - normal @ start
-    noise = max(wide, 1e-12)
+    noise = max(wide, _LEAST_NOISE)
     inverse = np.zeros((0, 0))
     # The prior's weight depends on the noise, which the fit tells: the second pass has it.
     for _ in range(2):
         matrix = normal[np.ix_(free, free)] / noise + information
-        inverse = scipy.linalg.inv(matrix)
+        unit = 1.0 / np.sqrt(np.diag(matrix))
+        inverse = scipy.linalg.inv(unit[:, None] * matrix * unit) * unit[:, None] * unit
         change[free] = inverse @ (gradient[free] / noise)
-        noise = max(_residual_square(total, start + change) / (3.0 * count), 1e-12)
+        noise = max(_residual_square(total, start + change) / (3.0 * count), _LEAST_NOISE)
     solution = start + change
     bread = inverse / noise
     scores = np.stack([(_twelve(one)[1] - _twelve(one)[0] @ solution)[free] for one in grams])
     scores = scores - scores.mean(axis=0)
-    few = len(grams) < 3
+    few = len(grams) < 6
     meat = noise * normal[np.ix_(free, free)]
     if not few:
-        meat = bartlett_covariance(scores, FIELD_MODEL_SETTINGS.lags)
-    covariance = bread @ meat @ bread.T
-    # What a prior adds where the data say little, and no error smaller than that of white noise.
-    white = inverse
-    lift = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(covariance), 1e-300), 1.0))
-    covariance = covariance * lift[:, None] * lift[None, :]
+        # Four parameters of each component take part of the scatter away.
+        part = len(grams) / (len(grams) - 4.0)
+        meat = part * bartlett_covariance(scores, FIELD_MODEL_SETTINGS.lags)
+    # What the data do not tell has the prior's error, and none is smaller than that of white noise.
+    covariance = sandwich(bread, meat, inverse)
     for axis in range(3):
         pull = np.concatenate(
             [total[[0, 1, 2], 7 + 3 * row + axis] for row in range(3)]
@@ -299,9 +302,10 @@ def field_variance(reading: Floats, covariance: Floats, noise_nT: float) -> Floa
 def mounting(value: Floats, covariance: Floats) -> tuple[dict[str, float], dict[str, float]]:
     """Return what twelve parameters mean: by name, values and one sigma.
 
-    ``M = R K``: K upper triangular (scale factors, and angles between the axes as of
-    `inflight.effects.VectorSensor`), R a rotation from the sensor's orthogonal axes to its nominal ones, as
-    angles about x, y and z, small ones of any order. Offsets are ``-M^-1 b``, of the reading.
+    ``M = R K``: K upper triangular, its diagonal the scale factors and the others cosines of the angles
+    between the axes, as of `inflight.effects.VectorSensor`; R a rotation from the sensor's orthogonal axes
+    to its nominal ones, as a rotation vector, so that no order of angles matters. Offsets are ``-M^-1 b``, of
+    the reading.
 
     Parameters
     ----------
@@ -314,7 +318,7 @@ def mounting(value: Floats, covariance: Floats) -> tuple[dict[str, float], dict[
         sign = np.sign(np.diag(upper))
         rotation, upper = rotation * sign, sign[:, None] * upper
         angles = scipy.spatial.transform.Rotation.from_matrix(rotation).as_rotvec(degrees=True)
-        between = np.rad2deg(np.arccos(np.clip(_normal_products(upper), -1.0, 1.0)))
+        between = np.rad2deg(np.arccos(np.clip(upper[(0, 0, 1), (1, 2, 2)], -1.0, 1.0)))
         offset = -np.linalg.solve(twelve[:9].reshape(3, 3), twelve[9:])
         return np.concatenate([np.diag(upper), between, angles, offset])
 
@@ -336,11 +340,3 @@ MOUNTING = {
     **{f"mounting about {axis}": "deg" for axis in "xyz"},
     **{f"offset {axis}": "nT" for axis in "xyz"},
 }
-
-
-def _normal_products(upper: Floats) -> Floats:
-    """Return cosines of the angles between the sensor's axes xy, xz, yz from K, upper triangular."""
-    # Rows of the inverse are the sensor's sensitive directions times their gains.
-    rows = np.linalg.inv(upper)
-    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.array([rows[0] @ rows[1], rows[0] @ rows[2], rows[1] @ rows[2]])

@@ -172,6 +172,24 @@ def field_ratios(survey: Survey, orbit: Orbit) -> dict[str, Floats]:
     return out
 
 
+def lone_unit_findings(survey: Survey, orbit: Orbit) -> list[Finding]:
+    """Return whether the only field of a comparison is a power of ten of the main field."""
+    record = next(iter(survey.fields.values()))
+    stamps, strength = orbit.field.stamps, orbit.strength.values
+    size = magnitude(record.at(stamps))
+    trials = {power: typical_squares(size - 10.0**power * strength) for power in POWERS}
+    found = choose(typical_squares(size - strength), trials)
+    if found is None or found.rivals:
+        return []
+    factor = 10.0**found.name
+    words = (
+        f"The field of '{record.instrument}' is {factor:g} times that of the Earth: its unit is not "
+        f"{record.entry.unit}"
+    )
+    remedies = list(unit_remedies(record, 1.0 / factor))
+    return [finding_of("unit", words, record, stamps, found, remedies)]
+
+
 def position_findings(survey: Survey) -> list[Finding]:
     """Return whether the position is in another unit than stated: the main field there is then none."""
     position = survey.of_kind("position", ("itrf", "gcrf"))

@@ -1,6 +1,6 @@
 """The pipeline of a vector sensor against a model of the Earth's field: one file on the pipeline protocol.
 
-The statistics of a day are sums of three hours each (`inflight.calibration.field_model`); tables of days,
+The statistics of a day are sums of an orbit each (`inflight.calibration.field_model`); tables of days,
 windows, months and the span are solved from them. The product is the calibrated field with the model's beside
 it; its residual is their difference in spacecraft axes.
 """
@@ -85,7 +85,7 @@ from inflight.tasks.pipelines.base import (
     with_unit,
 )
 from inflight.tasks.report import Progress
-from inflight.time import DAY, SECOND, DayLike, day_bounds, to_utc, usual_step
+from inflight.time import SECOND, DayLike, Int64, day_bounds, to_utc, usual_step
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -180,7 +180,9 @@ class FieldModelPipeline(Pipeline):
         """Make the tables of days, windows and the span, and that of months when it is asked for."""
         keep, ordered, plan = self.table_stager(work, days), sorted(days), work.plan
         parts = [work.cat.read(days[day]) for day in ordered]
-        grams, start = (np.concatenate([one[name].values for one in parts]) for name in ("gram", "start"))
+        grams, start, end = (
+            np.concatenate([one[name].values for one in parts]) for name in ("gram", "start", "end")
+        )
         first, after = ordered[0], ordered[-1] + ONE_DAY
         edges: dict[str, Sequence[np.datetime64]] = {
             "daily": [*ordered, after],
@@ -191,7 +193,7 @@ class FieldModelPipeline(Pipeline):
             edges["monthly"] = month_edges(first, ordered[-1])
         external = work.mission.comparisons[plan.settings.comparison].external
         for name, bounds in edges.items():
-            keep.table(name, partial(twelve_table, grams, start, plan.model, bounds, name, external))
+            keep.table(name, partial(twelve_table, grams, (start, end), plan.model, bounds, name, external))
         return keep.solved(plan.settings.table, plan.model)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -320,7 +322,7 @@ def _too_few(batch: Batch, day: np.datetime64, samples: xr.Dataset, coverage: fl
 
 def twelve_table(
     grams: Floats,
-    start: np.ndarray,
+    spans: tuple[Int64, Int64],
     model: Model,
     edges: Sequence[np.datetime64],
     kind: str,
@@ -332,13 +334,14 @@ def twelve_table(
     ----------
     grams : ndarray, shape (block, 16, 16)
         Of all days.
-    start : ndarray of int64, shape (block,)
-        TT2000.
+    spans : tuple of ndarray of int64, shape (block,)
+        Where blocks start and end, TT2000.
     external_nT : float
         See `inflight.calibration.field_model.fit_twelve`.
     """
     import xarray as xr
 
+    start, end = spans
     own, rows, bounds, learnt = own_equation(model), [], [], []
     for first, after in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         inside = np.flatnonzero((first <= start) & (start < after) & (grams[:, 3, 3] > 0))
@@ -346,14 +349,13 @@ def twelve_table(
             continue
         rows.append(fit_twelve(grams[inside], *prior_of_twelve(model, (first + after) // 2), external_nT))
         bounds.append((first, after))
-        # A block's own length: days have equal ones.
-        learnt.append((int(start[inside[0]]), int(start[inside[-1]]) + DAY // 8))
+        learnt.append((int(start[inside[0]]), int(end[inside[-1]])))
     if not rows:
         raise CalibrationError("no day has a usable sample", remedy="look at flags, positions and attitudes")
     value, sigma = prior_of_twelve(model, bounds[0][0])
     names = [f"{own.name}.matrix[{row}{column}]" for row in _AXES for column in _AXES]
     names += [f"{own.name}.shift[{axis}]" for axis in _AXES]
-    begin, end = np.array(bounds, dtype=np.int64).T
+    begin, after_each = np.array(bounds, dtype=np.int64).T
     each, covariance = ("interval", "parameter"), np.array([one.covariance for one in rows])
     determined, scale = np.array([one.determined for one in rows]), {"scale": "TT2000"}
     table = xr.Dataset(
@@ -373,7 +375,7 @@ def twelve_table(
             "prior_sigma": ("parameter", sigma),
             "units": ("parameter", np.array(["1"] * 9 + ["nT"] * 3, dtype="U8")),
             "start": ("interval", begin, scale),
-            "end": ("interval", end, scale),
+            "end": ("interval", after_each, scale),
             **{
                 name: ("interval", np.array([getattr(one, name) for one in rows]), {"units": unit})
                 for name, unit in (("before", "nT"), ("after", "nT"), ("count", "1"))
@@ -382,8 +384,8 @@ def twelve_table(
         coords={"parameter": names, "other": names},
         attrs={"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name},
     )
-    spans = np.array(learnt, dtype=np.int64)
-    return with_changes(with_learnt_spans(table, spans[:, 0], spans[:, 1]))
+    taught = np.array(learnt, dtype=np.int64)
+    return with_changes(with_learnt_spans(table, taught[:, 0], taught[:, 1]))
 
 
 def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
@@ -597,7 +599,7 @@ def intervals_of(table: xr.Dataset) -> list[dict[str, Any]]:
     for at in range(table.sizes["interval"]):
         row = table.isel(interval=at)
         value, sigma = mounting(row["value"].values, row["covariance"].values)
-        first, last = (str(to_utc(int(one)))[:10] for one in (row["start"], row["end"] - 1))
+        first, last = (str(to_utc(int(one)))[:10] for one in (row["learnt_start"], row["learnt_end"] - 1))
         parameters = [
             {"name": name, "value": value[name], "sigma": sigma[name], "unit": unit}
             for name, unit in MOUNTING.items()
