@@ -57,11 +57,11 @@ def test_the_product_is_nearer_to_the_truth_than_the_model_it_was_held_against(w
     assert (rms[2] < 1.5 * rms[3]).all()  # the stated error covers
 
 
-def test_compare_and_report_say_what_the_sensor_is(workspace, inflight):
+def test_compare_and_chain_say_what_the_sensor_is(workspace, inflight):
     compared = inflight("compare", "-w", workspace.workspace, "--json").json
     assert [one["axis"] for one in compared["components"]] == ["x", "y", "z"]
     assert compared["residual"]["after_nT"] == pytest.approx(5.0, rel=0.1)
-    last = inflight("report", "-w", workspace.workspace, "--json").json["intervals"][-1]
+    last = inflight("chain", "-w", workspace.workspace, "--json").json["intervals"][-1]
     assert (last["first"], last["last"]) == ("2005-01-01", "2005-01-02")
     found = {one["name"]: one for one in last["parameters"]}
     truth = json.loads(simulate_day(SETTINGS, SETTINGS.day_list[0]).truth.attrs["nine_parameters"])

@@ -105,7 +105,7 @@ class FieldModelPipeline(Pipeline):
     """Twelve parameters of a vector sensor, ``B = M E + b``, against a model of the main field."""
 
     tag = "field_model"
-    versions = Versions(statistics=1, tables=2, products=1)
+    versions = Versions(statistics=1, tables=1, products=1)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison with a field model."""
@@ -242,9 +242,22 @@ class FieldModelPipeline(Pipeline):
             raise CatalogError(
                 f"no table of '{comparison}' is published", remedy="run 'inflight reprocess' first"
             )
-        fields = {"command": "report", "comparison": comparison, "intervals": intervals_of(table)}
-        lines = [TextLine(f"{comparison}: {len(fields['intervals'])} windows", "bold")]
-        for one in fields["intervals"][-1:]:
+        intervals = intervals_of(table)
+        fields = {
+            "command": "chain",
+            "comparison": comparison,
+            "intervals": intervals,
+            "path": str(output) if output else "",
+        }
+        if output is not None:
+            from inflight import __version__
+            from inflight.figures import html_page, write_page
+
+            title = f"{mission.mission}: {comparison}, {intervals[0]['first']} to {intervals[-1]['last']}"
+            footer = f"inflight {__version__}. {mission.acknowledgement}"
+            write_page(output, html_page(title, self.sections(cat, mission, comparison), footer))
+        lines = [TextLine(f"{comparison}: {len(intervals)} windows", "bold")]
+        for one in intervals[-1:]:
             lines += [TextLine(f"  {one['first']} to {one['last']}")]
             lines += [
                 TextLine(f"  {part['name']:<22} {with_unit(part['value'], part['sigma'], part['unit'])}")
@@ -418,8 +431,10 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     flag = np.where(lost, flag | np.uint32(Flag.CHANNEL_MISSING), flag)
     if not np.all(row["determined"].values):
         flag = flag | np.uint32(Flag.PRIOR_PARAMETERS)
-    noise = float(np.sqrt(np.nanmean((noise_floor((body - reference)[:, 0], 1.0).level_nT) ** 2)))
-    variance = field_variance(reading, np.asarray(row["covariance"].values), noise if noise > 0 else 0.0)
+    step = usual_step(stamps, SECOND) / SECOND
+    levels = [noise_floor(one, step).level_nT for one in (body - reference).T]
+    noise = float(np.nan_to_num(np.nanmax(levels))) if np.isfinite(levels).any() else 0.0
+    variance = field_variance(reading, np.asarray(row["covariance"].values), noise)
     change = change_outside(row, table, (start, end), [str(name) for name in row["parameter"].values])
     if change is not None:
         outside = outside_learnt(row, stamps)
