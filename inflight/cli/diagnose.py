@@ -49,6 +49,8 @@ _NOTHING = 0.01
 _NOT_ABSORBED = "share not absorbed by the calibration"
 #: Size from which on a number is written without a power of ten.
 _PLAIN = 1e-3
+#: Powers of ten up to which an error's digits are written out.
+_WHOLE = 3
 #: Where a coefficient acts, in plain words.
 _AT = {"difference": "difference of both sensors"}
 #: Columns set flush right.
@@ -674,7 +676,8 @@ def with_error(value: float, sigma: float) -> tuple[str, str]:
     if not 0.0 < sigma < float("inf"):
         return f"{value:.4g}", f"{sigma:.2g}"
     place = floor(log10(sigma)) - 1
-    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
-        return f"{value:.{-place}f}", f"{sigma:.{-place}f}"
+    if -10 <= place <= _WHOLE and max(abs(value), sigma) >= _PLAIN:
+        digits = max(-place, 0)
+        return f"{round(value, -place) + 0.0:.{digits}f}", f"{round(sigma, -place):.{digits}f}"
     digits = max(1, floor(log10(max(abs(value), sigma))) - place)
     return f"{value:.{digits}e}", f"{sigma:.1e}"

@@ -186,6 +186,9 @@ def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iter
         if entries:
             yield f"next: {entries[0]['command']}"
             return
+        if fields["at_noise_floor"]:
+            yield "next: inflight release VERSION"
+            return
     if fields["at_noise_floor"]:
         yield "next: inflight release VERSION, or inflight diagnose for effects below a tenth of the noise"
     else:
