@@ -182,7 +182,9 @@ def print_report(report: RunReport, console: Console, details: bool = False) -> 
     from rich.table import Table
 
     counts = ", ".join(f"{count} {in_plain_words(name)}" for name, count in report.days.items() if count)
-    console.print(f"[bold]{report.command}[/bold]: days {counts or 'none'}", highlight=False)
+    # Each instrument delivers its own days.
+    what = "instruments' days" if report.command == "ingest" else "days"
+    console.print(f"[bold]{report.command}[/bold]: {what} {counts or 'none'}", highlight=False)
     problems = report.problems if details else in_one_line(report.problems)
     shown = len(problems) if details else SHOWN_PROBLEMS
     if problems:

@@ -25,7 +25,19 @@ group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_hel
 #: Datasets that hold neither measurements nor products: equations, and what is kept of comparisons.
 _OWN = ("comparison/", "equations/")
 #: Attributes of a table that are no result.
-_HASHES = ("comparison", "kind", "model", "made_from")
+_HASHES = ("comparison", "kind", "model", "made_from", "fitted_model")
+#: What numbers of a calibration table are called, where their names do not say it.
+_CALLED = {
+    "learnt_start": "learnt from",
+    "learnt_end": "up to",
+    "blocks": "days with data",
+    "count": "samples",
+    "before": "residual with the prior values, nT rms",
+    "after": "residual with these values, nT rms",
+    "directions": "combinations that the data determine",
+    "inflation": "squares of errors are larger than those of white noise by a factor of",
+    "source": "told by",
+}
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
@@ -112,11 +124,17 @@ def _print_values(console: Console, table: xr.Dataset) -> None:
     names = [str(name) for name in (*last.coords, *last.data_vars)]
     names = [name for name in names if name not in last.dims or last[name].ndim > 1]
     names = [name for name in names if name not in ("start", "end") and not _is_error(last, name)]
+    # How much parameters change with time is for the uncertainty of samples that taught no table.
+    names = [name for name in names if "lag" not in last[name].dims]
+    order = list(_CALLED)
+    names.sort(key=lambda name: order.index(name) if name in order else -1)
     for name in (one for one in names if not last[one].dims):
         if text := _value_text(last, name, ()):
             unit = last[name].attrs.get("units", "")
             unit = "" if unit in ("", "1") else f" {unit}"
-            console.print(f"  {_in_words(name)}: {text}{unit}", soft_wrap=True, markup=False)
+            console.print(
+                f"  {_CALLED.get(name, _in_words(name))}: {text}{unit}", soft_wrap=True, markup=False
+            )
     shapes = {name: last[name].dims for name in names if last[name].dims}
     rows_of = {name: dims[0] for name, dims in shapes.items() if dims[1:] in ((), ("axis",))}
     for dim in dict.fromkeys(rows_of.values()):
@@ -147,7 +165,7 @@ def _print_rows(console: Console, table: xr.Dataset, dim: str, names: Sequence[s
     heads = [_in_words(dim)]
     for name in names:
         unit = table[name].attrs.get("units", "")
-        heads.append(_in_words(name) + (f", {unit}" if unit not in ("", "1") else ""))
+        heads.append(_CALLED.get(name, _in_words(name)) + (f", {unit}" if unit not in ("", "1") else ""))
     folded = [head for head, name in zip(heads[1:], names, strict=True) if table[name].dtype.kind == "U"]
     console.print(text_table(heads, rows, folded=folded))
 
@@ -170,16 +188,18 @@ def _value_text(table: xr.Dataset, name: str, at: tuple[int, ...]) -> str:
     """Return one value of a table as a person reads it, with the digits that its error leaves."""
     import numpy as np
 
-    value, error = table[name].values[at], _error_of(name)
+    value, error, facts = table[name].values[at], _error_of(name), table[name].attrs
+    if facts.get("scale") == "TT2000":
+        return _utc(int(value))
+    if "flag_meanings" in facts and "flag_masks" not in facts:
+        return str(facts["flag_meanings"].split()[int(value)])
     if isinstance(value, np.bool_):
         return "yes" if value else "no"
-    if not isinstance(value, np.floating):
-        return str(value)
-    if not np.isfinite(value):
-        return ""
+    if not isinstance(value, np.floating) or not np.isfinite(value):
+        return "" if isinstance(value, np.floating) else str(value)
     if error in table and table[error].dims == table[name].dims and np.isfinite(table[error].values[at]):
         return " ± ".join(with_error(float(value), float(table[error].values[at])))
-    return f"{value:.4g}"
+    return f"{value:.0f}" if value == round(value) and abs(value) < 1e15 else f"{value:.4g}"
 
 
 def _is_own(dataset: str) -> bool:

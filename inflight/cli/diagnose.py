@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
-from math import floor, log10
+from math import floor, hypot, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,6 +49,8 @@ _NOTHING = 0.01
 _NOT_ABSORBED = "share not absorbed by the calibration"
 #: Size from which on a number is written without a power of ten.
 _PLAIN = 1e-3
+#: Powers of ten up to which an error's digits are written out.
+_WHOLE = 3
 #: Where a coefficient acts, in plain words.
 _AT = {"difference": "difference of both sensors"}
 #: Columns set flush right.
@@ -237,13 +239,44 @@ def _revise(
     workspace = command.open_workspace()
     name = _comparison(command, comparison)
     from inflight.flows import lazy_client
-    from inflight.tasks.analysis import open_workbench, require_change
+    from inflight.tasks.analysis import last_diagnosis, open_workbench, require_change
 
     if asked:
         require_change(workspace, name, *asked)
     with command.progress() as progress, lazy_client(workers) as client:
         fields = change(open_workbench(workspace, name, client=client, progress=progress)).as_json()
+    fields["told_with_others"] = _told_with_others(last_diagnosis(workspace, name), fields)
     command.emit(fields, lambda console: print_revision(console, fields))
+
+
+def _told_with_others(found: Fields | None, fields: Fields) -> str:
+    """Return how numbers of an effect that was added differ from those of the diagnosis that named it.
+
+    A diagnosis fits all that it found together; an effect added alone stands for what of the others goes with
+    it, too. Empty where the numbers agree, or the diagnosis is of another version.
+    """
+    from inflight.diagnosis import quantity
+
+    effects = (found or {}).get("effects", ())
+    own = next((one for one in effects if fields["effect"] == f"add {one['name']}"), None)
+    if own is None or found is None or found["model"]["version"] != fields["model"]["parent"]:
+        return ""
+    others = [one["name"] for one in effects if one is not own]
+    told = {one["name"]: one for one in own["coefficients"]}
+    apart = []
+    for now in fields["coefficients"]:
+        was = told.get(now["name"].rpartition(".")[2])
+        if was is None or was["unit"] != now["unit"]:
+            continue
+        if abs(now["value"] - was["value"]) > _SIGMAS * hypot(now["sigma"], was["sigma"]):
+            apart.append(f"{was['name']} {quantity(was['value'], was['sigma'], was['unit'])}")
+    if not (apart and others):
+        return ""
+    return (
+        f"the diagnosis has {', '.join(apart)}: with {' and '.join(others)} beside it. Alone it stands for "
+        "what of them goes with it, too; its own number is the one with all of them: inflight undo, then "
+        "inflight auto"
+    )
 
 
 def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> None:
@@ -535,17 +568,19 @@ def _next_step(fields: Fields) -> str:
         return "next: mend the mission file as told above, then inflight ingest and inflight diagnose"
     if fields["command"] == "auto" and fields.get("versions"):
         return "next: inflight reprocess, then inflight compare    (take the last one back: inflight undo)"
-    entries = fields.get("entries", ())
+    entries = [each for each in fields.get("entries", ()) if not each["followed"]]
+    followed = {each["name"] for each in fields.get("entries", ()) if each["followed"]}
+    effects = [each for each in fields["effects"] if each["name"] not in followed]
     first = entries[0]["command"] if entries else ""
     unknown = [each["command"] for each in entries if each["status"] == "unknown"]
     what = ""
     if first.startswith(("inflight refit", "inflight set", "mission.yaml")):
         what = first
-    elif fields["effects"]:
-        best = fields["effects"][0]
+    elif effects:
+        best = effects[0]
         doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
         # The numbers are those of all of them together: one alone has others.
-        numbers = ", with the numbers above" if len(fields["effects"]) > 1 else ""
+        numbers = ", with the numbers above" if len(effects) > 1 else ""
         every = f"all of them{numbers}: inflight auto"
         what = f'inflight add "{best["name"]}"    ({doubt or every})'
     elif unknown and unknown[0] != "inflight compare":
@@ -554,7 +589,7 @@ def _next_step(fields: Fields) -> str:
         return f"next: {what}"
     if fields["verdict"] == "UNKNOWN_EFFECT":
         return "next: write the effect as a class of your own, and inflight add it"
-    return "next: nothing to add; inflight reprocess uses the model as it is"
+    return "next: nothing to add; inflight compare, then inflight release VERSION"
 
 
 def print_revision(console: Console, fields: Fields) -> None:
@@ -574,11 +609,11 @@ def print_revision(console: Console, fields: Fields) -> None:
             rows.append((each["name"], quantity(each["value"], each["sigma"], each["unit"])))
         columns = ("parameter", "value")
         console.print(text_table(columns, rows, right=_NUMERIC, folded=("parameter",)))
-    if fields["empirical"]:
-        names = ", ".join(fields["empirical"])
-        console.print(f"empirical, causes not known: {names}", soft_wrap=True, markup=False)
-    if fields["told_by_difference"]:
-        console.print(fields["told_by_difference"], soft_wrap=True, markup=False)
+    names = ", ".join(fields["empirical"])
+    empirical = f"empirical, causes not known: {names}" if names else ""
+    for text in (fields.get("told_with_others"), empirical, fields["told_by_difference"]):
+        if text:
+            console.print(text, soft_wrap=True, markup=False)
     changed = fields["moved"]
     if changed:
         rows = []
@@ -641,7 +676,8 @@ def with_error(value: float, sigma: float) -> tuple[str, str]:
     if not 0.0 < sigma < float("inf"):
         return f"{value:.4g}", f"{sigma:.2g}"
     place = floor(log10(sigma)) - 1
-    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
-        return f"{value:.{-place}f}", f"{sigma:.{-place}f}"
+    if -10 <= place <= _WHOLE and max(abs(value), sigma) >= _PLAIN:
+        digits = max(-place, 0)
+        return f"{round(value, -place) + 0.0:.{digits}f}", f"{round(sigma, -place):.{digits}f}"
     digits = max(1, floor(log10(max(abs(value), sigma))) - place)
     return f"{value:.{digits}e}", f"{sigma:.1e}"

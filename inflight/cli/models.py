@@ -23,6 +23,8 @@ ComparisonOption = Annotated[str | None, typer.Option("--comparison", help="Comp
 ModelArgument = Annotated[str, typer.Argument(help="Version (3), name, or both (champ-preflight:3).")]
 #: Digits a value is shown with; --json has all.
 _DIGITS = 9
+#: Part of its sigma by which a number has moved that is worth a line.
+_HARDLY = 0.01
 
 
 @verb(group, "show")
@@ -78,12 +80,28 @@ def diff_models(
 
     versions = _versions(command, comparison)
     old, new = versions.find(before), versions.find(after)
-    found = changes(parse_tree(old.text)["effects"], parse_tree(new.text)["effects"])
+    trees = parse_tree(old.text), parse_tree(new.text)
+    found = changes(trees[0]["effects"], trees[1]["effects"])
 
     def show(console: Console) -> None:
         console.print(f"{old.label} -> {new.label}")
+        was, now = (dict(_numbers(tree)) for tree in trees)
+        moved = [name for name in was if name in now and was[name] != now[name]]
         for change in found:
-            console.print(f"  {change['sentence']}", soft_wrap=True, markup=False)
+            parameter, _, part = change["key"].partition(".")
+            kind, _, axis = part.partition(".")
+            number = f"{change['effect']}.{parameter}" + (f"[{axis}]" if axis else "")
+            if kind not in ("value", "sigma") or number not in moved:
+                console.print(f"  {change['sentence']}", soft_wrap=True, markup=False)
+        told = [name for name in moved if not _hardly(was[name], now[name])]
+        rows = [
+            (name, *(" ± ".join(filter(None, _told(*one[name][:2]))) for one in (was, now)), now[name][2])
+            for name in told
+        ]
+        if rows:
+            console.print(text_table(("number", "before", "after", "unit"), rows, folded=("number",)))
+        if hardly := len(moved) - len(told):
+            console.print(f"{hardly} others moved by less than a hundredth of their sigma; --json lists all")
         if not found:
             console.print("  nothing differs")
 
@@ -160,15 +178,39 @@ def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
         if not numbers:
             yield (label, sensor, "", "", "", "", "", "")
         for key, part in numbers.items():
-            fit = "free" if part.get("free") else "held"
-            values = part["value"] if isinstance(part["value"], Mapping) else {"": part["value"]}
-            sigmas = part.get("sigma")
-            for axis, value in values.items():
-                sigma = sigmas.get(axis) if isinstance(sigmas, Mapping) else sigmas
+            fit, time = "free" if part.get("free") else "held", str(part.get("time", "constant"))
+            for axis, value, sigma in _components(part):
                 name = f"{key}[{axis}]" if axis else key
-                unit, time = str(part.get("unit", "")), str(part.get("time", "constant"))
-                yield (label, sensor, name, *_told(value, sigma), unit, time, fit)
+                yield (label, sensor, name, *_told(value, sigma), str(part.get("unit", "")), time, fit)
                 label = sensor = ""
+
+
+def _numbers(tree: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Any, Any, str]]]:
+    """Yield value, sigma and unit of each number of a model, by its name as `set` takes it."""
+    for entry in tree["effects"]:
+        label = str(entry.get("name", entry["effect"]))
+        for key, part in entry.items():
+            if not isinstance(part, Mapping) or "value" not in part:
+                continue
+            for axis, value, sigma in _components(part):
+                name = f"{label}.{key}" + (f"[{axis}]" if axis else "")
+                yield name, (value, sigma, str(part.get("unit", "")))
+
+
+def _components(part: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield axis, value and sigma of each component of a parameter; one that has no axes has an empty one."""
+    values = part["value"] if isinstance(part["value"], Mapping) else {"": part["value"]}
+    sigmas = part.get("sigma")
+    for axis, value in values.items():
+        yield str(axis), value, sigmas.get(axis) if isinstance(sigmas, Mapping) else sigmas
+
+
+def _hardly(was: tuple[Any, ...], now: tuple[Any, ...]) -> bool:
+    """Return True when neither a value nor its sigma moved by a hundredth of the sigma that was."""
+    numbers = (*was[:2], *now[:2])
+    if not all(isinstance(one, float | int) for one in numbers) or not was[1] > 0:
+        return False
+    return all(abs(b - a) < _HARDLY * was[1] for a, b in zip(was[:2], now[:2], strict=True))
 
 
 def _told(value: Any, sigma: Any) -> tuple[str, str]:

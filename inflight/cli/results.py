@@ -150,8 +150,10 @@ def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iter
     """
     from inflight.catalog import Catalog
     from inflight.cli.diagnose import only_moves_with
+    from inflight.diagnosis import SCALE_DRIFT
     from inflight.tasks import ModelHistory
     from inflight.tasks.analysis import last_diagnosis
+    from inflight.tasks.pipelines import trend_of_products
 
     version = fields.get("model_version")
     if fields.get("kind") == "dual":
@@ -173,15 +175,19 @@ def _next_after_compare(workspace: Workspace, fields: Mapping[str, Any]) -> Iter
         names = [one["coordinate"] for one in fields["fails_where"]]
         if not fields["at_noise_floor"] and (why := only_moves_with(found, names)):
             yield f"  {why}"
-        if found["entries"] and fields["at_noise_floor"]:
-            size = found["entries"][0]["takes_off_nT"]
-            yield (
-                f"next: inflight release VERSION    (or, for the last {size:.2g} nT: "
-                f"{found['entries'][0]['command']})"
-            )
+        trend = trend_of_products(Catalog(workspace.root), fields["comparison"], version)
+        entries = [
+            one for one in found["entries"] if one["command"] and not (trend and one["name"] == SCALE_DRIFT)
+        ]
+        if entries and fields["at_noise_floor"]:
+            size, what = entries[0]["takes_off_nT"], entries[0]["command"]
+            yield f"next: inflight release VERSION    (or, for the last {size:.2g} nT: {what})"
             return
-        if found["entries"]:
-            yield f"next: {found['entries'][0]['command']}"
+        if entries:
+            yield f"next: {entries[0]['command']}"
+            return
+        if fields["at_noise_floor"]:
+            yield "next: inflight release VERSION"
             return
     if fields["at_noise_floor"]:
         yield "next: inflight release VERSION, or inflight diagnose for effects below a tenth of the noise"
@@ -380,7 +386,7 @@ def report(
             f"  {fields['sentence']}",
             f"  {made_from_text(fields)}",
             f"  page: {fields['path']}",
-            *([f"next: {fields['entries'][0]['command']}"] if fields["entries"] else []),
+            *[f"next: {one['command']}" for one in fields["entries"] if one["command"]][:1],
         ):
             console.print(line, soft_wrap=True, markup=False)
 

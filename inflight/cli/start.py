@@ -149,7 +149,8 @@ def simulate(
         outputs=sorted({workspace.relative(path.parent) for path in written}),
         extra={"files": len(written)},
     )
-    command.finish(report, [f"next: inflight ingest -w {workspace.root}"])
+    where = "" if workspace.root.resolve() == Path.cwd() else f" -w {workspace.root}"
+    command.finish(report, [f"next: inflight ingest{where}"])
 
 
 def write_deliveries(

@@ -23,6 +23,7 @@ from .figure_data import (
     entry_curves,
     error_waterfall,
     heat_maps,
+    number_curves,
     responses,
     rival_curves,
     sizes_of,
@@ -33,7 +34,7 @@ from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
 from .requests import Request, addition_of_entry, best_lag, find_request, held_already, require_known
 from .residual import DiagnosisData, Native
-from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
+from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -67,6 +68,7 @@ __all__ = [
     "DRIFTS",
     "HEADING",
     "MEANING",
+    "SCALE_DRIFT",
     "VISIBILITY_SETTINGS",
     "WHY_MOVED",
     "Addition",
@@ -125,6 +127,7 @@ __all__ = [
     "make_folds",
     "make_library",
     "neutral_changes",
+    "number_curves",
     "pack_blocks",
     "periods_of",
     "plain_json",

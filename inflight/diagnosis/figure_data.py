@@ -21,6 +21,7 @@ from inflight.diagnosis.residual import (
     DiagnosisData,
     contribution,
     held_out_rms,
+    number_contribution,
     remaining_residual,
     with_correctable_rows,
 )
@@ -241,6 +242,26 @@ def rival_curves(
     return out
 
 
+def number_curves(
+    search: Search, data: DiagnosisData, seen: BeforeAfter, refined: Sequence[Mapping[str, Any]]
+) -> list[EntryCurve]:
+    """Return the curve of each number of the model's own that is told as wrong; those of too few bins not.
+
+    Measured is the residual with the number as the model states it, everything else fitted anew; left is what
+    remains with the number that data give it.
+
+    Parameters
+    ----------
+    refined : sequence of mapping
+        Of the verdict: ``name`` and ``wrong``.
+    """
+    known, thin = with_correctable_rows(search, data), seen.thinned()
+    step = -(-len(seen.before) // len(thin.before))
+    wrong = dict.fromkeys(one["name"].partition("[")[0] for one in refined if one["wrong"])
+    curves = (_curve_of_sizes(thin, name, number_contribution(search, known, name)[::step]) for name in wrong)
+    return [curve for curve in curves if curve is not None]
+
+
 def _curve_with(
     search: Search, data: DiagnosisData, seen: BeforeAfter, option: Option
 ) -> tuple[float, EntryCurve | None]:
@@ -248,7 +269,7 @@ def _curve_with(
     thin = seen.thinned()
     step = -(-len(seen.before) // len(thin.before))
     made = contribution(search, data, option)[::step]
-    curve = _curve_along_axis(thin, option, made) or _curve_of_sizes(thin, option, made)
+    curve = _curve_along_axis(thin, option, made) or _curve_of_sizes(thin, option.name, made)
     return float(np.nanstd(made[thin.good])), curve
 
 
@@ -294,11 +315,11 @@ def _curve_along_axis(seen: BeforeAfter, option: Option, made: Floats) -> EntryC
     )
 
 
-def _curve_of_sizes(seen: BeforeAfter, option: Option, made: Floats) -> EntryCurve | None:
+def _curve_of_sizes(seen: BeforeAfter, name: str, made: Floats) -> EntryCurve | None:
     """Return the curve of any effect against what it makes of the residual: a straight line."""
     row = seen.row
     x = np.where(seen.good, made[:, row], np.nan)
-    against = Coordinate(option.name, "nT", "", x)
+    against = Coordinate(name, "nT", "", x)
     parts = [
         measure_dependences([against], values[:, row], seen.block)
         for values in (seen.after + made, made, seen.after)
@@ -307,7 +328,7 @@ def _curve_of_sizes(seen: BeforeAfter, option: Option, made: Floats) -> EntryCur
         return None
     measured, model, left = (part[0] for part in parts)
     return EntryCurve(
-        option.name,
+        name,
         "",
         "nT",
         "",

@@ -176,11 +176,35 @@ def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = Tru
 
 def contribution(search: Search, data: DiagnosisData, option: Option) -> Floats:
     """Return what an option that was taken makes of the residual of the series; nT, (sample, row)."""
+    return _made_by(search, data, option.columns, [option])
+
+
+def number_contribution(search: Search, data: DiagnosisData, number: str) -> Floats:
+    """Return what a number of the model's own makes by as much as data moved it; nT, (sample, row).
+
+    Parameters
+    ----------
+    number : str
+        Such as ``temperature.linear``: all of its components together.
+    """
+    columns = [
+        name
+        for term in search.library.refined
+        for name in term.columns
+        if name.removeprefix("model:").partition("[")[0] == number
+    ]
+    return _made_by(search, data, columns, [])
+
+
+def _made_by(
+    search: Search, data: DiagnosisData, columns: Sequence[str], options: Sequence[Option]
+) -> Floats:
+    """Return what columns of the fit make of the residual of the series; changes are those of `options`."""
     series = data.series
     terms, rows = _terms_and_rows(search, series, data.sensor_matrices, search.accepted)
     every = _factors_of_columns(search, search.accepted)
-    factors = {name: -every[name] for name in option.columns}
-    _spread_changes(factors, [option])
+    factors = {name: -every[name] for name in columns}
+    _spread_changes(factors, options)
     return _with_columns(np.zeros_like(rows.residual), terms, rows, factors, series.block)
 
 

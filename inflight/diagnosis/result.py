@@ -191,7 +191,9 @@ class Entry:
         Part of the mean square it takes off with all others in the model, on days not used in the fit.
     rivals : tuple of str
     command : str
-        What acts on it.
+        What acts on it; empty when nothing has to be done.
+    followed : bool
+        Published products follow it already, though the model does not.
     """
 
     name: str
@@ -203,6 +205,7 @@ class Entry:
     last_in_t: float | None = None
     rivals: tuple[str, ...] = ()
     command: str = ""
+    followed: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -219,11 +222,14 @@ class Entry:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name, and `status` in words."""
-        return {**vars(self), "how_sure": HOW_SURE[self.status]}
+        sure = HOW_SURE[self.status] + ("; the products follow it" if self.followed else "")
+        return {**vars(self), "how_sure": sure}
 
 
 #: Name of the entry of what remains after everything that was taken.
 LEFT = "what is left"
+#: Name of the entry of scale factors that change steadily, which a fit of all days follows by itself.
+SCALE_DRIFT = "scale_drift"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -350,6 +356,27 @@ class Diagnosis:
         faults = " ".join(f"{one['sentence']}." for one in found)
         text = f"Mend the data first. {faults} Until then what follows is not to be trusted. {self.sentence}"
         return replace(self, plumbing=tuple(found), sentence=text)
+
+    def with_products(self, trend: str) -> Diagnosis:
+        """Return the diagnosis with a drift of the scale factors as nothing to add, where products follow it.
+
+        Parameters
+        ----------
+        trend : str
+            Kind of the trend that the products' scale factors have; empty of products without one. The
+            search itself fits one value a window of days.
+        """
+        if not trend or all(one.name != SCALE_DRIFT for one in self.entries):
+            return self
+        entries = tuple(
+            replace(one, command="", followed=True) if one.name == SCALE_DRIFT else one
+            for one in self.entries
+        )
+        text = (
+            f"{self.sentence} The published products follow the drift of the scale factors already: they are "
+            f"of a fit of all days with a {trend} trend."
+        )
+        return replace(self, entries=entries, sentence=text)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""
@@ -728,8 +755,8 @@ def _unit_text(signature: Signature) -> str:
     ]
     return (
         f"a unit without housekeeping was seen to switch {often}, which steps the difference of both sensors "
-        f"by {', '.join(steps)}; no channel changes with it; its steps are fitted at each of its switchings, "
-        "and in no other size that is told"
+        f"by {', '.join(steps)}; no channel changes with it; the level is free at each of its switchings, so "
+        "that no residual told here has its steps: what is left is beside them"
     )
 
 

@@ -337,8 +337,7 @@ class JumpAttribution:
         remaining = np.flatnonzero(~self.follows)
         out = []
         while remaining.size:
-            near = [_sign_of_same(self.step[remaining], self.step[one], self.scatter) for one in remaining]
-            signs = max(near, key=lambda sign: int(np.count_nonzero(sign)))
+            signs = self._busiest(remaining)
             own = (self.step[remaining] * signs[:, None])[signs != 0]
             mean = np.median(own, axis=0)
             mean = mean * np.sign(mean[np.argmax(np.abs(mean))])
@@ -348,6 +347,26 @@ class JumpAttribution:
             out.append((mean, sigma, len(own)))
             remaining = remaining[signs == 0]
         return out
+
+    def switchings_of_first(self) -> tuple[Int64, Floats]:
+        """Return the places of the switchings of the first of the units, and their steps with its sign.
+
+        Returns
+        -------
+        places : ndarray of int64, shape (own,)
+        steps : ndarray, shape (own, axis)
+            nT.
+        """
+        remaining = np.flatnonzero(~self.follows)
+        signs = self._busiest(remaining)
+        own = (self.step[remaining] * signs[:, None])[signs != 0]
+        mean = np.median(own, axis=0)
+        return remaining[signs != 0], own * np.sign(mean[np.argmax(np.abs(mean))])
+
+    def _busiest(self, remaining: Int64) -> Floats:
+        """Return the signs with which most of some switchings are one unit's; 0 of those that are not."""
+        near = [_sign_of_same(self.step[remaining], self.step[one], self.scatter) for one in remaining]
+        return max(near, key=lambda sign: int(np.count_nonzero(sign)))
 
 
 def _sign_of_same(steps: Floats, one: Floats, scatter: float) -> Floats:

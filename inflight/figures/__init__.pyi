@@ -51,6 +51,7 @@ from .dual import (
     sensor_variance_figure,
     switching_steps_figure,
     timeline_figure,
+    unit_steps_figure,
 )
 from .page import (
     LazySection,
@@ -224,6 +225,7 @@ __all__ = [
     "torquer_mean_figures",
     "uncertainty_figure",
     "unique_labels",
+    "unit_steps_figure",
     "unscorable_list",
     "verdict_strip",
     "waterfall_figure",

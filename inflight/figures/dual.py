@@ -13,7 +13,7 @@ from itertools import cycle, islice
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from bokeh.models import ColumnDataSource, FixedTicker
+from bokeh.models import ColumnDataSource, FixedTicker, Span
 from bokeh.palettes import Category20_20
 from bokeh.plotting import figure
 
@@ -28,6 +28,7 @@ from inflight.figures.style import (
     plain_figure,
 )
 from inflight.time import to_utc
+from inflight.units import with_error
 
 Ints = npt.NDArray[np.int64]
 
@@ -208,6 +209,31 @@ _WIDTH = 470
 
 #: Error bars at most: more of them are one surface.
 _BARS = 300
+
+
+def unit_steps_figure(time: Times, step: Floats, scatter: float, mean: Floats, sigma: Floats) -> figure:
+    """Draw the steps of the difference at each switching of one unit, and the unit's own vector as lines.
+
+    Parameters
+    ----------
+    time : ndarray of datetime64, shape (switching,)
+    step : ndarray, shape (switching, axis)
+        With the unit's sign, nT.
+    scatter : float
+        Of a component of a step, nT.
+    mean, sigma : ndarray, shape (axis,)
+        The unit's vector, nT.
+    """
+    plot = plain_figure(
+        "Unit without housekeeping: steps of the difference", "UTC", "nT", x_axis_type="datetime", width=560
+    )
+    for axis, colour in enumerate(COMPONENTS):
+        error_bars(plot, time, step[:, axis], np.full(len(step), scatter), colour)
+        label = f"{_AXES[axis]} {with_error(float(mean[axis]), float(sigma[axis]))}"
+        plot.scatter(time, step[:, axis], color=colour, size=6, legend_label=label)
+        plot.add_layout(Span(location=float(mean[axis]), dimension="width", line_color=colour))
+    legend_below(plot)
+    return plot
 
 
 def relation_figure(table: xr.Dataset, part: str) -> figure:

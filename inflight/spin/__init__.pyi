@@ -34,6 +34,7 @@ from .residual import (
     rank_tone_dependences,
     tone_dependence,
     tones_of,
+    tones_of_turns,
 )
 from .tones import measure_tones
 from .update import (
@@ -106,5 +107,6 @@ __all__ = [
     "spinning_sensor_of",
     "tone_dependence",
     "tones_of",
+    "tones_of_turns",
     "uncertainty_of_pairs",
 ]

@@ -91,6 +91,11 @@ class Tones:
         return np.asarray(np.sqrt(weight @ np.abs(np.nan_to_num(self.value)) ** 2 / (2.0 * total)))
 
     @property
+    def rms(self) -> float:
+        """Rms of the two rows by these weights, nT."""
+        return float(np.sqrt(np.sum(self.size**2) / len(ROW_NAMES)))
+
+    @property
     def floor(self) -> float:
         """Rms of the rows that nature alone makes, by the same weights, nT."""
         weight, total = self._usable()
@@ -110,6 +115,22 @@ def tones_of(rows: Floats, sectors: int) -> Complex:
     # As a cosine and a sine: Re(A exp(-i h phase)).
     found = np.einsum("isr,sh->irh", whole, waves) * 2.0 / sectors
     return np.asarray(found.reshape(len(whole), -1))
+
+
+def tones_of_turns(rows: Floats, weight: Floats, noise: Floats, sectors: int) -> Tones:
+    """Return the tones of synthetic turns of so many samples, as any summary of a residual takes them.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (time, 2)
+        nT.
+    weight, noise : ndarray, shape (time,)
+        Of the folded samples; a turn has the weight of its worst sample: one with a bad sample has no
+        harmonics.
+    """
+    value = tones_of(rows, sectors)
+    turns = slice(0, len(value) * sectors)
+    return Tones(value, weight[turns].reshape(-1, sectors).min(axis=1), noise[turns][::sectors])
 
 
 @dataclass(frozen=True)

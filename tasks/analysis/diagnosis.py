@@ -62,7 +62,7 @@ from inflight.tasks.archive import (
 )
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.models import VersionedModel, current_model
-from inflight.tasks.pipelines import learns_states, spacecraft_units_of
+from inflight.tasks.pipelines import learns_states, spacecraft_units_of, trend_of_products
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds
 
@@ -152,7 +152,8 @@ def examine(
     report_progress("search", 1, 1)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, data, found.after_plumbing(faults), settings, facts)
+    trend = trend_of_products(cat, settings.comparison, data.model.version, start, end)
+    return Examined(search, data, found.after_plumbing(faults).with_products(trend), settings, facts)
 
 
 def make_pass(

@@ -31,6 +31,7 @@ from inflight.diagnosis import (
     error_waterfall,
     heat_maps,
     lag_profile,
+    number_curves,
     periods_of,
     residual_lines,
     responses,
@@ -67,6 +68,7 @@ from inflight.figures import (
     shift_table,
     short_name,
     strongest_pairs,
+    unit_steps_figure,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
@@ -110,25 +112,33 @@ def where_it_fails(seen: BeforeAfter) -> Section:
 
 def what_each_makes(seen: BeforeAfter, search: Search, data: DiagnosisData, found: Diagnosis) -> Section:
     """Return a figure of each effect that was found: what is measured, what it makes, and what is left."""
-    curves = entry_curves(search, data, seen)
+    curves = [*entry_curves(search, data, seen), *number_curves(search, data, seen, found.refined)]
     rivals = rival_curves(search, data, seen, found.confusion_set) if curves else []
     note = (
         "One figure an effect, the strongest first. Points are what is measured with everything else in the "
         "model, the line is what the effect would make with the numbers found, and the dotted line what is "
         "left with it in the model. Were the effect what is there, the points lie on the line and what is "
         "left is flat; points that leave the line say that its form is another one. Fields along an axis are "
-        "drawn less their mean."
+        "drawn less their mean. Of a number that the model holds the line is what its change makes."
     )
     if rivals:
         note += (
             " Then come causes that cannot be told from these, each in the place of its rival: where their "
             "figures look alike, these data do not tell which it is."
         )
-    left = left_figures(seen, found)
+    left, unit = left_figures(seen, found), unit_figures(data)
     text = [paragraph(note, kind="quiet")] if curves else []
     if left:
         text.append(paragraph("What is left is drawn folded by the period it repeats with.", kind="quiet"))
-    return "What each cause would make", text, [*(entry_figure(one) for one in [*curves, *rivals]), *left]
+    if unit:
+        note = (
+            "Points of a unit without housekeeping are the steps of the difference at its switchings with "
+            "the sign of switching on: those of one unit lie on its lines. The level is free at each of "
+            "them, so that the residual has none of the steps."
+        )
+        text.append(paragraph(note, kind="quiet"))
+    drawn = [entry_figure(one) for one in [*curves, *rivals]]
+    return "What each cause would make", text, [*drawn, *left, *unit]
 
 
 def what_it_follows(seen: BeforeAfter, found: Diagnosis) -> Section:
@@ -244,6 +254,15 @@ def left_figures(seen: BeforeAfter, found: Diagnosis) -> list[Any]:
     y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
     curve = fold_by_period(seconds, y, u, signature.period_s)
     return [fold_figure(format_period(signature.period_s), *curve)]
+
+
+def unit_figures(data: DiagnosisData) -> list[Any]:
+    """Return the steps at each switching of the busiest unit without housekeeping, if there is one."""
+    if data.switched is None or not data.switched.unexplained:
+        return []
+    own, steps = data.switched.switchings_of_first()
+    mean, sigma, _ = data.switched.units[0]
+    return [unit_steps_figure(to_utc(data.switched.first[own]), steps, data.switched.scatter, mean, sigma)]
 
 
 # Cross-talk.

@@ -73,7 +73,7 @@ from inflight.tasks.models import (
     version_before_change,
     version_with_gram_blocks,
 )
-from inflight.tasks.pipelines import spacecraft_units_of
+from inflight.tasks.pipelines import spacecraft_units_of, trend_of_products
 from inflight.tasks.report import Progress
 from inflight.time import SECOND, DayLike, parse_duration
 
@@ -757,7 +757,8 @@ class Workbench:
         begun = begin_search(self.made, self.settings)
         found, search = run_search(begun, replace(context, model=model), native)
         faults = self._plumbing() if self._faults is None else self._faults
-        return found.after_plumbing(faults), search
+        trend = trend_of_products(self.cat, self.settings.comparison, self.root.version, self.start, self.end)
+        return found.after_plumbing(faults).with_products(trend), search
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order.

@@ -26,6 +26,7 @@ from .base import (
     window_edges,
 )
 from .conformance import check_pipeline
+from .mission_fit import trend_of_products
 from .registry import (
     PIPELINES,
     find_pipeline,
@@ -77,5 +78,6 @@ __all__ = [
     "spacecraft_units_of",
     "table_sections",
     "tables_report",
+    "trend_of_products",
     "window_edges",
 ]

@@ -133,6 +133,9 @@ def test_catalog_lists_shows_and_verifies(inflight, finished):
     assert {"l1/turning", "l1/absolute", "l2/field"} <= {item["dataset"] for item in listed["items"]}
     days = inflight("catalog", "show", "l2/field", "--json", "-w", finished).json["items"]
     assert [day["version"] for day in days] == ["v01.00", "v01.00"]
+    table = inflight("catalog", "show", "main-window", "-w", finished).out
+    assert "learnt from: 2024-03-01T00:00:00\n  up to: 2024-03-03T00:00:00" in table
+    assert "residual with these values, nT rms: " in table
     table = inflight("catalog", "show", "main-window", "--json", "-w", finished).json["items"]
     assert "2024-0" in table[0]["valid"]
     edges = inflight("catalog", "show", days[0]["id"], "--json", "-w", finished).json["items"]

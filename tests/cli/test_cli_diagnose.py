@@ -14,7 +14,7 @@ from heated_mission import make_heated_workspace
 from tiny_mission import TINY_YAML
 
 from inflight.catalog import Catalog, Workspace
-from inflight.cli.diagnose import only_moves_with
+from inflight.cli.diagnose import _next_step, only_moves_with
 from inflight.explorer.diagnosis_view import diagnosis_sections
 from inflight.explorer.session import ExplorerSession
 from inflight.tasks.analysis import last_diagnosis
@@ -98,6 +98,33 @@ def test_an_added_effect_is_told_to_a_person(inflight, root, tmp_path):
     assert "leak.coefficient[x]" in told
     assert "vector_sensor.offset[x]" in told
     assert "inflight reprocess" in told
+
+
+def test_an_effect_added_alone_says_that_the_diagnosis_has_other_numbers_with_all_it_found(inflight, root):
+    inflight("diagnose", "--no-prefect", "--rounds", 1, "-w", root)
+    path = root / "reports" / "diagnosis-main.json"
+    kept = json.loads(path.read_text("utf-8"))
+    told = next(one for one in kept["effects"] if one["name"] == EFFECT)
+    # As if it had been fitted with another current that goes with it.
+    told["coefficients"][0]["value"] += 20.0 * told["coefficients"][0]["sigma"]
+    kept["effects"].append(told | {"name": "channel_field(battery_current)"})
+    path.write_text(json.dumps(kept), encoding="utf-8")
+    shown = inflight("add", EFFECT, "-w", root).out
+    assert f"the diagnosis has {told['coefficients'][0]['name']} " in shown
+    assert "with channel_field(battery_current) beside it" in shown
+    assert "inflight undo, then inflight auto" in shown
+
+
+def test_a_drift_that_the_products_follow_is_nothing_to_add(root):
+    found = diagnose(Catalog(root), Workspace.open(root).mission())
+    drift = replace(found.entries[0], name="scale_drift", command='inflight add "scale_drift"')
+    effects = (replace(found.effects[0], name="scale_drift"),)
+    plain = replace(found, entries=(drift,), effects=effects)
+    assert _next_step(plain.as_json()).startswith('next: inflight add "scale_drift"')
+    followed = plain.with_products("linear").as_json()
+    assert "follow the drift of the scale factors already" in followed["sentence"]
+    assert followed["entries"][0]["how_sure"].endswith("the products follow it")
+    assert "add" not in _next_step(followed).replace("nothing to add", "")
 
 
 def test_a_wrong_number_is_told_and_fitted_anew(inflight, root):

@@ -30,6 +30,12 @@ def test_version_is_the_packages(inflight):
     assert inflight("--version").out.strip() == f"inflight {package.__version__}"
 
 
+def test_the_package_runs_as_a_module():
+    command = [sys.executable, "-m", "inflight", "--version"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert told.stdout.strip() == f"inflight {package.__version__}"
+
+
 def test_help_answers_at_once_because_nothing_heavy_is_imported():
     code = (
         "import sys\nfrom inflight.cli import main\n"

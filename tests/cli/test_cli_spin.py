@@ -43,6 +43,10 @@ def test_compare_tells_what_still_goes_with_the_spin(inflight, root):
     residual = told.json["residual"]
     assert residual["after_nT"] < 0.02 < 1.0 < residual["before_nT"]
     assert 0 < residual["noise_floor_nT"] < 0.02
+    again = inflight("reprocess", "--table", "daily", "--end", "2012-03-02", *PLAIN, "-w", root).json
+    assert again["residual"] == {
+        name: pytest.approx(residual[name], rel=1e-3) for name in ("before_nT", "after_nT")
+    }
     assert [(one["row"], one["harmonic"]) for one in told.json["tones"]][:2] == [("axial", 1), ("axial", 2)]
     shown = inflight("compare", "-w", root).out
     assert "noise floor" in shown

@@ -41,7 +41,8 @@ def in_layer(module: str, layer: str) -> bool:
 
 
 def core_modules(graph) -> list[str]:
-    inside = [name for name in graph.modules if in_layer(name, "inflight")]
+    # `python -m inflight` is the command line, by its place alone in the package of the physics.
+    inside = [name for name in graph.modules if in_layer(name, "inflight") and name != "inflight.__main__"]
     return [name for name in inside if not any(in_layer(name, layer) for layer in LAYERS)]
 
 

@@ -26,6 +26,7 @@ from inflight.diagnosis import (
     entry_curves,
     error_waterfall,
     heat_maps,
+    number_curves,
     responses,
     rival_curves,
     run_search,
@@ -34,11 +35,12 @@ from inflight.diagnosis import (
     trials,
 )
 from inflight.diagnosis.figure_data import VIEW_SETTINGS
+from inflight.dual import JumpAttribution
 from inflight.errors import CatalogError
 from inflight.tasks import current_model
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis.diagnosis import begin_search, diagnosis_data, make_pass
-from inflight.tasks.analysis.diagnosis_page import diagnosis_page
+from inflight.tasks.analysis.diagnosis_page import diagnosis_page, unit_figures
 from inflight.tasks.archive import ingest
 from inflight.time import DAY, SECOND, day_bounds
 
@@ -169,6 +171,34 @@ def test_a_rival_is_drawn_in_the_place_of_the_cause_it_rivals(searched):
     assert own.instead_of == ""
     # This one is no rival in truth: what it leaves says so.
     assert np.std(instead.left) > 3 * np.std(own.left)
+
+
+def test_a_wrong_number_of_the_model_is_drawn_before_and_after_its_change(searched):
+    search, data, _ = searched
+    seen = before_after(search, data)
+    (heater,) = search.accepted
+    term = search.library.by_key[heater.terms[0]]
+    # As if the heater's field were a number that the model holds.
+    library = replace(search.library, refined=[term])
+    held = replace(search, library=library, accepted=())
+    name = term.columns[0].partition("[")[0]
+    (drawn,) = number_curves(held, data, seen, [{"name": f"{name}[x]", "wrong": True}])
+    assert drawn.name == name
+    assert np.corrcoef(drawn.measured, drawn.made)[0, 1] > 0.95
+    assert np.std(drawn.left) < 0.2 * np.std(drawn.measured)
+    assert not number_curves(held, data, seen, [{"name": f"{name}[x]", "wrong": False}])
+
+
+def test_a_unit_without_housekeeping_is_drawn_with_all_its_steps(searched):
+    data = searched[1]
+    size, stamps = np.array([19.0, -4.0, 2.0]), 10**12 * np.arange(1, 6)
+    steps = np.outer([1, -1, 1, -1, 1], size)
+    steps[4] = (0.0, 7.0, 0.0)
+    switched = JumpAttribution(stamps, stamps, np.zeros(5, dtype=bool), steps, 0.1)
+    (figure,) = unit_figures(replace(data, switched=switched))
+    drawn = [one.data_source.data["y"] for one in figure.renderers if hasattr(one.glyph, "marker")]
+    assert [list(one) for one in drawn] == [[each] * 4 for each in size]
+    assert not unit_figures(data)
 
 
 def test_the_report_names_the_version_that_the_catalog_has(made, place):

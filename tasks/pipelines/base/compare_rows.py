@@ -64,9 +64,9 @@ def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
     product = product_of(comparison)
     days = cat.days(product, span, states=("published",))
     if not days:
-        raise CatalogError(
-            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
-        )
+        where = " in the span" if span.start or span.stop else ""
+        first = "'inflight reprocess'" if cat.inventory() else "'inflight ingest', then 'inflight reprocess',"
+        raise CatalogError(f"'{product}' has no published days{where}", remedy=f"run {first} first")
     return days
 
 

@@ -302,12 +302,14 @@ def _report(
 def residual_of_days(work: Reprocessing) -> dict[str, float]:
     """Return the rms residual of the planned days before and after, nT, from the reports of their products.
 
-    Days count by their samples; empty when no day has any.
+    Days count by the weight that their reports state, else by their samples; empty when no day has any.
     """
     inside = [
         day for day in work.cat.days(work.plan.product, states=("published",)) if day.day in work.plan.keys
     ]
-    reports = [(day.report["samples"], day.report) for day in inside if day.report.get("samples")]
+    told = [day.report for day in inside if day.report.get("samples") and "before_nT" in day.report]
+    counted = "weight" if all("weight" in report for report in told) else "samples"
+    reports = [(report[counted], report) for report in told]
     total = sum(count for count, _ in reports)
     if not total:
         return {}

@@ -61,7 +61,7 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     torquer_band,
     torquer_mean,
 )
-from inflight.time import day_bounds, to_tt2000
+from inflight.time import DayLike, as_day, day_bounds, to_tt2000
 
 #: Attributes of tables: what all tables of one run share; and, of ``trend``, what could not be made and why.
 FIT_KEY, SKIPPED = "made_from", "left_out"
@@ -190,6 +190,28 @@ def fit_mission_tables(
         table.attrs[FIT_KEY] = fit_key
     out.tables["trend"].attrs[SKIPPED] = json.dumps(out.skipped)
     return out
+
+
+def trend_of_products(
+    cat: Catalog, comparison: str, version: int, start: DayLike | None = None, end: DayLike | None = None
+) -> str:
+    """Return the kind of trend that the scale factors of published products of a span follow.
+
+    Empty where products of its first or last day take one value a window, are of another version of the
+    model, or are none.
+    """
+    name = f"{comparison}-continuous"
+    span = slice(*(None if one is None else str(as_day(one)) for one in (start, end)))
+    days = cat.days(product_of(comparison), span, states=("published",))
+    if not days or not cat.tables(name):
+        return ""
+    kinds = set()
+    for day in (days[0], days[-1]):
+        made_by = str(cat.read(day, ["tt2000"]).attrs.get("calibration_table", ""))
+        known = cat.context(day.context) if day.context else None
+        follows = made_by.startswith(f"{name}:") and known is not None and known.model_version == version
+        kinds.add(str(cat.table(name, at=str(day.day)).attrs["trend"]) if follows else "constant")
+    return kinds.pop() if len(kinds) == 1 and "constant" not in kinds else ""
 
 
 def named_fit(base: Model, found: MissionFit) -> Model:

@@ -40,9 +40,10 @@ from inflight.spin import (
     rank_tone_dependences,
     tone_dependence,
     tones_of,
+    tones_of_turns,
 )
-from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples, needs_of
-from inflight.tasks.models import current_model
+from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples
+from inflight.tasks.models import current_model, preflight_model
 from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
@@ -54,6 +55,7 @@ from inflight.tasks.pipelines.base import (
     day_summary,
     each_day,
     geometry_means,
+    product_needs,
     scalar_channels,
     scatter_html,
     structures_html,
@@ -314,6 +316,7 @@ class _Reader:
     mission: Mission
     comparison: str
     model: Model
+    preflight: Model
     folding: Folding
     needs: list[Need]
     index: ArchiveIndex
@@ -323,12 +326,15 @@ class _Reader:
     def of(
         cls, cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], folding: Folding
     ) -> _Reader:
-        model = current_model(cat, mission, comparison).model
-        needs = needs_of(mission, model)
+        model, preflight = (
+            current_model(cat, mission, comparison).model,
+            preflight_model(cat, mission, comparison),
+        )
+        needs = list(product_needs(mission, model, preflight))
         around = slice(str(days[0].day - _ONE_DAY), str(days[-1].day + 2 * _ONE_DAY))
         sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + _ONE_DAY)))
         index = ArchiveIndex.of(cat, needs, around)
-        return cls(cat, mission, comparison, model, folding, needs, index, sources)
+        return cls(cat, mission, comparison, model, preflight, folding, needs, index, sources)
 
     def add_day(self, found: _ToneRecord, day: Day) -> None:
         """Add one day's tones and everything they may follow."""
@@ -347,16 +353,14 @@ class _Reader:
         folded = fold_spins(self._product_samples(day, samples), self.folding, span)
         calibrated = np.asarray(folded["vector"].values, dtype=np.float64)
         after, good = spin_residual(self.folding, calibrated, folded)
-        before = np.where(good[:, None], rows_of(self.model, raw).residual, np.nan)
+        before = np.where(good[:, None], rows_of(self.preflight, raw).residual, np.nan)
         # The weights that 'inflight reprocess' takes, so that both give the same residual.
         weight, sectors = np.where(good, raw["weight"].values, 0.0), self.folding.sectors
+        noise = np.asarray(raw["noise"].values)
         for tones, rows in ((found.before, before), (found.after, after)):
-            value = tones_of(rows, sectors)
-            turns = slice(0, len(value) * sectors)
-            # A turn with a bad sample has no harmonics.
-            least = weight[turns].reshape(-1, sectors).min(axis=1)
-            tones.append(Tones(value, least, np.asarray(raw["noise"].values[turns][::sectors])))
-        found.sizes.append((_size(before, weight), _size(after, weight)))
+            tones.append(tones_of_turns(rows, weight, noise, sectors))
+        sizes = _size(before, weight, found.before[-1]), _size(after, weight, found.after[-1])
+        found.sizes.append(sizes)
         found.skipped += int((~good).sum())
         stamps = np.asarray(folded["tt2000"].values, dtype=np.int64)
         spans = Spans.of(stamps, self.folding.interval_ns / SECOND)
@@ -448,13 +452,12 @@ def _joined(parts: Sequence[Mapping[str, Any]], sizes: Sequence[int], empty: com
     }
 
 
-def _size(rows: Floats, weight: Floats) -> ResidualStatistics:
-    """Return the size of rows (time, 2), rms by their weights; nT."""
+def _size(rows: Floats, weight: Floats, tones: Tones) -> ResidualStatistics:
+    """Return the size of rows (time, 2), rms as that of their tones; nT."""
     known = np.isfinite(rows).all(axis=1) & (weight > 0.0)
     values, shares = rows[known], weight[known]
     if not len(values):
         return NO_STATISTICS
-    rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
     # The rows have no mean: that of their turn is taken off.
     order = np.argsort(np.abs(values).max(axis=1), kind="stable")
     half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
@@ -462,8 +465,8 @@ def _size(rows: Floats, weight: Floats) -> ResidualStatistics:
     return ResidualStatistics(
         count=int(known.sum()),
         mean=0.0,
-        std=rms,
-        rms=rms,
+        std=tones.rms,
+        rms=tones.rms,
         robust=robust,
         least=float(values.min()),
         largest=float(values.max()),
@@ -472,15 +475,14 @@ def _size(rows: Floats, weight: Floats) -> ResidualStatistics:
 
 def _total_size(sizes: Sequence[ResidualStatistics], tones: Tones) -> ResidualStatistics:
     """Return the size of all days together: rms by the intervals' weights."""
-    rms = float(np.sqrt(np.sum(tones.size**2) / 2.0))
     known = [one for one in sizes if one.count]
     if not known:
         return sizes[0]
     return ResidualStatistics(
         count=sum(one.count for one in known),
         mean=0.0,
-        std=rms,
-        rms=rms,
+        std=tones.rms,
+        rms=tones.rms,
         robust=float(np.median([one.robust for one in known])),
         least=min(one.least for one in known),
         largest=max(one.largest for one in known),

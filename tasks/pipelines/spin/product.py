@@ -12,7 +12,13 @@ from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
 from inflight.model import Model, rows_of
 from inflight.samples import fold_spins
-from inflight.spin import PARAMETER_NAMES, CalibrationParameters, field_uncertainty, make_spin_product
+from inflight.spin import (
+    PARAMETER_NAMES,
+    CalibrationParameters,
+    field_uncertainty,
+    make_spin_product,
+    tones_of_turns,
+)
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
@@ -80,7 +86,7 @@ def _row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:
 def _residual(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:
     """Return the weighted rms of the spin tones, before and after calibration, and the noise floor; nT.
 
-    Empty where nothing can be folded.
+    As `inflight compare` measures them; ``weight`` is what the day counts. Empty where nothing can be folded.
     """
     assert bound.layout is not None
     if bound.layout.folding is None:
@@ -89,12 +95,10 @@ def _residual(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, in
         folded = fold_spins(samples, bound.layout.folding, span)
     except InflightError:
         return {}
-    out = {}
-    for name, model in (("before_nT", raw), ("after_nT", bound)):
-        rows = rows_of(model, folded)
-        weight = np.where(rows.good, folded["weight"].values, 0.0)
-        square = np.sum(weight[:, None] * np.nan_to_num(rows.residual) ** 2)
-        out[name] = float(np.sqrt(square / max(2.0 * weight.sum(), 1e-300)))
-    noise = np.nan_to_num(folded["noise"].values)
-    out["floor_nT"] = float(np.sqrt(np.sum(weight * noise**2) / max(weight.sum(), 1e-300)))
-    return out
+    before, after = rows_of(raw, folded), rows_of(bound, folded)
+    weight = np.where(after.good, folded["weight"].values, 0.0)
+    noise, sectors = np.asarray(folded["noise"].values), bound.layout.folding.sectors
+    known = tones_of_turns(before.residual, weight, noise, sectors)
+    left = tones_of_turns(after.residual, weight, noise, sectors)
+    out = {"before_nT": known.rms, "after_nT": left.rms, "floor_nT": left.floor}
+    return out | {"weight": float(left.weight.sum())}
