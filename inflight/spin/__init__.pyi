@@ -38,18 +38,20 @@ from .residual import (
 from .tones import measure_tones
 from .update import (
     GROUND,
+    HELD,
     SPIN,
     Decision,
     ExternalValue,
     ParameterTable,
     SpinParametersInUse,
     ValueInUse,
-    axial_offset_slope,
+    held_slopes,
     join_parameters,
 )
 
 __all__ = [
     "GROUND",
+    "HELD",
     "PARAMETER_NAMES",
     "PARAMETER_UNITS",
     "ROW_NAMES",
@@ -81,7 +83,6 @@ __all__ = [
     "Tones",
     "ValueInUse",
     "ZeroDrift",
-    "axial_offset_slope",
     "azimuth_between",
     "calibrate_by_selection",
     "calibrate_farrell",
@@ -94,6 +95,7 @@ __all__ = [
     "field_uncertainty",
     "fit_folded_samples",
     "fit_spins",
+    "held_slopes",
     "join_parameters",
     "make_spin_product",
     "measure_boom_bending",
