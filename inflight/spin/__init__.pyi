@@ -12,6 +12,7 @@ from .estimate import (
     spin_equations,
     spinning_sensor_of,
     uncertainty_of_pairs,
+    variability_of_selected,
 )
 from .farrell import (
     FarrellFit,
@@ -35,7 +36,7 @@ from .residual import (
     tone_dependence,
     tones_of,
 )
-from .tones import measure_tones
+from .tones import SpinTones, initial_tones, measure_tones
 from .update import (
     GROUND,
     HELD,
@@ -77,6 +78,7 @@ __all__ = [
     "SpinFits",
     "SpinParametersInUse",
     "SpinPhase",
+    "SpinTones",
     "SubIntervals",
     "ToneCoordinate",
     "ToneDependence",
@@ -96,6 +98,7 @@ __all__ = [
     "fit_folded_samples",
     "fit_spins",
     "held_slopes",
+    "initial_tones",
     "join_parameters",
     "make_spin_product",
     "measure_boom_bending",
@@ -109,4 +112,5 @@ __all__ = [
     "tone_dependence",
     "tones_of",
     "uncertainty_of_pairs",
+    "variability_of_selected",
 ]

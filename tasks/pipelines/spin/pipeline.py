@@ -53,7 +53,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=3, tables=5, products=6)
+    versions = Versions(statistics=4, tables=6, products=7)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""
@@ -72,6 +72,14 @@ class SpinPipeline(Pipeline):
                 "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
             )
         return super().make_plan(cat, mission, settings, span)
+
+    def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
+        """Return the channel that tells eclipses; none where they are computed, or not asked for."""
+        from inflight.tasks.pipelines.spin.orbit import COMPUTED
+
+        entry = mission.comparisons[comparison]
+        named = entry.eclipse if entry.kind == "spin" else None
+        return () if named in (None, COMPUTED) else (named,)
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's estimates; see `spin_day`."""

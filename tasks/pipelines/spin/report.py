@@ -54,7 +54,7 @@ def spin_report(
     parts = spin_table_parts(found)
     if output is not None:
         title = f"{mission.mission}: calibration by the spin, {found.span[0]} to {found.span[1]}"
-        footer = f"{len(found.days)} days; inflight {__version__}. {mission.acknowledgement}"
+        footer = f"{len(found.records)} days; inflight {__version__}. {mission.acknowledgement}"
         write_page(
             output, html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
         )
@@ -62,7 +62,7 @@ def spin_report(
         "command": "chain",
         "comparison": comparison,
         "span": found.span,
-        "days": len(found.days),
+        "days": len(found.records),
         "tables": {name: f"{comparison}-{name}" for name in TABLES},
         "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
         "path": str(output) if output else "",

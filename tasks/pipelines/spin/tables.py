@@ -29,7 +29,6 @@ from inflight.spin import (
     HELD,
     PARAMETER_NAMES,
     PARAMETER_UNITS,
-    SPIN,
     SPIN_RELATED,
     Bools,
     CalibrationParameters,
@@ -44,7 +43,7 @@ from inflight.spin import (
 )
 from inflight.tasks.archive import flips_of
 from inflight.tasks.pipelines.base import equations_of, newest_tables, product_of
-from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
+from inflight.tasks.pipelines.spin.day import ground_of, parts_of, require_spinning
 from inflight.time import DAY, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     COMBINED_METHODS,
@@ -132,13 +131,21 @@ class _Row:
 
 
 def _windows(
-    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64]
+    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64], *, cut: bool = False
 ) -> Iterator[tuple[int, int, list[xr.Dataset]]]:
-    """Yield TT2000 start and end of each window that has days, and its days."""
-    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
-        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
-        if inside:
-            yield start, end, inside
+    """Yield TT2000 start and end of each window that has days, and its days, or parts of days.
+
+    With `cut` a window ends where a day is cut, too.
+    """
+    bounds = {day_bounds(edge)[0] for edge in edges}
+    parts = parts_of(days)
+    if cut:
+        inside = {int(part["start"].values[0]) for part in parts}
+        bounds |= {at for at in inside if at != day_bounds(day_of(at))[0]}
+    for start, end in itertools.pairwise(sorted(bounds)):
+        inside_window = [part for part in parts if start <= int(part["start"].values[0]) < end]
+        if inside_window:
+            yield start, end, inside_window
 
 
 def spin_table(
@@ -176,7 +183,9 @@ def spin_table(
     """
     entry = require_spinning(model)
     in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0])
-    rows = [in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges)]
+    rows = [
+        in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges, cut=True)
+    ]
     return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
 
 
@@ -466,7 +475,8 @@ class SpinResults:
     tables : mapping of str to Dataset
         ``daily``, ``window``, ``zero-level``.
     days : list of Dataset
-        As `inflight.tasks.pipelines.spin.day.spin_day` makes them, those of the daily table.
+        As `inflight.tasks.pipelines.spin.day.spin_day` makes them, those of the daily table; one a part of a
+        day that is cut.
     records, products : list of Day
         Of the same days.
     """
@@ -501,7 +511,8 @@ class SpinResults:
         products = [
             day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in days
         ]
-        return cls(cat, mission, comparison, tables, [cat.read(day) for day in records], records, products)
+        parts = parts_of(cat.read(day) for day in records)
+        return cls(cat, mission, comparison, tables, parts, records, products)
 
     @property
     def span(self) -> list[str]:
