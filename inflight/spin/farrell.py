@@ -703,7 +703,8 @@ class FarrellFit:
             between = np.arctan2(across[1] @ y, across[1] @ x) - np.pi / 2
             elevation = [np.arcsin(-(side @ three)) for side in (one, two)]
             axis = [np.arcsin(x[2]), np.arctan2(y[2], three[2])]
-            gain = np.sqrt(given[5] * unit[0] / unit[1])
+            flat = np.cos(given[:2])
+            gain = np.sqrt(given[5] * unit[0] / unit[1] * flat[0] / flat[1])
             return np.array([gain, *elevation, between, *axis, *(given[6:] / unit[:2])])
 
         levels, slope_sigma = self.intercepts, self.sigma[:2]

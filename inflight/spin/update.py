@@ -9,6 +9,9 @@ adds jitter (Plaschke et al. 2019, sections 6 and 8). Offset and elevation of a 
 and are separated poorly: they are decided together, by their common covariance. What is replaced is the
 estimate given everything that is kept: else a tone that both share would come back.
 
+Errors here are those for given values of `HELD`, the four that leave no tone: they are common to all
+intervals. `join_parameters` adds what the errors of these make of the eight.
+
 The spin determines eight of the twelve. The offset along the spin axis comes from `inflight.zero_level`,
 gains and the rotation about the spin axis from the ground or from a model of the Earth's field.
 """
@@ -187,7 +190,7 @@ class SpinParametersInUse:
             for at, name in enumerate(SPIN_RELATED)
         }
         for at in np.flatnonzero(determined & ~self.from_flight):
-            made[SPIN_RELATED[at]] = accept_first_value(made[SPIN_RELATED[at]])
+            made[SPIN_RELATED[at]] = accept_first_value(made[SPIN_RELATED[at]], "by the tones known")
         for pair in _TOGETHER:
             places = [SPIN_RELATED.index(name) for name in pair]
             if determined[places].all() and self.from_flight[places].all():
@@ -344,14 +347,17 @@ def _rounded_times(ratio: float) -> str:
     return f"{float(f'{ratio:.2g}'):.15g}"
 
 
-def accept_first_value(made: Decision) -> Decision:
-    """Return the decision to take a first value of the flight: no product was made before it."""
+def accept_first_value(made: Decision, known: str = "known") -> Decision:
+    """Return the decision to take a first value of the flight: no product was made before it.
+
+    `known` says how: sigmas of the eight are those for given values of `HELD`.
+    """
     better = made.present_sigma / made.sigma
     times = _rounded_times(better)
     return replace(
         made,
         verdict="update",
-        reason=f"the first value that the flight tells, known {times} times better than on the ground",
+        reason=f"the first value that the flight tells, {known} {times} times better than on the ground",
     )
 
 

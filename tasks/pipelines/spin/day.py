@@ -250,7 +250,7 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         report |= found.report
         told.append(found.tones.summary())
         means = _payload_means(record, found.parameters, phase.attrs["period_s"], span)
-        parts.append(_estimates(found, span).merge(means))
+        parts.append(estimates_of(found, span).merge(means))
     report["told"] = "; ".join(told)
     report["coverage"] = 0.0
     if report["used"]:
@@ -511,7 +511,7 @@ def _empty_estimates(
     return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
 
 
-def _estimates(found: SpinEstimate, span: tuple[int, int]) -> xr.Dataset:
+def estimates_of(found: SpinEstimate, span: tuple[int, int]) -> xr.Dataset:
     """Return the estimate of a record and those of its sub-intervals; see `spin_day`."""
     variance = np.diag(found.covariance)
     sigma = np.sqrt(np.where(np.isfinite(variance), variance, np.inf))

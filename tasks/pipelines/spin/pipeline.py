@@ -187,7 +187,8 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     sections = fields["sections"]
     first, last = fields["span"]
     lines = [
-        f"{one['name']:<17} {with_unit(one['value'], one['sigma'], one['unit'])}, from {one['origin']}; "
+        f"{one['name']:<17} {with_unit(one['value'], one['sigma'], one['unit'])}{_by_tones(one)}, "
+        f"from {one['origin']}; "
         f"{f'{word}: ' if (word := one['decision']) else ''}{one['reason']}"
         for one in sections["twelve"]["items"]
     ]
@@ -200,3 +201,10 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     lines += [f"{one['day']}: {one['told']}" for one in sections["phase"]["items"][-1:]]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
     return [TextLine(title, "bold"), *(TextLine(f"  {line}") for line in lines)]
+
+
+def _by_tones(one: Mapping[str, Any]) -> str:
+    """Return the error that tones alone have, where that of gains, rotation and third offset adds to it."""
+    alone = one["conditional_sigma"]
+    unit = "" if one["unit"] == "1" else f" {one['unit']}"
+    return f" (± {alone:.1g}{unit} by the tones)" if alone < 0.7 * one["sigma"] else ""

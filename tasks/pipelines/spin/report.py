@@ -28,7 +28,7 @@ from inflight.figures import (
 )
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN, SPIN_RELATED
 from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
@@ -84,6 +84,7 @@ def _parameters(found: SpinResults) -> Part:
             one["unit"],
             with_error(one["preflight"], one["preflight_sigma"]),
             with_error(one["value"], one["sigma"]),
+            f"{one['conditional_sigma']:.1g}" if one["origin"] == SPIN else "",
             one["origin"],
             one["decision"] or "as on the ground",
             one["reason"],
@@ -92,9 +93,11 @@ def _parameters(found: SpinResults) -> Part:
     ]
     part.add_text(
         f"The newest of {table.sizes['interval']} windows: what is in use, where it came from, and what the "
-        "window's own estimate decided."
+        "window's own estimate decided. The error in use is the whole one: gains, rotation and the third offset "
+        "leave no tone, and what is not known of them is in it. The tones alone know a parameter better, for "
+        "given values of these four: decisions rest on that error, and the tones of the product have it."
     )
-    head = ("parameter", "unit", "pre-flight", "in use", "from", "decision", "why")
+    head = ("parameter", "unit", "pre-flight", "in use", "error by tones", "from", "decision", "why")
     part.text.append(html_table(head, rows, kind="wide told"))
     ground = [one["name"] for one in part.fields["items"] if one["origin"] == "ground"]
     part.fields["ground"] = ground
@@ -105,8 +108,11 @@ def _parameters(found: SpinResults) -> Part:
 
 def _items(row: xr.Dataset) -> list[dict[str, Any]]:
     """Return one interval's parameters by name."""
-    columns = ("prior", "prior_sigma", "value", "sigma", "own", "own_sigma")
-    keys = ("preflight", "preflight_sigma", "value", "sigma", "own", "own_sigma")
+    keys = ("preflight", "preflight_sigma", "value", "sigma", "conditional_sigma", "own", "own_sigma")
+    columns = ("prior", "prior_sigma", *keys[2:])
+    if "conditional_sigma" not in row:
+        # A table from before there was one.
+        row = row.assign(conditional_sigma=row["sigma"])
     return [
         {"name": name, "unit": PARAMETER_UNITS[name]}
         | {key: float(row[column].values[at]) for key, column in zip(keys, columns, strict=True)}
@@ -151,7 +157,9 @@ def _estimates(found: SpinResults) -> Part:
         return part
     rows, part.fields["items"] = _selection_and_joint(found, value, sigma)
     part.add_text(
-        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
+        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies and, for "
+        "offsets and elevations, the variability of selected estimates of what is held (Plaschke et al. 2019, "
+        "5.4, 5.5). The error of the joint estimate is that of its fit: noise, correlation and scatter. The "
         "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
         "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
         "pre-flight offset along the spin axis."
