@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from benchmarks.spin_coverage import spin_coverage
 
+from benchmarks.spin_coverage import spin_coverage
 from inflight.spin import HELD, PARAMETER_NAMES, SPIN_RELATED, CalibrationParameters, held_slopes
 
 TRUTH = CalibrationParameters(

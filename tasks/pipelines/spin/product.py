@@ -17,6 +17,7 @@ from inflight.spin import PARAMETER_NAMES, CalibrationParameters, field_uncertai
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
+from inflight.tasks.pipelines.spin.orbit import eclipses_of
 from inflight.time import day_bounds, to_utc
 
 #: A matrix for each of the twelve parameters: 1 where it meets itself.
@@ -59,6 +60,10 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
         if not np.all(row["determined"].values[free]):
             flag[inside] |= np.uint32(Flag.PRIOR_PARAMETERS)
         uncertainty[inside] = own
+    # Nothing was learnt in eclipses.
+    eclipses, _ = eclipses_of(cat, mission, model.comparison, job.needs, job.index, day)
+    for one in eclipses:
+        flag[slice(*np.searchsorted(stamps, [one.start, one.end]))] |= np.uint32(Flag.EXTRAPOLATED)
     product = make_spin_product(bound, corrected, uncertainty, attitude)
     product["flag"] = product["flag"] | flag
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
