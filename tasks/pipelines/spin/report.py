@@ -94,7 +94,7 @@ def _parameters(found: SpinResults) -> Part:
     part.add_text(
         f"The newest of {table.sizes['interval']} windows: what is in use, where it came from, and what the "
         "window's own estimate decided. The error in use is the whole one: gains, rotation and third offset "
-        "leave no tone, and their errors are in it. For given values of these four the tones know a parameter "
+        "leave no tone, and their errors are in it. For given values of these the tones know a parameter "
         "better: decisions rest on that error."
     )
     head = ("parameter", "unit", "pre-flight", "in use", "error by tones", "from", "decision", "why")
@@ -159,7 +159,7 @@ def _estimates(found: SpinResults) -> Part:
     part.add_text(
         "Each point is a sub-interval, against its own uncertainty: from neighbouring frequencies and, of "
         "offsets and elevations, from the variability of selected estimates of what is held (Plaschke et al. "
-        "2019, 5.4, 5.5). The error of the joint estimate is that of its fit: noise, overlap and scatter. The "
+        "2019, 5.4, 5.5). The error of the joint estimate is that of its fit: noise, overlap, scatter. The "
         "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
         "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
         "pre-flight offset along the spin axis."
