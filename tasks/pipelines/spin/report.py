@@ -32,7 +32,7 @@ from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN, SPIN_RELATED
 from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
-from inflight.time import DAY, day_of
+from inflight.time import DAY, day_of, to_utc
 from inflight.units import with_error
 from inflight.zero_level import COMBINED_METHODS
 
@@ -124,7 +124,7 @@ def _items(row: xr.Dataset) -> list[dict[str, Any]]:
 def _days(found: SpinResults) -> Part:
     part = Part("days", "What each day decided")
     table = found.tables["daily"]
-    days = [str(one)[:10] for one in day_of(table["start"].values)]
+    days = [_begin(start) for start in table["start"].values.tolist()]
     items = [{"day": day} | one for at, day in enumerate(days) for one in _items(table.isel(interval=at))]
     part.fields = {"items": [one for one in items if one["decision"]]}
     update = [one for one in part.fields["items"] if one["decision"] == "update"]
@@ -146,6 +146,12 @@ def _days(found: SpinResults) -> Part:
     if table.sizes["interval"] > 1:
         part.plots.append(parameter_change_figure(table))
     return part
+
+
+def _begin(start: int) -> str:
+    """Return the day of an interval, with the time where a perigee begins it."""
+    text = str(to_utc(start))
+    return text[:10] if text[11:16] == "00:00" else f"{text[:10]} {text[11:16]}"
 
 
 def _estimates(found: SpinResults) -> Part:
