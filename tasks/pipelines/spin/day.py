@@ -224,6 +224,8 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     }
     readings, good, _ = plain_readings(model, entry, samples)
     stamps = np.asarray(samples["tt2000"].values)
+    comparison = mission.comparisons[model.comparison]
+    assert comparison.kind == "spin"
     orbit = (batch.cat, mission, model.comparison, job.needs, job.index, day)
     (eclipses, no_shadow), (cuts, no_perigee) = eclipses_of(*orbit), perigees_of(*orbit)
     excluded = [
@@ -239,7 +241,7 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         inside = slice(*np.searchsorted(stamps, span))
         record = SpinRecord(readings[inside], phase.values[inside], stamps[inside], good[inside])
         try:
-            found = record.estimate(mission.comparisons[model.comparison], prior, measured, excluded)
+            found = record.estimate(comparison, prior, measured, excluded)
         except TooLittleError as error:
             told.append(error.message)
             faults.append(_fault(job, f"{_TELLS_NOTHING}: {error.message}", error.remedy))
@@ -368,7 +370,7 @@ def _with_prior(
     information[np.ix_(known, known)] += own
     right[known] += own @ value[known]
     together = np.linalg.inv(information)
-    return together @ right, together
+    return np.asarray(together @ right), np.asarray(together)
 
 
 def _fault(job: Job, message: str, remedy: str) -> dict[str, str]:

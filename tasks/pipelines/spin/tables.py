@@ -141,7 +141,7 @@ def _windows(
     parts = parts_of(days)
     if cut:
         inside = {int(part["start"].values[0]) for part in parts}
-        bounds |= {at for at in inside if at != day_bounds(day_of(at))[0]}
+        bounds |= {at for at in inside if at != day_bounds(str(day_of(at)))[0]}
     for start, end in itertools.pairwise(sorted(bounds)):
         inside_window = [part for part in parts if start <= int(part["start"].values[0]) < end]
         if inside_window:
