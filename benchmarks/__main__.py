@@ -46,6 +46,15 @@ def _show_coverage(kept: Path | None, seeds: int, only: str) -> None:
     print("\n".join(table(counts)), flush=True)
 
 
+def _show_spin_coverage(seeds: int) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from benchmarks.spin_coverage import spin_coverage, table
+
+    with threadpool_limits(1):
+        print("\n".join(table(spin_coverage(seeds))), flush=True)
+
+
 def _show_left_out(kept: Path | None, only: str) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -83,7 +92,10 @@ def _show_real_cadence(real: Path) -> None:
 def _show_answers(given: argparse.Namespace, which: Sequence[str]) -> None:
     """Show how right answers are: what is measured of the search's verdicts and sigmas."""
     if "coverage" in which:
+        _show_spin_coverage(given.seeds)
         _show_coverage(given.keep, given.seeds, given.only)
+    if "spin_coverage" in which:
+        _show_spin_coverage(given.seeds)
     if "left_out" in which:
         _show_left_out(given.keep, given.only)
     if "real_cadence" in which:
@@ -98,8 +110,8 @@ def main() -> None:
     parser.add_argument(
         "which",
         nargs="*",
-        choices=[*_ALL, "coverage", "left_out", "real_cadence", []],
-        help="all but coverage, left_out and real_cadence when absent",
+        choices=[*_ALL, "coverage", "spin_coverage", "left_out", "real_cadence", []],
+        help="all but coverage, spin_coverage (a part of it), left_out and real_cadence when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")

@@ -58,7 +58,8 @@ class Flag(IntFlag):
     NOT_CORRECTED = 1 << 18
     #: An axis reads the very same for long while that of the boom's other sensor changes.
     STILL = 1 << 19
-    #: The calibration table was learnt from a span that does not hold the sample; the uncertainty is wider.
+    #: The calibration was not learnt where the sample lies: outside the span of the table, where the
+    #: uncertainty is wider, or in an eclipse of a spinning spacecraft, where it is not.
     EXTRAPOLATED = 1 << 20
     #: The mission YAML excludes the reading from every fit; it names author and reason.
     EXCLUDED = 1 << 21

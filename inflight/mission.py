@@ -191,6 +191,16 @@ class SpinComparison(Strict):
     #: Spin axis: a channel of kind ``spin_axis``, or where it lay since when. Without it products are in
     #: turning and payload axes only.
     spin_axis: Annotated[str | list[SpinAxis] | None, BeforeValidator(_axes)] = None
+    #: What makes a day's parameters: all sub-intervals together, the mean of selected ones (Plaschke et al.
+    #: 2019), or slope and intercept with beta and phi (Farrell et al. 1995).
+    estimate: Literal["joint", "selection", "farrell"] = "joint"
+    #: What tells eclipses, in which nothing is estimated: a channel that is not 0 in the shadow (of kind
+    #: ``sunlight``: 0 in the shadow), or ``computed`` from the position.
+    eclipse: str | None = None
+    #: Time after an eclipse in which temperatures relax and nothing is estimated either.
+    after_eclipse: Duration = 0
+    #: Values of their own from one perigee to the next: no interval of a table holds two orbits.
+    cut_at: Literal["perigee"] | None = None
     #: Turns that are folded into one, about.
     turns: Annotated[int, Field(ge=8, le=2000)] = 100
     base: str | None = None

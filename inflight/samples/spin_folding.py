@@ -37,7 +37,7 @@ Complex = npt.NDArray[np.complex128]
 SECTORS, FOLD_ORDER = 12, 4
 
 #: Bumped by hand when the numbers of folded samples change.
-FOLDING_VERSION = 2
+FOLDING_VERSION = 3
 
 _TWO_PI = 2.0 * np.pi
 
@@ -61,9 +61,13 @@ class FoldingSettings:
     quiet_nT : float
         Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it:
         no magnetometer in space measures its spin's tone better than this in a few minutes. Assumed.
+    groups : int
+        Natural noise is what so many groups of an interval's turns, about, differ by. Assumed: the tones of
+        eight turns reach an eighth of the spin's frequency to either side.
+    fewest_turns : int
+        Of fewer turns in a group only the first two harmonics are fitted. Assumed.
     harmonics_power : float
-        Power of all harmonics up to the fifth over that of the first two. Derived: of nature's spectrum
-        (f^-5/3).
+        Power of all harmonics up to the fifth over that of these two. Derived: of nature's spectrum (f^-5/3).
     neighbour_turns : float
         Turns whose means are this much of a turn apart are neighbours. Assumed.
     least_share : float
@@ -81,6 +85,8 @@ class FoldingSettings:
         length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0
     )
     quiet_nT: float = 1e-3  # noqa: N815 (a unit)
+    groups: int = 12
+    fewest_turns: int = 4
     harmonics_power: float = 1.25
     neighbour_turns: float = 1.6
     least_share: float = 0.5
@@ -418,23 +424,38 @@ class _Day:
         return np.asarray(hit[self.interval])
 
     def _natural_noise(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
-        """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""
+        """Return what nature adds to the rows, nT rms, by how groups of turns differ; (interval,).
+
+        Nature's spectrum falls steeply: tones of single turns, which reach from half the spin's frequency to
+        twice it, hold more of it than the tones of an interval do. Groups of several turns reach less far.
+        """
         modulus = np.abs(steady[:, 0])
         rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
         rows[~good] = 0.0
-        fits = self._fit_turns(rows.astype(np.complex128), good)
-        tones = fits.coefficients[:, FOLDING_SETTINGS.turn_order + 1 :].reshape(self.turns, -1)
-        # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
+        first, last = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
+        last[self.turn], first[self.turn[::-1]] = self.interval, self.interval[::-1]
+        used = np.bincount(first[np.unique(self.turn[good])], minlength=self.intervals)
+        size = max(1, int(used.max(initial=0)) // FOLDING_SETTINGS.groups)
+        # A single turn's samples may be too few for all harmonics.
+        few = size < FOLDING_SETTINGS.fewest_turns
+        order = FOLDING_SETTINGS.turn_order if few else FOLD_ORDER
+        group = self.turn // size
+        groups = -(-self.turns // size)
+        phase = np.where(self.known, self.phase, 0.0)
+        sums = fourier_sums(rows.astype(np.complex128), phase, group, groups, order, good)
+        tones = sums.coefficients[:, order + 1 :].reshape(groups, -1)
+        # Half the square of what changes from group to group: tones that grow with the field change slowly.
         change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
-        first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
-        place[self.turn], first[self.turn[::-1]] = self.interval, self.interval[::-1]
-        # Each interval has a mean of its own: a turn that lies in two is none.
-        known = np.isfinite(change) & (first[:-1] == place[1:])
-        count = np.bincount(place[1:][known], minlength=self.intervals).astype(np.float64)
+        begun, ended = first[::size], last[np.minimum(size * np.arange(1, groups + 1), self.turns) - 1]
+        # Each interval has a mean of its own: a group that lies in two is none.
+        known = np.isfinite(change) & (begun[:-1] == ended[1:])
+        place = begun[:-1][known]
+        count = np.bincount(place, minlength=self.intervals).astype(np.float64)
+        power = FOLDING_SETTINGS.harmonics_power if few else 1.0
         with np.errstate(invalid="ignore", divide="ignore"):
-            total = np.bincount(place[1:][known], change[known], self.intervals) / count
+            total = np.bincount(place, change[known], self.intervals) / count
             # Twice the real part of each tone, on average over two rows.
-            return np.asarray(np.sqrt(FOLDING_SETTINGS.harmonics_power * total / count))
+            return np.asarray(np.sqrt(power * total * size / used))
 
     def _outlying(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples are far from their own turn's fit."""

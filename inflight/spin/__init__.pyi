@@ -12,6 +12,7 @@ from .estimate import (
     spin_equations,
     spinning_sensor_of,
     uncertainty_of_pairs,
+    variability_of_selected,
 )
 from .farrell import (
     FarrellFit,
@@ -36,21 +37,23 @@ from .residual import (
     tones_of,
     tones_of_turns,
 )
-from .tones import measure_tones
+from .tones import SpinTones, initial_tones, measure_tones
 from .update import (
     GROUND,
+    HELD,
     SPIN,
     Decision,
     ExternalValue,
     ParameterTable,
     SpinParametersInUse,
     ValueInUse,
-    axial_offset_slope,
+    held_slopes,
     join_parameters,
 )
 
 __all__ = [
     "GROUND",
+    "HELD",
     "PARAMETER_NAMES",
     "PARAMETER_UNITS",
     "ROW_NAMES",
@@ -76,13 +79,13 @@ __all__ = [
     "SpinFits",
     "SpinParametersInUse",
     "SpinPhase",
+    "SpinTones",
     "SubIntervals",
     "ToneCoordinate",
     "ToneDependence",
     "Tones",
     "ValueInUse",
     "ZeroDrift",
-    "axial_offset_slope",
     "azimuth_between",
     "calibrate_by_selection",
     "calibrate_farrell",
@@ -95,6 +98,8 @@ __all__ = [
     "field_uncertainty",
     "fit_folded_samples",
     "fit_spins",
+    "held_slopes",
+    "initial_tones",
     "join_parameters",
     "make_spin_product",
     "measure_boom_bending",
@@ -109,4 +114,5 @@ __all__ = [
     "tones_of",
     "tones_of_turns",
     "uncertainty_of_pairs",
+    "variability_of_selected",
 ]

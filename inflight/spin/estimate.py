@@ -397,6 +397,23 @@ def calibrate_by_selection(
     )
 
 
+def variability_of_selected(estimates: SpinEstimates, known: Floats) -> Floats:
+    """Return the standard deviation of the estimates that `choose_estimates` selects; (8,).
+
+    This is the uncertainty of a parameter that is held while others are estimated (Plaschke et al. 2019,
+    sections 5.4 and 5.5): what single sub-intervals scatter by, not the error of their mean. `known` (8,)
+    where nothing is selected.
+    """
+    out = known.copy()
+    for at in range(out.size):
+        chosen, _ = choose_estimates(
+            np.where(np.isfinite(estimates.value[:, at]), estimates.uncertainty[:, at], np.nan)
+        )
+        if chosen.any():
+            out[at] = float(estimates.value[chosen, at].std(ddof=1))
+    return out
+
+
 def uncertainty_of_pairs(scatter: Floats) -> dict[str, float]:
     """Return the uncertainty of the pairs held that the published uncertainties need."""
     return {

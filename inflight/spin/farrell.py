@@ -674,6 +674,52 @@ class FarrellFit:
         zero = np.append(self.intercepts.zero[window], self.intercepts.spin_axis_zero[0])
         return SensorAngles(self.value[:2].copy(), azimuth, self.tilt[0], towards, zero)
 
+    def spin_related(self, sensitivity: Floats, window: int = -1) -> tuple[Floats, Floats]:
+        """Return the eight parameters of Plaschke et al. (2019) that go with the directions found.
+
+        Sensor 3 and the projection of sensor 1 across it are the axes of the sensor package there.
+
+        Parameters
+        ----------
+        sensitivity : ndarray, shape (3,)
+            nT per unit of the readings, as the fit was given.
+        window : int
+            Whose zero levels are taken.
+
+        Returns
+        -------
+        value, covariance : ndarray, shape (8,) and (8, 8)
+            In the order of `inflight.spin.SPIN_RELATED`; offsets in the unit of the readings.
+        """
+        unit = np.asarray(sensitivity, dtype=np.float64)
+
+        def eight(given: Floats) -> Floats:
+            azimuth = np.array([0.0, given[4]])
+            tilt = float(np.hypot(given[2], given[3])), float(np.arctan2(given[3], given[2]))
+            one, two, three = SensorAngles(given[:2], azimuth, *tilt).matrix()
+            across = [side - (side @ three) * three for side in (one, two)]
+            x = across[0] / np.linalg.norm(across[0])
+            y = np.cross(three, x)
+            between = np.arctan2(across[1] @ y, across[1] @ x) - np.pi / 2
+            elevation = [np.arcsin(-(side @ three)) for side in (one, two)]
+            axis = [np.arcsin(x[2]), np.arctan2(y[2], three[2])]
+            flat = np.cos(given[:2])
+            gain = np.sqrt(given[5] * unit[0] / unit[1] * flat[0] / flat[1])
+            return np.array([gain, *elevation, between, *axis, *(given[6:] / unit[:2])])
+
+        levels, slope_sigma = self.intercepts, self.sigma[:2]
+        given = np.concatenate([self.value, levels.zero[window]])
+        spread = np.zeros((given.size, given.size))
+        spread[:6, :6] = self.covariance
+        spread[6:, 6:] = np.diag(levels.sigma[window] ** 2)
+        for k in (0, 1):
+            spread[k, 6 + k] = spread[6 + k, k] = levels.common[window, k] * slope_sigma[k]
+        steps = np.diag([1e-6] * 6 + [1e-3] * 2)
+        slopes = np.stack(
+            [(eight(given + step) - eight(given - step)) / (2.0 * step.max()) for step in steps], axis=1
+        )
+        return eight(given), np.asarray(slopes @ spread @ slopes.T)
+
     def summary(self) -> str:
         """Return the angles in degrees and the zero levels in nT, in words."""
         degrees, sigma = np.rad2deg(self.value), np.rad2deg(self.sigma)

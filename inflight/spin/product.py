@@ -1,9 +1,10 @@
 """The level-2 product of a spinning sensor: the field in turning, payload, GSE and GSM axes.
 
 Takes: samples that the model has corrected, the readings of the sensor's own equation, the twelve parameters
-with their covariance, and the attitude. Makes (`make_spin_product`): the product with its uncertainty, what
-each effect took out, and quality flags. Despinning is eq. (1) of Farrell et al. (1995); the uncertainty is
-that of the parameters of eq. (9) of Plaschke et al. (2019), to first order.
+with their covariance, and the attitude. Makes (`field_uncertainty`) the error of each component by those of
+all twelve, and (`make_spin_product`) the product with it, what each effect took out, and quality flags.
+Despinning is eq. (1) of Farrell et al. (1995); the uncertainty is that of the parameters of eq. (9) of
+Plaschke et al. (2019), to first order.
 """
 
 from __future__ import annotations
@@ -45,9 +46,7 @@ class Attitude:
 def make_spin_product(
     model: Model,
     corrected: xr.Dataset,
-    readings: Floats,
-    parameters: CalibrationParameters,
-    covariance: Floats,
+    uncertainty: Floats,
     attitude: Attitude | None = None,
 ) -> xr.Dataset:
     """Return the level-2 product of one day of a turning sensor.
@@ -58,11 +57,8 @@ def make_spin_product(
         Bound to the calibration table that holds.
     corrected : xarray.Dataset
         Samples as measured, not folded, with `spin_phase`, that the model has corrected.
-    readings : ndarray, shape (time, axis)
-        Of the sensor's equation alone, nT: all other effects are taken out.
-    parameters : CalibrationParameters
-        Those of the day.
-    covariance : ndarray, shape (12, 12)
+    uncertainty : ndarray, shape (time, axis)
+        nT, as `field_uncertainty` gives it.
     attitude : Attitude, optional
         Without one there are no `field_gse` and `field_gsm`.
 
@@ -70,7 +66,7 @@ def make_spin_product(
     -------
     xarray.Dataset
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
-        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `field_uncertainty`
+        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
         `field_payload` is NaN and the flag is set. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
@@ -93,7 +89,7 @@ def make_spin_product(
         ),
         "uncertainty": (
             _VECTOR,
-            field_uncertainty(readings, parameters, covariance),
+            uncertainty,
             {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
         ),
     }

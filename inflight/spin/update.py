@@ -9,6 +9,9 @@ adds jitter (Plaschke et al. 2019, sections 6 and 8). Offset and elevation of a 
 and are separated poorly: they are decided together, by their common covariance. What is replaced is the
 estimate given everything that is kept: else a tone that both share would come back.
 
+Errors here are those for given values of `HELD`, the four that leave no tone: they are common to all
+intervals. `join_parameters` adds what the errors of these make of the eight.
+
 The spin determines eight of the twelve. The offset along the spin axis comes from `inflight.zero_level`,
 gains and the rotation about the spin axis from the ground or from a model of the Earth's field.
 """
@@ -187,7 +190,7 @@ class SpinParametersInUse:
             for at, name in enumerate(SPIN_RELATED)
         }
         for at in np.flatnonzero(determined & ~self.from_flight):
-            made[SPIN_RELATED[at]] = accept_first_value(made[SPIN_RELATED[at]])
+            made[SPIN_RELATED[at]] = accept_first_value(made[SPIN_RELATED[at]], "by the tones known")
         for pair in _TOGETHER:
             places = [SPIN_RELATED.index(name) for name in pair]
             if determined[places].all() and self.from_flight[places].all():
@@ -344,14 +347,17 @@ def _rounded_times(ratio: float) -> str:
     return f"{float(f'{ratio:.2g}'):.15g}"
 
 
-def accept_first_value(made: Decision) -> Decision:
-    """Return the decision to take a first value of the flight: no product was made before it."""
+def accept_first_value(made: Decision, known: str = "known") -> Decision:
+    """Return the decision to take a first value of the flight: no product was made before it.
+
+    `known` says how: sigmas of the eight are those for given values of `HELD`.
+    """
     better = made.present_sigma / made.sigma
     times = _rounded_times(better)
     return replace(
         made,
         verdict="update",
-        reason=f"the first value that the flight tells, known {times} times better than on the ground",
+        reason=f"the first value that the flight tells, {known} {times} times better than on the ground",
     )
 
 
@@ -404,14 +410,14 @@ def join_parameters(
 ) -> ParameterTable:
     """Join the spin's eight parameters with the axial offset and the values of the ground.
 
-    The tones hold the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
-    hold for the third offset they were made with. Where another one is put in, the two move along, and its
-    uncertainty is theirs by the same slope.
+    Tones tell the eight for given values of the four of `HELD`. Where other values of these are put in, the
+    eight move along (`held_slopes`), and their errors become those of the eight by the same slopes.
 
     Parameters
     ----------
     spin : tuple of (ndarray (8,), ndarray (8,), CalibrationParameters)
-        Values, sigmas (infinite for what is not determined) and parameters of an estimate.
+        Values, sigmas for given values of `HELD` (infinite for what is not determined) and parameters of an
+        estimate.
     ground : CalibrationParameters
         Before flight, or of the table before.
     ground_sigma : mapping of str to float
@@ -441,19 +447,55 @@ def join_parameters(
         at = PARAMETER_NAMES.index(name)
         if np.isfinite(errors[order]):
             value[at], sigma[at], source[at] = found[order], errors[order], SPIN
-    third = PARAMETER_NAMES.index("offset[3]")
-    slope = axial_offset_slope(parameters)
-    error = sigma[third] if np.isfinite(sigma[third]) else 0.0
-    for at in range(2):
-        row = PARAMETER_NAMES.index(f"offset[{at + 1}]")
-        if source[row] == SPIN:
-            value[row] += slope[at] * (value[third] - parameters.offset[2])
-            sigma[row] = float(np.hypot(sigma[row], slope[at] * error))
+    held = [PARAMETER_NAMES.index(name) for name in HELD]
+    slopes = held_slopes(parameters)
+    moved = slopes @ (value[held] - parameters.values()[held])
+    errors_held = np.where(np.isfinite(sigma[held]), sigma[held], 0.0)
+    added = np.sqrt(np.sum((slopes * errors_held) ** 2, axis=1))
+    for order, name in enumerate(SPIN_RELATED):
+        at = PARAMETER_NAMES.index(name)
+        if source[at] == SPIN:
+            value[at] += moved[order]
+            sigma[at] = float(np.hypot(sigma[at], added[order]))
     determined = np.array([each != GROUND for each in source])
     return ParameterTable(value, sigma, tuple(source), determined)
 
 
-def axial_offset_slope(parameters: CalibrationParameters) -> Floats:
-    """Return by how much offsets 1 and 2 move with the third, so that the tones stay; (2,)."""
+#: The four that leave no tone: an estimate of the eight holds for given values of these.
+HELD = ("spin_plane_gain", "axial_gain", "rotation", "offset[3]")
+
+#: Step of the derivative of the coupling matrix by gains and angles; its error is of second order.
+_STEP = 1e-6
+
+
+def held_slopes(parameters: CalibrationParameters) -> Floats:
+    """Return by how much the eight move with each of `HELD`, so that the tones stay as they are.
+
+    A field ``D B`` with ``D`` a turn about the spin axis, a factor in the spin plane and one along the axis
+    has no tones where B has none: the eight that go with other gains and another rotation are those of the
+    coupling matrix ``D C``. Of the offsets the tones hold the part in the spin plane, that of ``C O``.
+
+    Returns
+    -------
+    ndarray, shape (8, 4)
+        Rows in the order of `SPIN_RELATED`, columns in that of `HELD`.
+    """
+    shape = [name for name in PARAMETER_NAMES if not name.startswith("offset")]
+    columns = []
+    for name in shape:
+        value = parameters.values()[PARAMETER_NAMES.index(name)]
+        up, down = (parameters.changed({name: value + way * _STEP}).matrix() for way in (1.0, -1.0))
+        columns.append((up - down).ravel() / (2.0 * _STEP))
     matrix = parameters.matrix()
-    return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))
+    plane, along = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    without_tones = np.stack([(one @ matrix).ravel() for one in (plane, along, turn)], axis=1)
+    change = np.linalg.solve(np.stack(columns, axis=1), without_tones)
+    by_held = change @ np.linalg.inv(change[[shape.index(name) for name in HELD[:3]]])
+    out = np.zeros((len(SPIN_RELATED), len(HELD)))
+    for row, name in enumerate(SPIN_RELATED):
+        if name in shape:
+            out[row, :3] = by_held[shape.index(name)]
+    offsets = [SPIN_RELATED.index(f"offset[{axis}]") for axis in (1, 2)]
+    out[offsets, 3] = -np.linalg.solve(matrix[:2, :2], matrix[:2, 2])
+    return out

@@ -5,7 +5,15 @@ import pytest
 from farrell_cases import READINGS, TURN, natural, phase_of, record, sensors, stamps_of, truth_of
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin import SensorAngles, azimuth_between, calibrate_farrell, despin, fit_spins, respin
+from inflight.spin import (
+    CalibrationParameters,
+    SensorAngles,
+    azimuth_between,
+    calibrate_farrell,
+    despin,
+    fit_spins,
+    respin,
+)
 from inflight.spin.farrell import instrument_noise
 from inflight.time import DAY
 
@@ -297,3 +305,15 @@ def test_too_little_is_refused_with_what_to_do():
         calibrate_farrell(fit_spins(stamps_of(len(flat)), flat[:, :2], phase_of(len(flat))))
     with pytest.raises(CalibrationError, match="in one plane"):
         SensorAngles(azimuth=np.array([0.0, -TURN / 4])).remove(flat)
+
+
+def test_the_eight_that_go_with_the_directions_found_are_those_of_the_sensor():
+    truth = CalibrationParameters(1.001, 1.0, 1.0, (2e-3, -3e-3), 1e-3, (3e-3, -1e-3), 0.0, (0.4, -0.3, 0.2))
+    stamps, plain, phase, _ = stepped(SensorAngles(), 30.0)
+    fits = fit_spins(stamps, truth.disturb(plain), phase)
+    unit = np.array([1.001, 1.0 / 1.001, 1.0])
+    value, covariance = calibrate_farrell(
+        fits, sensitivity=unit, spins=1, spin_axis_zero=(0.2, 0.0)
+    ).spin_related(unit)
+    np.testing.assert_allclose(value, truth.spin_related(), atol=2e-8)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-20

@@ -67,7 +67,7 @@ def position(seconds: Float, parameters: SpinningParameters) -> Float:
         return np.zeros((seconds.size, 3))
     low, high = parameters.perigee * EARTH_RADIUS_KM, parameters.apogee * EARTH_RADIUS_KM
     axis, eccentricity = (low + high) / 2.0, (high - low) / (high + low)
-    mean = np.sqrt(_MU / axis**3) * seconds
+    mean = 2.0 * np.pi * orbits(seconds, parameters)
     anomaly = np.mod(mean, 2.0 * np.pi)
     for _ in range(40):
         error = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
@@ -76,6 +76,12 @@ def position(seconds: Float, parameters: SpinningParameters) -> Float:
     x = -axis * (np.cos(anomaly) - eccentricity)
     y = -axis * np.sqrt(1.0 - eccentricity**2) * np.sin(anomaly)
     return np.column_stack([x, y * np.cos(_ORBIT_TILT), y * np.sin(_ORBIT_TILT)])
+
+
+def orbits(seconds: Float, parameters: SpinningParameters) -> Float:
+    """Return how many orbits have passed, whole numbers at perigee; (time,). There has to be an orbit."""
+    axis = 0.5 * (parameters.perigee + parameters.apogee) * EARTH_RADIUS_KM
+    return np.asarray(np.sqrt(_MU / axis**3) * seconds / (2.0 * np.pi))
 
 
 def in_shadow(place: Float) -> np.ndarray:

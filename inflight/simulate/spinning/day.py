@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -146,8 +147,11 @@ class _Scene:
         elapsed = self.number - int(np.datetime64(self.settings.start, "D").astype(np.int64))
         moved = "manoeuvre" in self.effects and elapsed >= p.manoeuvre_day
         turn = np.asarray(p.manoeuvre_turn) if moved else np.zeros(2)
-        rows = sensor.projection(p, self.effects, turn)
-        raw = sensor.reading(self.body_field, rows, self.offsets, self.warm, p, self.effects)
+        raw = np.empty_like(self.body_field)
+        for inside, more in self._turned_at_perigee():
+            rows = sensor.projection(p, self.effects, turn + more)
+            own = self.body_field[inside], rows, self.offsets[inside], self.warm[inside]
+            raw[inside] = sensor.reading(*own, p, self.effects)
         raw = raw + p.noise * self._random("magnetometer").standard_normal(raw.shape)
         if "spikes" in defects:
             hit = self._random("spikes").random(len(raw)) < 2e-4
@@ -163,6 +167,15 @@ class _Scene:
             FGM_FLAG=np.zeros(len(raw), dtype=np.uint8),
         )
         return cut_gaps(data, self.start, self._random("gaps")) if "gaps" in defects else data
+
+    def _turned_at_perigee(self) -> list[tuple[slice, Float]]:
+        """Return the samples between perigees, and by how much the spin axis is turned there, rad."""
+        if "perigee_turn" not in self.effects or self.parameters.apogee <= 0.0:
+            return [(slice(None), np.zeros(2))]
+        orbit = np.floor(ambient.orbits(self.times.seconds, self.parameters)).astype(np.int64)
+        edges = [0, *(np.flatnonzero(np.diff(orbit)) + 1).tolist(), orbit.size]
+        turn = np.asarray(self.parameters.perigee_turn)
+        return [(slice(a, b), turn * (orbit[a] % 2)) for a, b in pairwise(edges)]
 
     def pulses(self) -> xr.Dataset:
         """What the Sun sensor delivers: a pulse a turn in light, and none in the shadow."""

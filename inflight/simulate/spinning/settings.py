@@ -25,6 +25,7 @@ EXTRA: dict[str, str] = {
     "torquer": "field of a coil that is driven at the spin period",
     "eclipse_shift": "spin-plane offsets follow the temperature of the sensor",
     "solar_array": "field of the current of the array, which is modulated by the spin",
+    "perigee_turn": "the spin axis moves in the body at every perigee, one way and back",
     "manoeuvre": "the spin axis moves in the body at a known time",
     "flipper": "a flipper turns sensors 1 and 3 into each other's place, beside a field of the spacecraft",
     "nonlinearity": "quadratic and cubic terms of the spin-plane sensors",
@@ -83,6 +84,7 @@ class SpinningParameters(MissionParameters):
     array_field: tuple[float, float, float] = (0.05, 0.04, -0.07)
     flips: tuple[float, ...] = (2.3,)
     spacecraft_field: tuple[float, float, float] = (2.8, 0.9, -0.6)
+    perigee_turn: tuple[float, float] = (0.0002, -0.0003)
     manoeuvre_day: int = 3
     manoeuvre_turn: tuple[float, float] = (0.0008, -0.0005)
     quadratic: tuple[float, float, float] = (2.0e-9, -1.5e-9, 0.0)

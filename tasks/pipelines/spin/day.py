@@ -7,8 +7,9 @@ from what the mission states or a channel delivers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError, MissionError, ModelError, TooLittleError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import FRAMES, sun_direction_gse, to_gse
-from inflight.mission import Mission, SpinAxis
+from inflight.mission import Mission, SpinAxis, SpinComparison
 from inflight.model import Model, ModelEffect
 from inflight.samples import Series
 from inflight.spin import (
@@ -29,21 +30,29 @@ from inflight.spin import (
     SPIN_RELATED,
     UNCALIBRATED_SIGMA,
     Attitude,
+    BlockLayout,
     CalibrationParameters,
     Exclusion,
-    JointEstimate,
     PeriodCheck,
+    SpinTones,
     SubIntervals,
+    calibrate_by_selection,
+    calibrate_farrell,
     check_period,
     cut_into_blocks,
     despin,
     estimate_jointly,
     estimate_pairs,
+    fit_spins,
+    initial_tones,
+    measure_tones,
     spinning_sensor_of,
     uncertainty_of_pairs,
+    variability_of_selected,
 )
 from inflight.tasks.archive import SPIN_AXIS, SPIN_FAULTS, ArchiveIndex, Need, channel_series, load_samples
 from inflight.tasks.pipelines.base import Batch, Job
+from inflight.tasks.pipelines.spin.orbit import eclipses_of, perigees_of
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset
 
@@ -84,8 +93,8 @@ _ESTIMATES, _MEANS = ("estimate", "uncertainty"), ("block", "mean_of", "axis")
 
 #: How an empty row reads.
 _EMPTY = {
-    **dict.fromkeys((*_ESTIMATES, "mean"), np.nan),
-    **dict.fromkeys(("sub_start", "sub_end", "mean_time"), 0),
+    **dict.fromkeys((*_ESTIMATES, "mean", "value", "sigma", "covariance"), np.nan),
+    **dict.fromkeys(("sub_start", "sub_end", "mean_time", "start", "end"), 0),
 }
 
 
@@ -186,9 +195,11 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     Returns
     -------
     xarray.Dataset
-        Along ``block`` (one): `value`, `sigma` (block, parameter), `covariance` (block, parameter, other) of
+        Along ``block`` (one; one a part where perigees cut the day): `value`, `sigma` (block, parameter),
+        `covariance` (block, parameter, other) of
         the eight, jointly, in the units of the model, infinite without an estimate; `estimate`,
-        `uncertainty` (block, sub, parameter) of each sub-interval, with `sub_start`, `sub_end`; `mean`
+        `uncertainty` (block, sub, parameter) of each sub-interval, with `sub_start`, `sub_end`: as published,
+        with the variability of selected estimates for what is held (sections 5.4, 5.5); `mean`
         (block, mean, axis) nT, payload axes, over whole turns, with `mean_time`; `start`, `end` TT2000.
 
     A day whose phase is not known, or of which too little is usable, has no estimates; its product is made
@@ -212,35 +223,154 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         name: UNCALIBRATED_SIGMA[name] * 1e-9 if name in fixed else prior_sigma[name] for name in SPIN_RELATED
     }
     readings, good, _ = plain_readings(model, entry, samples)
-    phase, stamps = np.asarray(samples["spin_phase"].values), np.asarray(samples["tt2000"].values)
-    excluded = [*exclusions_of(mission, start, end), *unusable_spans(samples["flag"].values, stamps)]
-    phase_info = samples["spin_phase"].attrs
-    report: dict[str, Any] = {"phase": str(phase_info["told"]), "used": 0, "sub_intervals": 0}
-    try:
-        layout = cut_into_blocks(readings, phase, stamps, good, SubIntervals(), excluded)
-        found = estimate_jointly(readings, phase, stamps, layout, prior, measured)
-    except TooLittleError as error:
-        message = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
-        report |= {"coverage": 0.0, "told": error.message, SPIN_FAULTS: [_fault(job, message, error.remedy)]}
-        return _empty_estimates(prior, prior_sigma, (start, end)), report
-    field = found.parameters.correct(readings)
-    means = _payload_means(field, phase, stamps, good, phase_info["period_s"], (start, end))
-    usable = found.tones.usable
-    report |= {
-        "coverage": float(good.sum() * np.median(np.diff(stamps)) / (end - start)),
-        "used": int(usable.sum()),
-        "sub_intervals": int(usable.size),
-        "told": found.tones.summary(),
-        "excess": found.excess.tolist(),
-        "settled": found.settled,
-    }
-    check = _period_of_field(stamps, field, phase, good)
-    if check is not None:
-        report["period"] = check.summary()
-        if not check.agrees:
-            remedy = "see the stated spin period and the clock of its marks"
-            report[SPIN_FAULTS] = [_fault(job, check.summary(), remedy)]
-    return _estimates(found, (start, end)).merge(means), report
+    stamps = np.asarray(samples["tt2000"].values)
+    comparison = mission.comparisons[model.comparison]
+    assert comparison.kind == "spin"
+    orbit = (batch.cat, mission, model.comparison, job.needs, job.index, day)
+    (eclipses, no_shadow), (cuts, no_perigee) = eclipses_of(*orbit), perigees_of(*orbit)
+    excluded = [
+        *exclusions_of(mission, start, end),
+        *eclipses,
+        *unusable_spans(samples["flag"].values, stamps),
+    ]
+    phase = samples["spin_phase"]
+    faults = [one for one in (no_shadow, no_perigee) if one is not None]
+    report: dict[str, Any] = {"phase": str(phase.attrs["told"]), "used": 0, "sub_intervals": 0}
+    parts, told = [], []
+    for span in pairwise([start, *cuts, end]):
+        inside = slice(*np.searchsorted(stamps, span))
+        record = SpinRecord(readings[inside], phase.values[inside], stamps[inside], good[inside])
+        try:
+            found = record.estimate(comparison, prior, measured, excluded)
+        except TooLittleError as error:
+            told.append(error.message)
+            faults.append(_fault(job, f"{_TELLS_NOTHING}: {error.message}", error.remedy))
+            parts.append(_empty_estimates(prior, prior_sigma, span))
+            continue
+        report["used"] += int(found.tones.usable.sum())
+        report["sub_intervals"] += int(found.tones.usable.size)
+        report |= found.report
+        told.append(found.tones.summary())
+        means = _payload_means(record, found.parameters, phase.attrs["period_s"], span)
+        parts.append(estimates_of(found, span).merge(means))
+    report["told"] = "; ".join(told)
+    report["coverage"] = 0.0
+    if report["used"]:
+        report["coverage"] = float(good.sum() * np.median(np.diff(stamps)) / (end - start))
+        # The last part's values correct the field well enough to see it turn.
+        check = _period_of_field(stamps, found.parameters.correct(readings), phase.values, good)
+        if check is not None:
+            report["period"] = check.summary()
+            if not check.agrees:
+                remedy = "see the stated spin period and the clock of its marks"
+                faults.append(_fault(job, check.summary(), remedy))
+    if faults:
+        report[SPIN_FAULTS] = faults
+    return xr.concat(_pad(parts), dim="block", combine_attrs="override"), report
+
+
+#: What is said of a day, or a part of one, without a sub-interval of use.
+_TELLS_NOTHING = "the day tells nothing of its sensor and has the table's parameters"
+
+
+@dataclass(frozen=True)
+class SpinRecord:
+    """Readings (time, 3) nT, unwrapped phase, stamps and which are good; (time,)."""
+
+    readings: Floats
+    phase: Floats
+    stamps: Int64
+    good: np.ndarray
+
+    def estimate(
+        self,
+        entry: SpinComparison,
+        prior: CalibrationParameters,
+        measured: Mapping[str, float],
+        excluded: Sequence[Exclusion] = (),
+    ) -> SpinEstimate:
+        """Return the eight parameters by what the comparison asks for.
+
+        Parameters
+        ----------
+        prior, measured : CalibrationParameters and mapping of str to float
+            What was known before, with its sigma by name: a measurement more.
+        excluded : sequence of Exclusion
+
+        Raises
+        ------
+        TooLittleError
+            Without a sub-interval of use.
+        CalibrationError
+            When the field does not turn with the phase.
+        """
+        record = self.readings, self.phase, self.stamps
+        layout = cut_into_blocks(*record, self.good, SubIntervals(), excluded)
+        if entry.estimate == "joint":
+            joint = estimate_jointly(*record, layout, prior, measured)
+            return SpinEstimate(
+                joint.value,
+                joint.covariance,
+                joint.tones,
+                joint.parameters,
+                {"excess": joint.excess.tolist(), "settled": joint.settled},
+            )
+        if entry.estimate == "selection":
+            chosen = calibrate_by_selection(*record, layout, prior, measured)
+            value, covariance = _with_prior(chosen.value, np.diag(chosen.sigma**2), prior, measured)
+            report = {"settled": chosen.settled, "selected": list(chosen.reasons)}
+        else:
+            value, covariance, told = self._farrell(layout, prior)
+            value, covariance = _with_prior(value, covariance, prior, measured)
+            report = {"farrell": told}
+        parameters = prior.changed(dict(zip(SPIN_RELATED, value.tolist(), strict=True)))
+        tones = measure_tones(*record, layout, parameters)
+        return SpinEstimate(value, covariance, tones, parameters, report)
+
+    def _farrell(self, layout: BlockLayout, prior: CalibrationParameters) -> tuple[Floats, Floats, str]:
+        """Return the eight of slope and intercept, beta and phi, and what was found, in words."""
+        # Only what sub-intervals of use hold; also refuses a field that does not turn.
+        tones = initial_tones(self.readings, self.phase, self.stamps, layout, prior)
+        used = np.zeros(self.stamps.size, dtype=np.bool_)
+        for low, high in zip(tones.start[tones.usable], tones.end[tones.usable], strict=True):
+            used[slice(*np.searchsorted(self.stamps, [low, high + 1]))] = True
+        fits = fit_spins(self.stamps, self.readings, self.phase, good=layout.good & used)
+        _, _, _, gains = prior.factors()
+        unit = np.diag(gains).copy()
+        # Elevations are slopes in nT against nT: they need the gain ratio, which the first round gives.
+        for _ in range(2):
+            found = calibrate_farrell(
+                fits, sensitivity=unit, spin_axis_zero=(prior.offset[2] * float(unit[2]), 0.0)
+            )
+            value, covariance = found.spin_related(unit)
+            unit[:2] = prior.spin_plane_gain * np.array([value[0], 1.0 / value[0]])
+        return value, covariance, found.summary()
+
+
+@dataclass(frozen=True)
+class SpinEstimate:
+    """Values (8,) and covariance (8, 8) of a record, its tones, its parameters and a report."""
+
+    value: Floats
+    covariance: Floats
+    tones: SpinTones
+    parameters: CalibrationParameters
+    report: Mapping[str, Any]
+
+
+def _with_prior(
+    value: Floats, covariance: Floats, prior: CalibrationParameters, measured: Mapping[str, float]
+) -> tuple[Floats, Floats]:
+    """Return values and covariance with what was known before; infinite variances tell nothing."""
+    before = np.array([measured[name] for name in SPIN_RELATED]) ** -2.0
+    known = np.isfinite(np.diag(covariance))
+    information = np.diag(before)
+    right = before * prior.spin_related()
+    own = np.linalg.inv(covariance[np.ix_(known, known)])
+    information[np.ix_(known, known)] += own
+    right[known] += own @ value[known]
+    together = np.linalg.inv(information)
+    return np.asarray(together @ right), np.asarray(together)
 
 
 def _fault(job: Job, message: str, remedy: str) -> dict[str, str]:
@@ -343,11 +473,24 @@ def unusable_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusio
 
 
 def pad_days(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
-    """Return days padded with empty sub-intervals and means: all days of a store are of one size."""
-    most = {name: max(day.sizes[name] for day in days) for name in ("sub", "mean_of")}
+    """Return days padded with empty parts, sub-intervals and means: all of a store are of one size."""
+    return _pad(days, ("block", "sub", "mean_of"))
+
+
+def _pad(parts: Sequence[xr.Dataset], dims: Sequence[str] = ("sub", "mean_of")) -> list[xr.Dataset]:
+    most = {name: max(one.sizes[name] for one in parts) for name in dims}
     return [
-        day.pad({name: (0, most[name] - day.sizes[name]) for name in most}, constant_values=_EMPTY)
+        one.pad({name: (0, most[name] - one.sizes[name]) for name in most}, constant_values=_EMPTY)
+        for one in parts
+    ]
+
+
+def parts_of(days: Iterable[xr.Dataset]) -> list[xr.Dataset]:
+    """Return the parts that perigees cut days into, in order of time, each with one block."""
+    return [
+        day.isel(block=[at])
         for day in days
+        for at in np.flatnonzero(day["end"].values > day["start"].values).tolist()
     ]
 
 
@@ -370,17 +513,22 @@ def _empty_estimates(
     return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
 
 
-def _estimates(found: JointEstimate, span: tuple[int, int]) -> xr.Dataset:
-    """Return the joint estimate of a day and those of its sub-intervals; see `spin_day`."""
+def estimates_of(found: SpinEstimate, span: tuple[int, int]) -> xr.Dataset:
+    """Return the estimate of a record and those of its sub-intervals; see `spin_day`."""
+    variance = np.diag(found.covariance)
+    sigma = np.sqrt(np.where(np.isfinite(variance), variance, np.inf))
     unknown = np.array([UNCALIBRATED_SIGMA[name] for name in SPIN_RELATED])
-    spread = uncertainty_of_pairs(np.where(np.isfinite(found.sigma), found.sigma, unknown))
-    each = estimate_pairs(found.tones, spread)
+    known = np.where(np.isfinite(sigma), sigma, unknown)
+    # Selected by what is known of the parameters held; their scatter is then the uncertainty published.
+    each = estimate_pairs(found.tones, uncertainty_of_pairs(known))
+    held = np.maximum(variability_of_selected(each, known), known)
+    each = estimate_pairs(found.tones, uncertainty_of_pairs(held))
     one, sub = ("block", "parameter"), ("block", "sub", "parameter")
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     return xr.Dataset(
         {
             "value": (one, found.value[None]),
-            "sigma": (one, found.sigma[None]),
+            "sigma": (one, sigma[None]),
             "covariance": (("block", "parameter", "other"), covariance[None]),
             "estimate": (sub, each.value[None]),
             "uncertainty": (sub, each.uncertainty[None]),
@@ -397,11 +545,13 @@ def _span_of(span: tuple[int, int]) -> dict[str, Any]:
 
 
 def _payload_means(
-    field: Floats, phase: Floats, stamps: Int64, good: np.ndarray, period: float, span: tuple[int, int]
+    record: SpinRecord, parameters: CalibrationParameters, period: float, span: tuple[int, int]
 ) -> xr.Dataset:
     """Return means over whole turns in payload axes: (block, mean, axis) nT, and their times."""
+    phase, stamps = record.phase, record.stamps
     turns = max(1, round(SPIN_DAY_SETTINGS.mean_s / period))
-    known = good & np.isfinite(phase)
+    known = record.good & np.isfinite(phase)
+    field = parameters.correct(record.readings)
     payload = despin(field, phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
     group -= group[known].min()

@@ -53,7 +53,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=3, tables=5, products=6)
+    versions = Versions(statistics=4, tables=6, products=7)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""
@@ -72,6 +72,14 @@ class SpinPipeline(Pipeline):
                 "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
             )
         return super().make_plan(cat, mission, settings, span)
+
+    def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
+        """Return the channel that tells eclipses; none where they are computed, or not asked for."""
+        from inflight.tasks.pipelines.spin.orbit import COMPUTED
+
+        entry = mission.comparisons[comparison]
+        named = entry.eclipse if entry.kind == "spin" else None
+        return () if named in (None, COMPUTED) else (named,)
 
     def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's estimates; see `spin_day`."""
@@ -179,7 +187,8 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     sections = fields["sections"]
     first, last = fields["span"]
     lines = [
-        f"{one['name']:<17} {with_unit(one['value'], one['sigma'], one['unit'])}, from {one['origin']}; "
+        f"{one['name']:<17} {with_unit(one['value'], one['sigma'], one['unit'])}{_by_tones(one)}, "
+        f"from {one['origin']}; "
         f"{f'{word}: ' if (word := one['decision']) else ''}{one['reason']}"
         for one in sections["twelve"]["items"]
     ]
@@ -192,3 +201,10 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     lines += [f"{one['day']}: {one['told']}" for one in sections["phase"]["items"][-1:]]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
     return [TextLine(title, "bold"), *(TextLine(f"  {line}") for line in lines)]
+
+
+def _by_tones(one: Mapping[str, Any]) -> str:
+    """Return the error that tones alone have, where that of gains, rotation and third offset adds to it."""
+    alone = one["conditional_sigma"]
+    unit = "" if one["unit"] == "1" else f" {one['unit']}"
+    return f" (± {alone:.1g}{unit} by the tones)" if alone < 0.7 * one["sigma"] else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from inflight.spin import (
 from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
+from inflight.tasks.pipelines.spin.orbit import eclipses_of
 from inflight.time import day_bounds, to_utc
 
 #: A matrix for each of the twelve parameters: 1 where it meets itself.
@@ -42,23 +44,34 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     span = day_bounds(day)
     bound = model.bind(table)
     entry = require_spinning(bound)
-    row = _row_at(table, (span[0] + span[1]) // 2)
-    twelve = CalibrationParameters.from_values(row["value"].values)
+    stamps = np.asarray(samples["tt2000"].values)
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
-    covariance = np.asarray(row["covariance"].values)
-    change = change_outside(row, table, span, row["parameter"].values.tolist())
-    outside = outside_learnt(row, np.asarray(samples["tt2000"].values))
-    product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
     free = np.array([entry.parameters[name.partition("[")[0]].free for name in PARAMETER_NAMES])
-    if change is not None:
-        product["flag"] = product["flag"] | (np.uint32(Flag.EXTRAPOLATED) * outside).astype(np.uint32)
-        # Of all parameters together: each by itself, added up.
-        parts = [field_uncertainty(readings, twelve, one) for one in change[:, None, None] ** 2 * _ONE_EACH]
-        wider = np.hypot(product["uncertainty"].values, np.sum(parts, axis=0))
-        product["uncertainty"] = product["uncertainty"].where(~outside[:, None], wider)
-    if not np.all(row["determined"].values[free]):
-        product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
+    uncertainty, flag = np.empty_like(readings), np.zeros(stamps.size, dtype=np.uint32)
+    for part in _intervals_of(table, span):
+        inside = slice(*np.searchsorted(stamps, part))
+        row = _row_at(table, (part[0] + part[1]) // 2)
+        twelve = CalibrationParameters.from_values(row["value"].values)
+        covariance = np.asarray(row["covariance"].values)
+        own = field_uncertainty(readings[inside], twelve, covariance)
+        change = change_outside(row, table, part, row["parameter"].values.tolist())
+        if change is not None:
+            outside = outside_learnt(row, stamps[inside])
+            flag[inside] |= (np.uint32(Flag.EXTRAPOLATED) * outside).astype(np.uint32)
+            # Of all parameters together: each by itself, added up.
+            each = change[:, None, None] ** 2 * _ONE_EACH
+            parts = [field_uncertainty(readings[inside], twelve, one) for one in each]
+            own = np.where(outside[:, None], np.hypot(own, np.sum(parts, axis=0)), own)
+        if not np.all(row["determined"].values[free]):
+            flag[inside] |= np.uint32(Flag.PRIOR_PARAMETERS)
+        uncertainty[inside] = own
+    # Nothing was learnt in eclipses.
+    eclipses, _ = eclipses_of(cat, mission, model.comparison, job.needs, job.index, day)
+    for one in eclipses:
+        flag[slice(*np.searchsorted(stamps, [one.start, one.end]))] |= np.uint32(Flag.EXTRAPOLATED)
+    product = make_spin_product(bound, corrected, uncertainty, attitude)
+    product["flag"] = product["flag"] | flag
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {
@@ -70,6 +83,13 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     report[SPIN_FAULTS] = day_faults(samples, job.needs, job.index, day)
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return rounded(product), report
+
+
+def _intervals_of(table: xr.Dataset, span: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the parts of a day between the edges of a table's intervals, TT2000."""
+    edges = {*table["start"].values.tolist(), *table["end"].values.tolist()}
+    inside = sorted(edge for edge in edges if span[0] < edge < span[1])
+    return list(pairwise([span[0], *inside, span[1]]))
 
 
 def _row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:

@@ -28,11 +28,11 @@ from inflight.figures import (
 )
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN_RELATED
+from inflight.spin import PARAMETER_NAMES, PARAMETER_UNITS, SPIN, SPIN_RELATED
 from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
-from inflight.time import DAY, day_of
+from inflight.time import DAY, day_of, to_utc
 from inflight.units import with_error
 from inflight.zero_level import COMBINED_METHODS
 
@@ -54,7 +54,7 @@ def spin_report(
     parts = spin_table_parts(found)
     if output is not None:
         title = f"{mission.mission}: calibration by the spin, {found.span[0]} to {found.span[1]}"
-        footer = f"{len(found.days)} days; inflight {__version__}. {mission.acknowledgement}"
+        footer = f"{len(found.records)} days; inflight {__version__}. {mission.acknowledgement}"
         write_page(
             output, html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
         )
@@ -62,7 +62,7 @@ def spin_report(
         "command": "chain",
         "comparison": comparison,
         "span": found.span,
-        "days": len(found.days),
+        "days": len(found.records),
         "tables": {name: f"{comparison}-{name}" for name in TABLES},
         "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
         "path": str(output) if output else "",
@@ -84,6 +84,7 @@ def _parameters(found: SpinResults) -> Part:
             one["unit"],
             with_error(one["preflight"], one["preflight_sigma"]),
             with_error(one["value"], one["sigma"]),
+            f"{one['conditional_sigma']:.1g}" if one["origin"] == SPIN else "",
             one["origin"],
             one["decision"] or "as on the ground",
             one["reason"],
@@ -92,9 +93,11 @@ def _parameters(found: SpinResults) -> Part:
     ]
     part.add_text(
         f"The newest of {table.sizes['interval']} windows: what is in use, where it came from, and what the "
-        "window's own estimate decided."
+        "window's own estimate decided. The error in use is the whole one: gains, rotation and third offset "
+        "leave no tone, and their errors are in it. For given values of these the tones know a parameter "
+        "better: decisions rest on that error."
     )
-    head = ("parameter", "unit", "pre-flight", "in use", "from", "decision", "why")
+    head = ("parameter", "unit", "pre-flight", "in use", "error by tones", "from", "decision", "why")
     part.text.append(html_table(head, rows, kind="wide told"))
     ground = [one["name"] for one in part.fields["items"] if one["origin"] == "ground"]
     part.fields["ground"] = ground
@@ -105,8 +108,11 @@ def _parameters(found: SpinResults) -> Part:
 
 def _items(row: xr.Dataset) -> list[dict[str, Any]]:
     """Return one interval's parameters by name."""
-    columns = ("prior", "prior_sigma", "value", "sigma", "own", "own_sigma")
-    keys = ("preflight", "preflight_sigma", "value", "sigma", "own", "own_sigma")
+    keys = ("preflight", "preflight_sigma", "value", "sigma", "conditional_sigma", "own", "own_sigma")
+    columns = ("prior", "prior_sigma", *keys[2:])
+    if "conditional_sigma" not in row:
+        # A table from before there was one.
+        row = row.assign(conditional_sigma=row["sigma"])
     return [
         {"name": name, "unit": PARAMETER_UNITS[name]}
         | {key: float(row[column].values[at]) for key, column in zip(keys, columns, strict=True)}
@@ -118,7 +124,7 @@ def _items(row: xr.Dataset) -> list[dict[str, Any]]:
 def _days(found: SpinResults) -> Part:
     part = Part("days", "What each day decided")
     table = found.tables["daily"]
-    days = [str(one)[:10] for one in day_of(table["start"].values)]
+    days = [_begin(start) for start in table["start"].values.tolist()]
     items = [{"day": day} | one for at, day in enumerate(days) for one in _items(table.isel(interval=at))]
     part.fields = {"items": [one for one in items if one["decision"]]}
     update = [one for one in part.fields["items"] if one["decision"] == "update"]
@@ -142,6 +148,12 @@ def _days(found: SpinResults) -> Part:
     return part
 
 
+def _begin(start: int) -> str:
+    """Return the day of an interval, with the time where a perigee begins it."""
+    text = str(to_utc(start))
+    return text[:10] if text[11:16] == "00:00" else f"{text[:10]} {text[11:16]}"
+
+
 def _estimates(found: SpinResults) -> Part:
     part = Part("estimates", "Selection against joint estimate")
     cloud = found.cloud
@@ -151,7 +163,9 @@ def _estimates(found: SpinResults) -> Part:
         return part
     rows, part.fields["items"] = _selection_and_joint(found, value, sigma)
     part.add_text(
-        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
+        "Each point is a sub-interval, against its own uncertainty: from neighbouring frequencies and, of "
+        "offsets and elevations, from the variability of selected estimates of what is held (Plaschke et al. "
+        "2019, 5.4, 5.5). The error of the joint estimate is that of its fit: noise, overlap, scatter. The "
         "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
         "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
         "pre-flight offset along the spin axis."

@@ -26,9 +26,9 @@ from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
 from inflight.spin import (
     GROUND,
+    HELD,
     PARAMETER_NAMES,
     PARAMETER_UNITS,
-    SPIN,
     SPIN_RELATED,
     Bools,
     CalibrationParameters,
@@ -37,13 +37,13 @@ from inflight.spin import (
     ParameterTable,
     SpinParametersInUse,
     ValueInUse,
-    axial_offset_slope,
     choose_estimates,
+    held_slopes,
     join_parameters,
 )
 from inflight.tasks.archive import flips_of
 from inflight.tasks.pipelines.base import equations_of, newest_tables, product_of
-from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
+from inflight.tasks.pipelines.spin.day import ground_of, parts_of, require_spinning
 from inflight.time import DAY, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     COMBINED_METHODS,
@@ -88,6 +88,9 @@ SPIN_TABLE_SETTINGS = SpinTableSettings()
 #: Codes of the variable `source`, as `inflight.calibration.table.VALUE_ORIGINS` has them.
 _PRIOR, _DATA = 0, 2
 
+#: Places of the eight among the twelve.
+_EIGHT = np.array([PARAMETER_NAMES.index(name) for name in SPIN_RELATED])
+
 #: The parameter that leaves no tone and is found from natural fluctuations.
 AXIAL = "offset[3]"
 
@@ -104,8 +107,10 @@ class _Row:
         The values in use and their covariance.
     decisions : mapping of str to Decision
         What was decided on the interval's estimate of each parameter.
+    conditional : ndarray, shape (12,)
+        Sigma of the values in use for given values of what leaves no tone.
     own : tuple of ndarray, each of shape (12,)
-        The interval's own estimates and their sigma; NaN and infinite for none.
+        The interval's own estimates and their sigma for these values; NaN and infinite for none.
     days, used : int and float
         Days, and sub-intervals used.
     excess : float
@@ -117,6 +122,7 @@ class _Row:
     learnt: tuple[int, int]
     twelve: ParameterTable
     covariance: Floats
+    conditional: Floats
     decisions: Mapping[str, Decision]
     own: tuple[Floats, Floats]
     days: int
@@ -125,13 +131,21 @@ class _Row:
 
 
 def _windows(
-    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64]
+    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64], *, cut: bool = False
 ) -> Iterator[tuple[int, int, list[xr.Dataset]]]:
-    """Yield TT2000 start and end of each window that has days, and its days."""
-    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
-        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
-        if inside:
-            yield start, end, inside
+    """Yield TT2000 start and end of each window that has days, and its days, or parts of days.
+
+    With `cut` a window ends where a day is cut, too.
+    """
+    bounds = {day_bounds(edge)[0] for edge in edges}
+    parts = parts_of(days)
+    if cut:
+        inside = {int(part["start"].values[0]) for part in parts}
+        bounds |= {at for at in inside if at != day_bounds(str(day_of(at)))[0]}
+    for start, end in itertools.pairwise(sorted(bounds)):
+        inside_window = [part for part in parts if start <= int(part["start"].values[0]) < end]
+        if inside_window:
+            yield start, end, inside_window
 
 
 def spin_table(
@@ -162,12 +176,16 @@ def spin_table(
     -------
     xarray.Dataset
         Twelve parameters an interval, with the variables of `inflight.calibration.table`: the values in use.
-        `own`, `own_sigma` are the interval's own estimates, infinite sigma where it has none; `decision`
-        (update, confirm, keep; empty for what stays as on the ground) and `reason` state what was decided.
+        `sigma` and `covariance` hold the errors of all twelve; `conditional_sigma` is that of the eight for
+        given values of `inflight.spin.HELD`, which leave no tone: what tones tell. `own`, `own_sigma` are the
+        interval's own estimates and their conditional sigma, infinite where it has none; `decision` (update,
+        confirm, keep; empty for what stays as on the ground) and `reason` state what was decided on these.
     """
     entry = require_spinning(model)
     in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0])
-    rows = [in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges)]
+    rows = [
+        in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges, cut=True)
+    ]
     return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
 
 
@@ -213,8 +231,13 @@ class _InUse:
         # The interval's own offsets 1 and 2, too, are those for the third offset in use.
         estimated = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
         own = join_parameters((step.estimate, step.sigma, estimated), ground, sigma, others)
-        known = np.array([name in SPIN_RELATED for name in PARAMETER_NAMES]) & own.determined
-        own_value, own_sigma = np.where(known, own.value, np.nan), np.where(known, own.sigma, np.inf)
+        own_value, own_sigma = np.full(len(PARAMETER_NAMES), np.nan), np.full(len(PARAMETER_NAMES), np.inf)
+        conditional = twelve.sigma.copy()
+        for order, at in enumerate(_EIGHT):
+            if np.isfinite(step.sigma[order]):
+                own_value[at], own_sigma[at] = own.value[at], step.sigma[order]
+            if np.isfinite(stated[order]):
+                conditional[at] = stated[order]
         if np.isfinite(axial.sigma):
             own_value[PARAMETER_NAMES.index(AXIAL)], own_sigma[PARAMETER_NAMES.index(AXIAL)] = (
                 axial.value,
@@ -226,7 +249,17 @@ class _InUse:
             # An interval without estimates goes on with values that an earlier one was taught.
             self.learnt = int(taught[0]["start"].values[0]), int(taught[-1]["end"].values[0])
         return _Row(
-            start, end, self.learnt, twelve, full, decisions, (own_value, own_sigma), len(days), used, excess
+            start=start,
+            end=end,
+            learnt=self.learnt,
+            twelve=twelve,
+            covariance=full,
+            conditional=conditional,
+            decisions=decisions,
+            own=(own_value, own_sigma),
+            days=len(days),
+            used=used,
+            excess=excess,
         )
 
 
@@ -291,23 +324,17 @@ def _axial_offset(zero: xr.Dataset | None, start: int, end: int) -> ExternalValu
 def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) -> Floats:
     """Return the covariance of the twelve: that of the eight, and the variances of the others.
 
-    Offsets 1 and 2 change with the error of the third, so that in the spin plane nearly all of it cancels.
-    The `sigma` of the eight is infinite for those that the flight has not determined.
+    The eight change with the errors of what leaves no tone (`inflight.spin.held_slopes`), so that nearly all
+    of these cancels in the tones of the product. The `sigma` of the eight is infinite for those that the
+    flight has not determined.
     """
     out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
-    places = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
     known = np.isfinite(sigma)
-    for row, column in itertools.product(np.flatnonzero(known), repeat=2):
-        if row != column:
-            out[places[row], places[column]] = covariance[row, column]
-    offsets = [PARAMETER_NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
-    variance = out[offsets[2], offsets[2]]
-    slope = axial_offset_slope(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
-    for at, rate in zip(offsets[:2], slope, strict=True):
-        out[at, offsets[2]] = out[offsets[2], at] = rate * variance
-    both = slope[0] * slope[1] * variance
-    out[offsets[0], offsets[1]] += both
-    out[offsets[1], offsets[0]] += both
+    places, held = _EIGHT[known], np.array([PARAMETER_NAMES.index(name) for name in HELD])
+    slopes, variance = held_slopes(twelve.parameters)[known], out[held, held]
+    out[np.ix_(places, places)] = covariance[np.ix_(known, known)] + slopes * variance @ slopes.T
+    out[np.ix_(places, held)] = slopes * variance
+    out[np.ix_(held, places)] = out[np.ix_(places, held)].T
     return out
 
 
@@ -325,6 +352,7 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "value": (each, np.array([row.twelve.value for row in rows])),
             "sigma": (each, np.array([row.twelve.sigma for row in rows])),
             "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
+            "conditional_sigma": (each, np.array([row.conditional for row in rows])),
             "determined": (each, np.array([row.twelve.determined for row in rows])),
             "source": (each, np.where(from_ground, _PRIOR, _DATA).astype(np.int8)),
             "origin": (each, np.array([row.twelve.source for row in rows], dtype=np.str_)),
@@ -447,7 +475,8 @@ class SpinResults:
     tables : mapping of str to Dataset
         ``daily``, ``window``, ``zero-level``.
     days : list of Dataset
-        As `inflight.tasks.pipelines.spin.day.spin_day` makes them, those of the daily table.
+        As `inflight.tasks.pipelines.spin.day.spin_day` makes them, those of the daily table; one a part of a
+        day that is cut.
     records, products : list of Day
         Of the same days.
     """
@@ -482,7 +511,8 @@ class SpinResults:
         products = [
             day for day in cat.days(product_of(comparison), states=("published",)) if day.day.item() in days
         ]
-        return cls(cat, mission, comparison, tables, [cat.read(day) for day in records], records, products)
+        parts = parts_of(cat.read(day) for day in records)
+        return cls(cat, mission, comparison, tables, parts, records, products)
 
     @property
     def span(self) -> list[str]:
@@ -504,7 +534,7 @@ class SpinResults:
     @cached_property
     def selected(self) -> tuple[Floats, Floats]:
         """Means of selected estimates, and errors, day by day; (day, 8), beside the daily table's `own`."""
-        own = self.tables["daily"]["own"].values[:, [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]]
+        own = self.tables["daily"]["own"].values[:, _EIGHT]
         value, sigma = np.full(own.shape, np.nan), np.full(own.shape, np.inf)
         rows = self.tables["daily"]["start"].values.tolist()
         for day in self.days:

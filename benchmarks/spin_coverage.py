@@ -1,0 +1,153 @@
+"""Coverage of a spinning sensor: how often the truth lies within one and two sigmas of its table and product.
+
+Each seed is a short mission of its own: all twelve parameters are drawn from what the ground states of them,
+hours of a THEMIS-like orbit are read by a sensor that has them (`inflight.simulate`), and days and table are
+made as ``inflight reprocess`` makes them. Three things are counted: errors of the parameters in their
+`sigma`; errors for given values of the four that leave no tone, in `conditional_sigma`; and errors of the
+corrected field, free of the reading's own noise, in the uncertainty of the product.
+
+``make coverage`` prints the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from benchmarks.coverage import intervals
+from inflight.arrays import Floats
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.simulate.spinning import ambient, sensor
+from inflight.simulate.spinning.settings import SPACECRAFT_PRESETS, STANDARD, SpinningParameters
+from inflight.spin import (
+    HELD,
+    PARAMETER_NAMES,
+    SPIN_RELATED,
+    CalibrationParameters,
+    field_uncertainty,
+    held_slopes,
+)
+from inflight.tasks.pipelines.spin.day import SpinRecord, estimates_of, ground_of, require_spinning
+from inflight.tasks.pipelines.spin.tables import spin_table
+from inflight.time import SECOND, Int64, day_bounds
+
+_MISSIONS = Path(__file__).parents[1] / "missions"
+_FIRST = np.datetime64("2012-03-01", "D")
+#: Each day has two stretches of so many hours: hours after perigee, and at apogee. Minutes between them.
+_HOURS, _AFTER_PERIGEE_H, _PAUSE_S = 1.5, 3.0, 600.0
+_EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
+_HELD = [PARAMETER_NAMES.index(name) for name in HELD]
+#: Samples of a day, one of each stretch, at which the product is looked at.
+_LOOKED_AT = (0.2, 0.8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpinCoverage:
+    """Errors of one quantity in stated sigmas, one a seed; (seed,)."""
+
+    name: str
+    of: str
+    pulls: Floats
+
+    @property
+    def within(self) -> tuple[float, float]:
+        """Shares within one and two sigmas."""
+        size = np.abs(self.pulls)
+        return float(np.mean(size < 1.0)), float(np.mean(size < 2.0))
+
+    def is_right(self, chance: float = 0.01) -> bool:
+        """Return whether both shares lie where right ones do, all but a chance."""
+        both = zip(self.within, intervals(self.pulls.size, chance), strict=True)
+        return all(low <= share <= high for share, (low, high) in both)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """A day's noiseless field in turning axes, phase and stamps; (time, 3) and (time,)."""
+
+    field: Floats
+    phase: Floats
+    stamps: Int64
+
+
+def _stretch(seed: int, number: int, parameters: SpinningParameters) -> _Stretch:
+    axis = 0.5 * (parameters.perigee + parameters.apogee) * ambient.EARTH_RADIUS_KM
+    orbit = 2.0 * np.pi * np.sqrt(axis**3 / 398_600.4)
+    one = np.arange(round(_HOURS * 3600.0 / parameters.cadence)) * parameters.cadence
+    fields = []
+    for part, after in enumerate((_AFTER_PERIGEE_H * 3600.0, 0.5 * orbit)):
+        seconds = (1000 * seed + number) * orbit + after + one
+        place = ambient.position(seconds, parameters)
+        fields.append(ambient.field(seconds, place, 2 * seed + part, number, parameters))
+    seconds = np.concatenate([one, one + one[-1] + _PAUSE_S])
+    phase = 2.0 * np.pi * seconds / parameters.spin_period
+    stamps = day_bounds(_FIRST + number)[0] + np.rint(seconds * SECOND).astype(np.int64)
+    return _Stretch(sensor.apparent(np.concatenate(fields), phase), phase, stamps)
+
+
+def spin_coverage(seeds: int = 200, days: int = 2) -> list[SpinCoverage]:
+    """Return the counts of every parameter and component over missions of some days."""
+    mission = Mission.parse((_MISSIONS / "themis.yaml").read_text(encoding="utf-8"))
+    model = Model.parse((_MISSIONS / "models/themis-preflight.yaml").read_text(encoding="utf-8"), mission)
+    names = [
+        *(("table", name) for name in SPIN_RELATED),
+        *(("tones alone", name) for name in SPIN_RELATED),
+        *(("product", f"field[{axis}]") for axis in "xyz"),
+    ]
+    pulls = np.array([_pulls(seed, days, mission, model) for seed in range(seeds)])
+    return [SpinCoverage(name=name, of=of, pulls=one) for (of, name), one in zip(names, pulls.T, strict=True)]
+
+
+def _pulls(seed: int, days: int, mission: Mission, model: Model) -> Floats:
+    """Return the errors of one mission in stated sigmas: of table, tones and product; (19,)."""
+    entry, comparison = require_spinning(model), mission.comparisons["main"]
+    assert comparison.kind == "spin"
+    ground, sigma = ground_of(entry, day_bounds(_FIRST)[0])
+    generator = np.random.default_rng([seed, 1])
+    truth = ground.values() + generator.normal(size=12) * [sigma[name] for name in PARAMETER_NAMES]
+    drawn = _with_values(SPACECRAFT_PRESETS["themis"], truth)
+    rows = sensor.projection(drawn, frozenset(STANDARD), np.zeros(2))
+    records: list[xr.Dataset] = []
+    for number in range(days):
+        one = _stretch(seed, number, drawn)
+        plain = one.field @ rows.T + np.asarray(drawn.offset)
+        noisy = plain + drawn.noise * generator.normal(size=plain.shape)
+        record = SpinRecord(noisy, one.phase, one.stamps, np.ones(one.phase.size, dtype=np.bool_))
+        known = {name: sigma[name] for name in SPIN_RELATED}
+        records.append(estimates_of(record.estimate(comparison, ground, known), day_bounds(_FIRST + number)))
+    table = spin_table(records, model, [_FIRST, _FIRST + days], "window").isel(interval=0)
+    value = table["value"].values
+    error = value - truth
+    in_use = CalibrationParameters.from_values(value)
+    alone = error[_EIGHT] - held_slopes(in_use) @ error[_HELD]
+    at = [int(part * one.phase.size) for part in _LOOKED_AT]
+    off = in_use.correct(plain[at]) - one.field[at]
+    uncertainty = field_uncertainty(plain[at], in_use, table["covariance"].values)
+    # Of each component at one of the two places, in turn: both share the parameters' errors.
+    product = (off / uncertainty)[seed % len(at)]
+    errors = error[_EIGHT] / table["sigma"].values[_EIGHT], alone / table["conditional_sigma"].values[_EIGHT]
+    return np.concatenate([*errors, product])
+
+
+def _with_values(parameters: SpinningParameters, values: Floats) -> SpinningParameters:
+    """Return a sensor with twelve values in the order of `PARAMETER_NAMES`."""
+    one = CalibrationParameters.from_values(values)
+    return parameters.changed(dict(vars(one)))
+
+
+def table(found: list[SpinCoverage]) -> Iterator[str]:
+    """Yield the lines of the table, as Markdown: shares within one and two sigmas, rms errors in sigmas."""
+    yield "| parameter | error of | 1 sigma | 2 sigma | rms |"
+    yield "|---|---|---|---|---|"
+    for one in found:
+        shares = " | ".join(f"{share:.1%}" for share in one.within)
+        rms = float(np.sqrt(np.mean(one.pulls**2)))
+        yield f"| `{one.name}` | {one.of} | {shares} | {rms:.2f}{'' if one.is_right() else ' *'} |"
+    low_high = ", ".join(f"{low:.1%} to {high:.1%}" for low, high in intervals(found[0].pulls.size, 0.01))
+    yield ""
+    yield f"`*`: outside the interval that holds 99 of 100 right counts of {found[0].pulls.size}: {low_high}."
