@@ -31,7 +31,15 @@ from .figure_data import (
 )
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
-from .requests import Request, addition_of_entry, best_lag, find_request, held_already, require_known
+from .requests import (
+    Request,
+    addition_of_entry,
+    best_lag,
+    find_request,
+    held_already,
+    parse_entry,
+    require_known,
+)
 from .residual import DiagnosisData, Native
 from .result import HEADING, MEANING, Diagnosis, Signature, plain_json
 from .scoring import (
@@ -127,6 +135,7 @@ __all__ = [
     "neutral_changes",
     "pack_blocks",
     "periods_of",
+    "parse_entry",
     "plain_json",
     "project_out",
     "quantity",

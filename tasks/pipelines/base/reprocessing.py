@@ -19,6 +19,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
+from inflight.model import Model
 from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.models import preflight_model
@@ -295,8 +296,22 @@ def _report(
         counts,
         problems,
         pipeline.outputs(plan, solved, len(made.done) + len(made.unchanged)),
-        pipeline.results(work, solved),
+        pipeline.results(work, solved) | ({"warnings": told} if (told := _warnings(plan.model, products)) else {}),
     )
+
+
+def _warnings(model: Model, products: Sequence[Day]) -> list[str]:
+    """Return what to know of the products as a whole: of the model, and of tables that do not hold a day."""
+    held: dict[str, list[str]] = {}
+    for day in products:
+        for one in day.report.get("held_tables") or ():
+            held.setdefault(one, []).append(str(day.day))
+    told = [
+        f"{what} on {len(days)} days, {min(days)} to {max(days)}: its uncertainty there is that of a value "
+        "that may have changed; 'inflight set' with the table's name takes the newest"
+        for what, days in held.items()
+    ]
+    return [*([model.torquers_alone] if model.torquers_alone else []), *told]
 
 
 def residual_of_days(work: Reprocessing) -> dict[str, float]:

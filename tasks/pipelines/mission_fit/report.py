@@ -90,6 +90,7 @@ class MissionFitReport:
             f"residual {size['before_nT']:.4g} nT before, {own}{after}",
             f"scale factors: {trends['kind']}; {trends.get('told', 'no rivals compared')}",
             *_coefficient_lines(sections["coefficients"]["items"]),
+            *_offset_lines(sections["offsets_from_spread"]),
             *(sections["clock_faults"].get("told") or []),
             *_cross_talk_lines(sections["cross_talk"].get("asked", {})),
         ]
@@ -147,6 +148,23 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
             for one in sorted(far, key=lambda one: -abs(one["shift_sigma"]))
         ),
     ]
+
+
+def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
+    """Return the law of the residual's spread, and what its daily offsets are; none where there is no law."""
+    law, out = fields.get("law"), []
+    if law:
+        factor = with_unit(law["factor"], law["factor_sigma"], "")
+        noise = with_unit(law["noise_nT2"], law["noise_sigma_nT2"], "nT2")
+        out.append(
+            f"std^2(dB) = ({factor}) Z0^2 + ({noise}) over {law['days']} days; {law['geometry']:.4f} by the orbit"
+        )
+    if "rms_nT" in fields:
+        out.append(
+            f"daily z offsets {fields['rms_nT']:.3g} nT rms, above the noise on {fields['seen']} of "
+            f"{fields['days']} days; 'inflight add z_offset' takes them off"
+        )
+    return out
 
 
 def _cross_talk_lines(found: Mapping[str, Any]) -> list[str]:

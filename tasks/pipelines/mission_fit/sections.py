@@ -517,6 +517,23 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
 def offsets(found: MissionFitResults) -> Part:
     """Daily offsets along z from the spread of the products' residual."""
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
+    with part.optional("Law of the spread"):
+        law = found.table("z-offset-law")
+        (factor, noise), (factor_sigma, noise_sigma) = law["value"].values, law["sigma"].values
+        geometry = float(law.attrs["geometry"])
+        part.fields["law"] = {
+            "factor": factor,
+            "factor_sigma": factor_sigma,
+            "geometry": geometry,
+            "noise_nT2": noise,
+            "noise_sigma_nT2": noise_sigma,
+            "days": int(law.attrs["days"]),
+        }
+        part.add_text(
+            f"Over {law.attrs['days']} days std^2(dB) = ({with_error(factor, factor_sigma)}) Z0^2 + "
+            f"({with_error(noise, noise_sigma)}) nT^2 (Yin 2010, eq. 3.6), with Z0 a day's own offset along z "
+            f"less the common one; the orbit's own factor is {geometry:.4f}."
+        )
     with part.optional("Offsets of each day"):
         own = found.table("z-offset").isel(parameter=0)
         seen, unknown = own["determined"].values.astype(bool), np.full(own.sizes["interval"], np.nan)
@@ -530,7 +547,7 @@ def offsets(found: MissionFitResults) -> Part:
             axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
         )
         size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
-        part.fields = {
+        part.fields |= {
             "days": int(seen.size),
             "seen": int(seen.sum()),
             "rms_nT": size,
