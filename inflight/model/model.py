@@ -357,8 +357,8 @@ class Model:
     def torquers_alone(self) -> str:
         """Where the torquers' field is taken off a scalar sensor without the body's, and what to do; or "".
 
-        The torquers cancel the body's moment on average: without their field the sensor sees the body's, which
-        changes over years (Yin 2010, section 3.4.4).
+        The torquers cancel the body's moment on average: without their field the sensor sees the body's,
+        which changes over years (Yin 2010, section 3.4.4).
         """
         alone = [
             entry for entry in self.effects if isinstance(entry.effect, Torquer) and entry.sensor.is_scalar
@@ -367,8 +367,8 @@ class Model:
             return ""
         constant = any(isinstance(entry.effect, Remanent) for entry in self.effects)
         return (
-            f"{', '.join(entry.name for entry in alone)}: the torquers' field is taken off and the body's, which "
-            f"they cancel on average, {'is held constant' if constant else 'is not'}; its change over years "
+            f"{', '.join(entry.name for entry in alone)}: the torquers' field is taken off and the body's, "
+            f"which they cancel on average, {'is held constant' if constant else 'is not'}; its change over years "
             "goes into the offsets. With 260 days: inflight reprocess --table continuous, then "
             "inflight add remanent_moment"
         )

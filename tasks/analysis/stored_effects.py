@@ -1,8 +1,8 @@
 """Effects whose values over time are a stored table: which table, and the entry of the model that takes it.
 
-In goes what `inflight add` was given; out comes an entry whose parameters of time ``table`` name one table for
-good, by its key (`stored_entry`). What a reprocessing finds later changes no model: `inflight set` takes the
-newest table. The tables are those of the whole-mission fit; any other by axis and interval serves as well.
+In goes what `inflight add` was given; out comes an entry whose parameters of time ``table`` name one table
+for good, by its key (`stored_entry`). What a reprocessing finds later changes no model: `inflight set` takes
+the newest table. The tables are those of the whole-mission fit; any other by axis and interval serves as well.
 """
 
 from __future__ import annotations

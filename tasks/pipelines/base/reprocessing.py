@@ -296,7 +296,8 @@ def _report(
         counts,
         problems,
         pipeline.outputs(plan, solved, len(made.done) + len(made.unchanged)),
-        pipeline.results(work, solved) | ({"warnings": told} if (told := _warnings(plan.model, products)) else {}),
+        pipeline.results(work, solved)
+        | ({"warnings": told} if (told := _warnings(plan.model, products)) else {}),
     )
 
 

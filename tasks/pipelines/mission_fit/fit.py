@@ -34,6 +34,7 @@ from inflight.mission_fit import (
     robust_mean,
     scale_factor_rates,
     select_panel_model,
+    torquer_lines,
 )
 from inflight.model import Model
 from inflight.tasks.models import parse_model, preflight_model
@@ -75,6 +76,7 @@ TABLES = (
     "trend",
     "trend-choice",
     "own-fit",
+    "torquer-lines",
     "torquer-band",
     "torquer-band-daily",
     "torquer-band-mean",
@@ -171,6 +173,9 @@ def fit_mission_tables(
         return concat_epochs(unpack_part(read, "epoch"))
 
     makers: dict[str, Callable[[], xr.Dataset]] = {
+        "torquer-lines": lambda: torquer_lines(
+            [one for day in read for one in unpack_part([day], "spectrum")]
+        ),
         "torquer-band": lambda: fit_band(torquer_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(torquer_band(read)),
         "torquer-band-mean": lambda: robust_mean(out.required("torquer-band-daily")),

@@ -49,7 +49,7 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=3, tables=6, products=6)
+    versions = Versions(statistics=4, tables=7, products=6)
     statistics = ALL_DAYS_STATISTICS
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:

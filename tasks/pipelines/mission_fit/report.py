@@ -90,6 +90,8 @@ class MissionFitReport:
             f"residual {size['before_nT']:.4g} nT before, {own}{after}",
             f"scale factors: {trends['kind']}; {trends.get('told', 'no rivals compared')}",
             *_coefficient_lines(sections["coefficients"]["items"]),
+            *([lines["told"]] if (lines := sections["torquers"].get("lines")) else []),
+            *([f"the body's field: eta {eta['told']}"] if (eta := sections["torquers"].get("eta")) else []),
             *_offset_lines(sections["offsets_from_spread"]),
             *(sections["clock_faults"].get("told") or []),
             *_cross_talk_lines(sections["cross_talk"].get("asked", {})),
@@ -157,7 +159,8 @@ def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
         factor = with_unit(law["factor"], law["factor_sigma"], "")
         noise = with_unit(law["noise_nT2"], law["noise_sigma_nT2"], "nT2")
         out.append(
-            f"std^2(dB) = ({factor}) Z0^2 + ({noise}) over {law['days']} days; {law['geometry']:.4f} by the orbit"
+            f"std^2(dB) = ({factor}) Z0^2 + ({noise}) over {law['days']} days; "
+            f"{law['geometry']:.4f} by the orbit"
         )
     if "rms_nT" in fields:
         out.append(
