@@ -368,8 +368,8 @@ class Model:
         constant = any(isinstance(entry.effect, Remanent) for entry in self.effects)
         return (
             f"{', '.join(entry.name for entry in alone)}: the torquers' field is taken off and the body's, "
-            f"which they cancel on average, {'is held constant' if constant else 'is not'}; its change over years "
-            "goes into the offsets. With 260 days: inflight reprocess --table continuous, then "
+            f"which they cancel on average, {'is held constant' if constant else 'is not'}; its change over "
+            "years goes into the offsets. With 260 days: inflight reprocess --table continuous, then "
             "inflight add remanent_moment"
         )
 

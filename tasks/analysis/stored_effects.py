@@ -2,7 +2,7 @@
 
 In goes what `inflight add` was given; out comes an entry whose parameters of time ``table`` name one table
 for good, by its key (`stored_entry`). What a reprocessing finds later changes no model: `inflight set` takes
-the newest table. The tables are those of the whole-mission fit; any other by axis and interval serves as well.
+the newest table. The tables are those of the whole-mission fit; any other by axis and interval serves, too.
 """
 
 from __future__ import annotations

@@ -571,8 +571,8 @@ def offsets(found: MissionFitResults) -> Part:
         }
         part.add_text(
             f"Over {law.attrs['days']} days std^2(dB) = ({with_error(factor, factor_sigma)}) Z0^2 + "
-            f"({with_error(noise, noise_sigma)}) nT^2 (Yin 2010, eq. 3.6), Z0 a day's own offset along z less "
-            f"the common one; the orbit's own factor is {geometry:.4f}."
+            f"({with_error(noise, noise_sigma)}) nT^2 (Yin 2010, eq. 3.6), Z0 a day's own offset along z "
+            f"less the common one; the orbit's own factor is {geometry:.4f}."
         )
         part.plots.append(spread_law_figure(law))
     with part.optional("Offsets of each day"):
