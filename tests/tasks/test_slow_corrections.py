@@ -1,0 +1,78 @@
+"""Slow corrections from stored tables: a simulated mission in which only the daily z offset is wrong."""
+
+import datetime as dt
+
+import numpy as np
+import pytest
+
+from benchmarks.archive import simulated_workspace
+from inflight.catalog import Workspace
+from inflight.errors import CatalogError
+from inflight.simulate import SimulationSettings, simulate_day
+from inflight.tasks.analysis.revise import open_workbench
+from inflight.tasks.analysis.stored_effects import stored_entry
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
+
+DAYS = 6
+SETTINGS = SimulationSettings(
+    seed=5,
+    start=dt.date(2005, 1, 1),
+    days=DAYS,
+    cadence=10,
+    defects=(),
+    without=tuple(sorted(set(SimulationSettings.standard_effects) - {"offset", "misalignment"})),
+    include=("offset_drift",),
+    overrides={"offset_axes": (0.0, 0.0, 1.0), "offset_drift_rms": 1.5},
+)
+MODEL = """model: champ-preflight
+version: 1
+mission: champ
+effects:
+  - effect: vector_sensor
+    sensor: fgm
+    scale_factor: {time: block, value: [1.00139, 1.00223, 1.00221], sigma: 2.0e-3}
+    misalignment: {time: block, unit: deg, value: [90.0225, 90.0640, 90.0350], sigma: 0.05}
+    offset: {time: block, unit: nT, value: [23.0, 24.5, 19.0], sigma: 10.0}
+"""
+
+
+def made(cat):
+    """Reprocess; return the report, the product's true error and what it states, (time, axis) nT."""
+    settings = ReprocessSettings(table="continuous", trend="constant", batch_days=DAYS)
+    report = reprocess(cat, Workspace.open(cat.workspace).mission(), settings=settings).as_json()
+    products = [cat.read_day("l2/field", day) for day in SETTINGS.day_list]
+    truth = [simulate_day(SETTINGS, day).truth["FIELD"].values for day in SETTINGS.day_list]
+    off = np.concatenate([one["field_sensor"].values for one in products]) - np.concatenate(truth)
+    return report, off, np.concatenate([one["uncertainty"].values for one in products])
+
+
+def rms(values):
+    return np.sqrt(np.nanmean(values**2, axis=0))
+
+
+@pytest.mark.slow
+def test_the_daily_z_offset_is_taken_off_and_its_table_does_not_depend_on_itself(tmp_path):
+    cat = simulated_workspace(tmp_path / "champ", DAYS, settings=SETTINGS, workers=1)
+    root = cat.workspace
+    (root / "models" / "champ-preflight.yaml").write_text(MODEL, encoding="utf-8")
+    mission = Workspace.open(root).mission()
+    with pytest.raises(CatalogError, match="main-z-offset") as absent:
+        stored_entry(cat, mission, "main", "z_offset")
+    assert "reprocess --table continuous" in str(absent.value.remedy)
+
+    _, before, _ = made(cat)
+    first = cat.table_by_id(cat.tables("main-z-offset")[-1].id)
+    revision = open_workbench(Workspace.open(root)).add("z_offset")
+    assert revision.in_sample[1] <= revision.in_sample[0]
+    report, after, sigma = made(cat)
+    assert report["days"]["done"] == DAYS
+    # Only z was wrong, and only z becomes right; what is stated covers it.
+    assert rms(before)[2] > 4 * rms(after)[2]
+    np.testing.assert_allclose(rms(after)[:2], rms(before)[:2], atol=0.05)
+    assert (rms(after / sigma) < 1.3).all()
+    # What was taken off is put back where the offsets are told: the same table again.
+    again = cat.table_by_id(cat.tables("main-z-offset")[-1].id)
+    np.testing.assert_allclose(again["value"].values, first["value"].values, atol=0.1)
+    product = cat.read_day("l2/field", SETTINGS.day_list[2])
+    np.testing.assert_allclose(product["correction_z_offset"].values[:, :2], 0.0)
+    assert any("z_offset.vector[z]" in one for one in product.attrs["calibration_coefficients"])
