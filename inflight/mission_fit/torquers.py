@@ -518,7 +518,10 @@ def torquer_lines(days: Sequence[xr.Dataset]) -> xr.Dataset:
         When there is no day.
     """
     if not days:
-        raise SamplesError("no day has a spectrum of both instruments", remedy="see the days' cadence")
+        raise SamplesError(
+            "no day has torquer currents and readings faster than 5 s for a spectrum of each instrument",
+            remedy="see the channel's missing days, and the cadence",
+        )
     settings, frequency = SPECTRA_SETTINGS, np.asarray(days[0]["frequency"].values)
     same = [day for day in days if np.array_equal(day["frequency"].values, frequency)]
     weight = np.array([float(day["segments"].values[0]) for day in same])

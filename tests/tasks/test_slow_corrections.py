@@ -1,13 +1,16 @@
 """Slow corrections from stored tables: a simulated mission in which only the daily z offset is wrong."""
 
 import datetime as dt
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.archive import simulated_workspace
 from inflight.catalog import Workspace
+from inflight.catalog.workspace import find_mission
 from inflight.errors import CatalogError
+from inflight.mission import Mission
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.tasks.analysis.revise import open_workbench
 from inflight.tasks.analysis.stored_effects import stored_entry
@@ -34,6 +37,49 @@ effects:
     misalignment: {time: block, unit: deg, value: [90.0225, 90.0640, 90.0350], sigma: 0.05}
     offset: {time: block, unit: nT, value: [23.0, 24.5, 19.0], sigma: 10.0}
 """
+
+
+CHAMP = find_mission("champ").read_text(encoding="utf-8")
+
+
+class FewTables:
+    """A catalog that has one table of each name."""
+
+    def __init__(self, *names):
+        self.names = names
+
+    def tables(self, name=None):
+        key = "0123456789abcdef"
+        return [
+            SimpleNamespace(name=one, id=1, key=key, damaged=False)
+            for one in self.names
+            if name in (None, one)
+        ]
+
+
+def test_what_a_user_adds_names_one_table_for_good():
+    mission, cat = Mission.parse(CHAMP), FewTables("main-z-offset", "main-torquer-mean")
+    offset = stored_entry(cat, mission, "main", "z_offset")
+    assert offset["sensor"] == "fgm"
+    assert offset["vector"] == {"time": "table", "table": "main-z-offset:0123456789ab"}
+    # The body's field is the scalar sensor's, until it is said where both sensors see it from.
+    assert stored_entry(cat, mission, "main", "remanent_moment")["sensor"] == "ovm"
+    both = stored_entry(
+        cat, mission, "main", "{effect: remanent_moment, dipole: {position: [-1, 0, 0], sigma: 1}}"
+    )
+    assert both["sensor"] == "fgm"
+    assert both["current"]["table"] == "main-torquer-mean:0123456789ab"
+    assert stored_entry(cat, mission, "main", "day_night") is None
+    assert stored_entry(cat, mission, "main", "{effect: tone, period: 900 s}") is None
+
+
+def test_what_a_table_is_made_from_is_said_where_the_mission_lacks_it():
+    with pytest.raises(CatalogError, match="main-torquer-mean") as absent:
+        stored_entry(FewTables(), Mission.parse(CHAMP), "main", "remanent_moment")
+    assert "reprocess --table continuous" in str(absent.value.remedy)
+    without = Mission.parse(CHAMP.replace("kind: torquer_current, ", ""))
+    with pytest.raises(CatalogError, match="no channel of kind torquer_current"):
+        stored_entry(FewTables(), without, "main", "remanent_moment")
 
 
 def made(cat):

@@ -165,7 +165,8 @@ def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
     if "rms_nT" in fields:
         out.append(
             f"daily z offsets {fields['rms_nT']:.3g} nT rms, above the noise on {fields['seen']} of "
-            f"{fields['days']} days; 'inflight add z_offset' takes them off"
+            f"{fields['days']} days; "
+            + ("the model takes them off" if fields["applied"] else "'inflight add z_offset' takes them off")
         )
     return out
 

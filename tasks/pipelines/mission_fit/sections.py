@@ -54,6 +54,7 @@ from inflight.model import Model, component_names
 from inflight.tasks.pipelines.base import Part, with_unit
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.tables import node_times, torquer_band
+from inflight.tasks.pipelines.scalar import z_offsets_of
 from inflight.time import Int64, to_utc
 from inflight.units import with_error
 
@@ -593,9 +594,11 @@ def offsets(found: MissionFitResults) -> Part:
             "seen": int(seen.sum()),
             "rms_nT": size,
             "slope_rms_nT": slope,
+            "applied": bool(z_offsets_of(found.fitted)),
         }
         part.add_text(
-            f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
+            f"On {seen.sum()} of {seen.size} days the spread of the products' residual, with no such offset "
+            "taken off, is above its noise "
             f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
             f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
         )

@@ -12,7 +12,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission_fit import day_statistics
-from inflight.model import Model
+from inflight.model import Model, TimedValue
 from inflight.residual import residual_statistics
 from inflight.tasks.archive import load_samples, substitute_missing, substitution_report
 from inflight.tasks.pipelines.base import ProductBatch, rounded
@@ -70,7 +70,7 @@ def level2_day(
     }
     if distribute is not None:
         direction = direction_of(product["field_sensor"].values)
-        offset = applied_z_offset(fitted, middle)
+        offset = float(sum(timed.at(middle)[2] for timed in z_offsets_of(fitted)))
         try:
             # What was taken off before is put back: the table of offsets must not depend on itself.
             uncorrected = residual + offset * direction[:, 2]
@@ -97,12 +97,11 @@ def level2_day(
     return product, report
 
 
-def applied_z_offset(model: Model, tt2000: int) -> float:
-    """Return the daily offset along z that a model takes from a table of `inflight.mission_fit`, nT."""
-    taken = [
-        timed.at(tt2000)[2]
+def z_offsets_of(model: Model) -> list[TimedValue]:
+    """Return the parameters of a model that take the daily offsets along z of the whole-mission fit."""
+    return [
+        timed
         for entry in model.effects
         for timed in entry.tables.values()
         if timed.table_name.partition(":")[0] == f"{model.comparison}-z-offset"
     ]
-    return float(sum(taken))
