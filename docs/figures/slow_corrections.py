@@ -95,7 +95,7 @@ def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as made:
         page = Path(made) / "z-offset.html"
         page.write_text(html_page("", [("", [], plots)]), encoding="utf-8")
-        screenshot(page, Path(__file__).parents[1] / "images" / "z-offset.png", 1190, 470)
+        screenshot(page, Path(__file__).parents[1] / "images" / "z-offset.png", 1190, 350)
 
 
 def newest(cat: Catalog, name: str) -> xr.Dataset:

@@ -341,14 +341,16 @@ class Model:
             if entry.sensor == first
             and entry.is_additive
             and entry.dipole is None
-            and entry.effect.family in CURRENT_FAMILIES
-            and entry.effect.channels[0] not in elsewhere
+            and (
+                isinstance(entry.effect, RemanentMoment)
+                or (entry.effect.family in CURRENT_FAMILIES and entry.effect.channels[0] not in elsewhere)
+            )
         ]
         if not names:
             return ""
         return (
             f"{', '.join(names)}: known by the difference of {first.name} and {others[0].name}; what "
-            f"{others[0].name} sees of {'this current' if len(names) == 1 else 'these currents'} stays in "
+            f"{others[0].name} sees of {'this source' if len(names) == 1 else 'these sources'} stays in "
             f"the field of {first.name}, and no residual shows it. Say where the source stands, m: "
             f"inflight set {names[0]}.dipole='x y z +- sigma'"
         )
@@ -466,6 +468,12 @@ class Model:
     def known_layout(self) -> ResidualDefinition:
         """The layout; of a model without one, from the sensors of its effects."""
         return self.layout or ResidualDefinition.of_sensors(entry.sensor for entry in self.effects)
+
+    @property
+    def taken_tables(self) -> list[int]:
+        """Ids in the catalog of the tables that parameters of time ``table`` have the values of."""
+        tables = [timed.table for entry in self.effects for timed in entry.tables.values()]
+        return sorted({int(one.attrs["id"]) for one in tables if one is not None and one.attrs["id"]})
 
     def with_tables(self, find: Callable[[str], xr.Dataset | None]) -> Model:
         """Return a model whose parameters of time ``table`` have the values of stored tables.

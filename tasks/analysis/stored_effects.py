@@ -21,7 +21,8 @@ from inflight.tasks.pipelines.base import table_label
 STORED_EFFECTS: dict[str, dict[str, Any]] = {
     # Yin (2010), eq. 3.6: what an offset along z of the vector sensor makes of the residual's spread.
     "z_offset": {"effect": "remanent", "vector": {"time": "table", "table": "z-offset"}},
-    # 3.4.4; CHAMP's test on ground told 7.1 nT/A at the scalar sensor. Of another body nothing is known.
+    # 3.4.4; CHAMP's test on ground told 7.1 nT/A at the scalar sensor. Of another body nothing is known. At
+    # the scalar sensor alone a fit would give it the difference, whose sign is the other one.
     "remanent_moment": {
         "effect": "remanent_moment",
         "eta": {"unit": "nT/A", "value": 0.0, "sigma": 20.0},
@@ -52,10 +53,8 @@ def stored_entry(
     known = STORED_EFFECTS.get(str(entry["effect"]))
     if known is not None:
         entry = {**known, "name": entry["effect"], **entry, "effect": known["effect"]}
-        # Both are fields of the spacecraft; one that the vector sensor sees needs a place for the other one.
-        role = "scalar" if known["effect"] == "remanent_moment" and "dipole" not in entry else "vector"
         sensors = sensors_of(mission, comparison).values()
-        own = next((one.name for one in sensors if one.role == role), None)
+        own = next((one.name for one in sensors if one.role == "vector"), None)
         entry = {**entry, "sensor": entry.get("sensor", own)}
     stored = {key: one for key, one in entry.items() if isinstance(one, Mapping) and "table" in one}
     stored = {key: one for key, one in stored.items() if one.get("time") == "table"}

@@ -118,7 +118,8 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
     mission = Mission.parse(context.mission_text)
     base = _model(cat, mission, context.model_name, context.model_version)
     own = edges[days[0].id]
-    number = next((int(item[6:]) for item in own if item.startswith("table:")), None)
+    numbers = (int(item[6:]) for item in own if item.startswith("table:"))
+    number = next((one for one in numbers if one not in base.taken_tables), None)
     if number is None or days[0].dataset != product_of(settings.comparison):
         raise CatalogError(
             f"{days[0].dataset} of {days[0].day} was not made by a calibration table",

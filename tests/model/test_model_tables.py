@@ -122,3 +122,7 @@ def test_torquers_taken_off_without_the_body_are_told():
     told = Model.parse("effects:\n" + torquer, MISSION).torquers_alone
     assert "inflight add remanent_moment" in told
     assert Model.parse(MOMENT + torquer, MISSION).torquers_alone == ""
+    # Without a place the body is told as a difference, as a current is.
+    difference = MOMENT.replace("dipole: {position: [-1.1, 0, 0], sigma: 0.0}", "")
+    assert "remanent_moment.dipole=" in Model.parse(difference, MISSION).told_by_difference
+    assert Model.parse(MOMENT, MISSION).told_by_difference == ""

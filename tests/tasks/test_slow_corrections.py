@@ -62,8 +62,8 @@ def test_what_a_user_adds_names_one_table_for_good():
     offset = stored_entry(cat, mission, "main", "z_offset")
     assert offset["sensor"] == "fgm"
     assert offset["vector"] == {"time": "table", "table": "main-z-offset:0123456789ab"}
-    # The body's field is the scalar sensor's, until it is said where both sensors see it from.
-    assert stored_entry(cat, mission, "main", "remanent_moment")["sensor"] == "ovm"
+    # Of the scalar sensor alone, data would tell the field with the other sign.
+    assert stored_entry(cat, mission, "main", "remanent_moment")["sensor"] == "fgm"
     both = stored_entry(
         cat, mission, "main", "{effect: remanent_moment, dipole: {position: [-1, 0, 0], sigma: 1}}"
     )
@@ -119,6 +119,10 @@ def test_the_daily_z_offset_is_taken_off_and_its_table_does_not_depend_on_itself
     # What was taken off is put back where the offsets are told: the same table again.
     again = cat.table_by_id(cat.tables("main-z-offset")[-1].id)
     np.testing.assert_allclose(again["value"].values, first["value"].values, atol=0.1)
+    day = next(one for one in cat.days("l2/field", states=("published",)))
+    tables = {edge.parent for edge in cat.lineage(day) if edge.child == day.id and "table:" in edge.parent}
+    assert f"table:{cat.tables('main-z-offset')[0].id}" in tables
+    assert len(tables) == 2
     product = cat.read_day("l2/field", SETTINGS.day_list[2])
     np.testing.assert_allclose(product["correction_z_offset"].values[:, :2], 0.0)
     assert any("z_offset.vector[z]" in one for one in product.attrs["calibration_coefficients"])

@@ -245,6 +245,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     fitted = solved.model.name != plan.model.name
     version = solved.model.version if fitted else plan.used.version
     lineage = [f"model:{solved.model.name}@{version}"] if fitted else []
+    lineage += [f"table:{number}" for number in plan.model.taken_tables]
     arguments = []
     for number in sorted({solved.used[day].number for day in todo}):
         days = [day for day in todo if solved.used[day].number == number]

@@ -152,15 +152,20 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+#: Said of a law whose factor is not the orbit's.
+_NO_OFFSET = ": what days differ by in their own fits is no offset along z that spreads the residual"
+
+
 def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
     """Return the law of the residual's spread, and what its daily offsets are; none where there is no law."""
-    law, out = fields.get("law"), []
+    law, out, far = fields.get("law"), list[str](), MISSION_REPORT_SETTINGS.far_sigma
     if law:
         factor = with_unit(law["factor"], law["factor_sigma"], "")
         noise = with_unit(law["noise_nT2"], law["noise_sigma_nT2"], "nT2")
         out.append(
             f"std^2(dB) = ({factor}) Z0^2 + ({noise}) over {law['days']} days; "
             f"{law['geometry']:.4f} by the orbit"
+            + ("" if abs(law["factor"] - law["geometry"]) < far * law["factor_sigma"] else _NO_OFFSET)
         )
     if "rms_nT" in fields:
         out.append(

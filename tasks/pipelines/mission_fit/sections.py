@@ -500,14 +500,19 @@ def eta_at_scalar(model: Model) -> tuple[float, float, str]:
 
     Of a body whose place is stated, the model's eta is that at the vector sensor.
     """
+    ground = f"{ETA:g} nT/A, of CHAMP's test on ground"
     for entry in model.effects:
-        if isinstance(entry.effect, RemanentMoment):
-            timed = entry.parameters["eta"]
-            transfers = list(entry.transfers().values())
-            share = float(transfers[0][1, 1]) if transfers and not entry.sensor.is_scalar else 1.0
-            value, sigma = share * float(timed.value[0, 0]), share * float(timed.sigma_at(0)[0])
-            return value, sigma, f"{with_unit(value, sigma, 'nT/A')}, fitted"
-    return ETA, 0.0, f"{ETA:g} nT/A, of CHAMP's test on ground; 'inflight add remanent_moment' fits it"
+        if not isinstance(entry.effect, RemanentMoment):
+            continue
+        timed, transfers = entry.parameters["eta"], list(entry.transfers().values())
+        value, sigma = float(timed.value[0, 0]), float(timed.sigma_at(0)[0])
+        if not transfers and not entry.sensor.is_scalar:
+            told = with_unit(value, sigma, "nT/A")
+            return ETA, 0.0, f"{ground}; fitted is {told}, vector less scalar sensor: its place is not stated"
+        share = 1.0 if entry.sensor.is_scalar else float(transfers[0][1, 1])
+        told = with_unit(share * value, share * sigma, "nT/A")
+        return share * value, share * sigma, f"{told} at the scalar sensor, fitted"
+    return ETA, 0.0, f"{ground}; 'inflight add remanent_moment' fits it"
 
 
 def _add_torquer_matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
