@@ -480,7 +480,7 @@ def instrument_spectra(stamps: Int64, vector: Floats, scalar: Floats) -> xr.Data
         )
     both, count = np.stack([vector, scalar]), round(settings.length / cadence)
     total, segments = np.zeros((2, count // 2 + 1)), 0
-    for part in _stretches(stamps, np.isfinite(both).all(axis=0), cadence, np.inf, settings.length + cadence):
+    for part in _stretches(stamps, np.isfinite(both.sum(axis=0)), cadence, np.inf, settings.length + cadence):
         change = np.diff(both[:, part], axis=1)
         frequency, power = scipy.signal.welch(
             change, 1.0 / cadence, "hann", count, count // 2, detrend=scipy.signal.detrend, axis=1

@@ -115,11 +115,12 @@ class MissionPipeline(Pipeline):
     ) -> None:
         """Stage the daily offsets from the spread of the products' residuals, and the law of the spread."""
         from inflight.tasks.pipelines.mission_fit.fit import z_offset_law
-        from inflight.tasks.pipelines.mission_fit.tables import spread_offsets
+        from inflight.tasks.pipelines.mission_fit.tables import slope_offsets, spread_offsets
 
         stager = self.table_stager(work, days)
         makers = {
             "z-offset": lambda: spread_offsets(reports),
+            "z-offset-slope": lambda: slope_offsets(reports),
             "z-offset-law": lambda: z_offset_law(work.cat, days, solved, reports),
         }
         solved.notes.update(stager.stage_possible(makers))

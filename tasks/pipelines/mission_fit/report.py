@@ -152,6 +152,8 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+#: Daily offsets are worth taking off when they are so many times their errors; assumed.
+_WORTH = 2.0
 #: Said of a law whose factor is not the orbit's.
 _NO_OFFSET = ": what days differ by in their own fits is no offset along z that spreads the residual"
 
@@ -168,11 +170,10 @@ def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
             + ("" if abs(law["factor"] - law["geometry"]) < far * law["factor_sigma"] else _NO_OFFSET)
         )
     if "rms_nT" in fields:
-        out.append(
-            f"daily z offsets {fields['rms_nT']:.3g} nT rms, above the noise on {fields['seen']} of "
-            f"{fields['days']} days; "
-            + ("the model takes them off" if fields["applied"] else "'inflight add z_offset' takes them off")
-        )
+        size, error = fields["rms_nT"], fields["sigma_rms_nT"]
+        what = "'inflight add z_offset' takes them off" if size > _WORTH * error else "no more than noise"
+        what = "the model takes them off" if fields["applied"] else what
+        out.append(f"daily z offsets {size:.3g} nT rms, their errors {error:.3g} nT: {what}")
     return out
 
 

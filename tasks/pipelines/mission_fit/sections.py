@@ -593,18 +593,22 @@ def offsets(found: MissionFitResults) -> Part:
             end=own["end"].values,
             axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
         )
-        size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
+        size, slope, error = (
+            float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope, daily.sigma)
+        )
         part.fields |= {
             "days": int(seen.size),
             "seen": int(seen.sum()),
             "rms_nT": size,
             "slope_rms_nT": slope,
+            "sigma_rms_nT": error,
             "applied": bool(z_offsets_of(found.fitted)),
         }
         part.add_text(
             f"On {seen.sum()} of {seen.size} days the spread of the products' residual, with no such offset "
             "taken off, is above its noise "
-            f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
+            f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, with errors of "
+            f"{error:.3g} nT, those of "
             f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
         )
         part.plots.append(offsets_figure(daily))

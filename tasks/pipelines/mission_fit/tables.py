@@ -245,6 +245,16 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
     return offsets_from_spread(statistics, *residual_noise(statistics)).table()
 
 
+def slope_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset:
+    """Return the daily offsets along z by the slope of the residual against Bz/|B|; as `spread_offsets`.
+
+    What spreads the residual and does not follow Bz/|B| is no part of them.
+    """
+    found = offsets_from_spread(statistics := spread_statistics(reports), *residual_noise(statistics)).table()
+    table = found.assign(value=found["slope"], sigma=found["sigma_slope"])
+    return table.drop_vars(["slope", "sigma_slope", "wrong_sign", "determined"])
+
+
 def spread_statistics(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset:
     """Return what `day_statistics` told of the days that have it, in order; as `spread_offsets`."""
     spreads = [reports[day]["spread"] for day in sorted(reports) if reports[day].get("spread")]

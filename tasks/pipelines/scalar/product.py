@@ -103,5 +103,5 @@ def z_offsets_of(model: Model) -> list[TimedValue]:
         timed
         for entry in model.effects
         for timed in entry.tables.values()
-        if timed.table_name.partition(":")[0] == f"{model.comparison}-z-offset"
+        if timed.table_name.startswith(f"{model.comparison}-z-offset")
     ]
