@@ -250,7 +250,7 @@ def slope_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Data
 
     What spreads the residual and does not follow Bz/|B| is no part of them.
     """
-    found = offsets_from_spread(statistics := spread_statistics(reports), *residual_noise(statistics)).table()
+    found = spread_offsets(reports)
     table = found.assign(value=found["slope"], sigma=found["sigma_slope"])
     return table.drop_vars(["slope", "sigma_slope", "wrong_sign", "determined"])
 
