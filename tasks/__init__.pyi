@@ -8,7 +8,7 @@ from .analysis import (
 )
 from .archive import ingest, simulate
 from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
-from .models import ModelHistory, comparison_of, current_model, find_model, preflight_model
+from .models import ModelHistory, comparison_of, current_model, find_model, find_table, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release, plan_release
 from .report import (
@@ -41,6 +41,7 @@ __all__ = [
     "error_fields",
     "few_at_once",
     "find_model",
+    "find_table",
     "in_plain_words",
     "ingest",
     "location_of",

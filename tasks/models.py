@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from inflight.catalog import Catalog, ModelRecord
+from inflight.catalog import Catalog, ModelRecord, TableRecord
 from inflight.effects import EffectSource, SpinningSensor
 from inflight.errors import CatalogError, MissionError, ModelError, SettingsError, did_you_mean
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ResidualDefinition, make_effect
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Where the text of a model states the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
@@ -60,6 +64,58 @@ def effect_sources(cat: Catalog, mission: Mission) -> tuple[EffectSource, ...]:
     return tuple(sources)
 
 
+def find_table(cat: Catalog, named: str) -> TableRecord:
+    """Return the record of a table ``main-span:12``, or the newest one called ``main-span``.
+
+    In place of the number stands the key, or its first digits, that the header of a product has.
+
+    Raises
+    ------
+    CatalogError
+        When there is none, or it is damaged.
+    """
+    name, _, number = named.partition(":")
+    records = cat.tables(name)
+    known = [
+        one
+        for one in records
+        if (number in ("", str(one.id)) or (len(number) > 7 and one.key.startswith(number)))
+        and not one.damaged
+    ]
+    if not known:
+        numbers = ", ".join(f"{name}:{one.id}" for one in records)
+        names = sorted({one.name for one in cat.tables()})
+        raise CatalogError(
+            f"there is no whole table {named!r}{did_you_mean(name, names)}",
+            remedy=f"the catalog has {numbers or ', '.join(names) or 'none yet'}",
+        )
+    return known[-1]
+
+
+def parse_model(
+    cat: Catalog, text: str, mission: Mission, source: str, own: tuple[EffectSource, ...] = ()
+) -> Model:
+    """Return a model from its text, with the values of the tables of the catalog that it names.
+
+    A table that is not there is missed when its values are used.
+
+    Raises
+    ------
+    ModelError
+        As `Model.parse`, and when a table is of another form.
+    """
+    return Model.parse(text, mission, source, own).with_tables(partial(stored_table, cat))
+
+
+def stored_table(cat: Catalog, named: str) -> xr.Dataset | None:
+    """Return a table by the name that `find_table` takes; None where there is none."""
+    try:
+        record = find_table(cat, named)
+    except CatalogError:
+        return None
+    return cat.table_by_id(record.id).assign_attrs(id=record.id)
+
+
 def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Model:
     """Return a comparison's pre-flight model, or that of ideal sensors when it has none.
 
@@ -85,7 +141,7 @@ def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") ->
             file="mission.yaml",
             remedy="put it there, or leave the key out to start from an ideal sensor",
         )
-    model = Model.parse(path.read_text(encoding="utf-8"), mission, name, own)
+    model = parse_model(cat, path.read_text(encoding="utf-8"), mission, name, own)
     if stated and model.comparison != comparison:
         raise MissionError(
             f"{key}: {name!r} is a model of comparison '{model.comparison}'",
@@ -231,7 +287,7 @@ class ModelHistory:
 
     def model(self, entry: HistoryEntry) -> Model:
         """Return the model of a version, with the effects' files as they are now."""
-        return Model.parse(entry.text, self._mission, entry.label, self._own)
+        return parse_model(self._cat, entry.text, self._mission, entry.label, self._own)
 
     def same(self, one: int | None, other: int | None) -> bool:
         """Return True for two versions of the model in use with one text: an undo has an older one's."""
@@ -286,6 +342,8 @@ UNDO = "undo"
 REFIT = "refit"
 #: Of one in which numbers were set that its effects depend on not only in proportion.
 SET = "set"
+#: Of one that takes values over time from a stored table.
+TAKE = "take"
 
 
 def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: int) -> VersionedModel:
@@ -293,7 +351,7 @@ def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: in
     name = like.model.name
     text = cat.model_text(name, version)[2]
     return VersionedModel(
-        Model.parse(text, mission, f"{name} version {version}", like.model.own), version, text
+        parse_model(cat, text, mission, f"{name} version {version}", like.model.own), version, text
     )
 
 
@@ -320,7 +378,7 @@ def version_with_gram_blocks(
     version: int | None = _without_undo(records, current.version)
     while version is not None and version not in versions:
         record_of = records[version]
-        refitted = record_of.message.startswith((REFIT, SET)) or record_of.parent is None
+        refitted = record_of.message.startswith((REFIT, SET, TAKE)) or record_of.parent is None
         version = None if refitted else _without_undo(records, int(str(record_of.parent)))
     if version is None:
         return None

@@ -28,7 +28,7 @@ from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
-from inflight.model import Model, place_variance
+from inflight.model import Model, place_variance, table_variance
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
 
@@ -325,6 +325,7 @@ def level2(
     body = rotate(field, np.asarray(sensor.orientation))
     before = raw.residual(samples)[:, 0]
     variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
+    variance += table_variance(model.effects, corrected)
     if parameters.change is not None:
         outside = flag & np.uint32(Flag.EXTRAPOLATED) > 0
         variance[outside] += _effect_of_change(reading[outside], parameters) ** 2

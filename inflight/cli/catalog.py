@@ -261,7 +261,7 @@ def approve(
     note: Annotated[str, typer.Option(help="What was checked.")] = "",
 ) -> None:
     """Approve a calibration table in a person's name: a definitive release takes no other."""
-    from inflight.tasks.pipelines import find_table
+    from inflight.tasks import find_table
 
     catalog = command.open_catalog()
     record = find_table(catalog, name.removeprefix("tables/"))

@@ -42,7 +42,8 @@ def show_model(
     versions = _versions(command, comparison)
     found = versions.find(named)
     tree = _marked(parse_tree(found.text))
-    told = versions.model(found).told_by_difference
+    used = versions.model(found)
+    told, alone = used.told_by_difference, used.torquers_alone
     message = found.record.message if found.record else ""
 
     def show(console: Console) -> None:
@@ -60,10 +61,10 @@ def show_model(
         if names := [entry.get("name", entry["effect"]) for entry in tree["effects"] if "empirical" in entry]:
             text = f"empirical, there for what they look like, cause not known: {', '.join(names)}"
             console.print(text, soft_wrap=True, markup=False)
-        for line in (*_dipoles(tree), *([told] if told else [])):
+        for line in (*_dipoles(tree), *(one for one in (told, alone) if one)):
             console.print(line, soft_wrap=True, markup=False)
 
-    fields = found.fields | {"message": message, "told_by_difference": told}
+    fields = found.fields | {"message": message, "told_by_difference": told, "torquers_alone": alone}
     command.emit({"command": "model show", **fields, "model": tree}, show)
 
 
@@ -173,11 +174,16 @@ def _dipoles(tree: Mapping[str, Any]) -> Iterator[str]:
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Yield one row a component; effect and parameter stand in the first of theirs."""
     for entry in tree["effects"]:
-        numbers = {key: part for key, part in entry.items() if isinstance(part, Mapping) and "value" in part}
+        parts = {key: part for key, part in entry.items() if isinstance(part, Mapping)}
+        numbers = {key: part for key, part in parts.items() if "value" in part or "time" in part}
         label, sensor = str(entry.get("name", entry["effect"])), str(entry.get("sensor", ""))
         if not numbers:
             yield (label, sensor, "", "", "", "", "", "")
         for key, part in numbers.items():
+            if part.get("time") == "table":
+                yield (label, sensor, key, str(part["table"]), "", str(part.get("unit", "")), "table", "held")
+                label = sensor = ""
+                continue
             fit, time = "free" if part.get("free") else "held", str(part.get("time", "constant"))
             for axis, value, sigma in _components(part):
                 name = f"{key}[{axis}]" if axis else key

@@ -32,7 +32,15 @@ from .figure_data import (
 )
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
-from .requests import Request, addition_of_entry, best_lag, find_request, held_already, require_known
+from .requests import (
+    Request,
+    addition_of_entry,
+    best_lag,
+    find_request,
+    held_already,
+    parse_entry,
+    require_known,
+)
 from .residual import DiagnosisData, Native
 from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
@@ -129,6 +137,7 @@ __all__ = [
     "neutral_changes",
     "number_curves",
     "pack_blocks",
+    "parse_entry",
     "periods_of",
     "plain_json",
     "project_out",

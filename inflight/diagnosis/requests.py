@@ -96,7 +96,7 @@ def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Reque
     ModelError
         When nothing is called so, or several things are.
     """
-    given = _parse_entry(effect)
+    given = parse_entry(effect)
     if not isinstance(given, str):
         return Request(_addition_of_text(maker, given), {}, maker)
     if (known := _shape_in_time(maker, given)) is not None:
@@ -152,8 +152,14 @@ def _lasting(maker: AdditionMaker, name: str, at: list[int]) -> list[int]:
     return inner
 
 
-def _parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
-    """Return an entry of the model's file as a mapping, any other text as it is."""
+def parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """Return an entry of the model's file as a mapping, any other text as it is.
+
+    Raises
+    ------
+    ModelError
+        When it is neither.
+    """
     if not isinstance(effect, str):
         return dict(effect)
     if "effect:" not in effect:
@@ -238,7 +244,7 @@ def require_known(effect: str | Mapping[str, Any], model: Model, mission: Missio
     ModelError
         Names that only a search may know are left to `find_request`.
     """
-    given = _parse_entry(effect)
+    given = parse_entry(effect)
     if isinstance(given, str):
         match, kinds = _MADE.match(given), known_effects(model.own)
         if match is None or "channel" not in getattr(kinds.get(match["effect"]), "option_names", list)():

@@ -50,6 +50,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     channels.TollesLawson,
     spacecraft.Torquer,
     spacecraft.Remanent,
+    spacecraft.RemanentMoment,
     spacecraft.SolarArray,
     channels.ChannelField,
     channels.ChannelPower,

@@ -143,6 +143,24 @@ class Remanent(Effect):
         return [{}]
 
 
+class RemanentMoment(Effect):
+    """Field of the body's magnetic moment, which the torquers cancel on average (Yin 2010, section 3.4.4).
+
+    ``eta (0, mean I_y, mean I_z)``, with the mean of the torquers' currents over a cycle of local time from a
+    table (``current: {time: table, table: main-torquer-mean}``). Along the boom the sign would turn; the mean
+    I_x is taken as 0. It is corrected with the torquers' own field, and instead of a constant remanent field.
+    """
+
+    family = "remanent"
+    eta = Parameter("nT/A", sigma=20.0)
+    current = Parameter("A", AXES)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``eta (0, I_y, I_z)``; (time, axis) nT."""
+        made = values["eta"] * values["current"] * np.array([0.0, 1.0, 1.0])
+        return np.asarray(np.broadcast_to(made, (samples.sizes["time"], 3)))
+
+
 class SolarArray(Effect):
     """Stray field of the solar current, whose loops change with the panel that is lit.
 

@@ -30,6 +30,7 @@ from inflight.figures.style import (
 from inflight.mission_fit import (
     MEAN_STATES,
     SERIES,
+    TORQUER_BAND_HZ,
     CoilFit,
     DayNightField,
     EpochStack,
@@ -190,6 +191,52 @@ def torquer_mean_figures(mean: FilledRunningMean, field: xr.Dataset) -> list[fig
     for plot in (upper, lower):
         legend_below(plot)
     return [upper, lower]
+
+
+def torquer_lines_figure(lines: xr.Dataset) -> figure:
+    """Draw each instrument's own spectrum about the torquers' 20 s, and the course beside the band.
+
+    Parameters
+    ----------
+    lines : xarray.Dataset
+        Of `inflight.mission_fit.torquer_lines`.
+    """
+    plot = plain_figure(
+        str(lines.attrs["told"]), "Hz", "nT/sqrt(Hz), of first differences", y_axis_type="log", width=_WIDTH
+    )
+    for sensor, colour in zip(lines["sensor"].values, (AFTER, BEFORE), strict=True):
+        own = lines.sel(sensor=sensor)
+        frequency = own["frequency"].values
+        plot.line(frequency, np.sqrt(own["beside"].values), color=colour, line_dash="dashed")
+        plot.line(
+            frequency, np.sqrt(own["power"].values), color=colour, line_width=2, legend_label=str(sensor)
+        )
+    for edge in TORQUER_BAND_HZ:
+        plot.add_layout(Span(location=edge, dimension="height", line_color=REFERENCE, line_dash="dotted"))
+    legend_below(plot)
+    return plot
+
+
+def spread_law_figure(law: xr.Dataset) -> figure:
+    """Draw the days' variance of the residual against their offset's square (Yin 2010, Fig. 3.18).
+
+    Parameters
+    ----------
+    law : xarray.Dataset
+        Of `inflight.mission_fit.SpreadLaw.table`, with `offset`, `offset_sigma` and `variance` by day.
+    """
+    square = law["offset"].values ** 2 - law["offset_sigma"].values ** 2
+    factor, noise = law["value"].values
+    plot = plain_figure(
+        "Variance of the residual", "square of the day's z offset (nT^2)", "nT^2", width=_WIDTH
+    )
+    plot.scatter(square, law["variance"].values, color=BEFORE, size=5, legend_label="days")
+    ends = np.array([min(square.min(), 0.0), square.max()])
+    plot.line(ends, factor * ends + noise, color=AFTER, line_width=2, legend_label="fit")
+    geometry = float(law.attrs["geometry"])
+    plot.line(ends, geometry * ends + noise, color=REFERENCE, line_dash="dashed", legend_label="by the orbit")
+    legend_below(plot)
+    return plot
 
 
 def stack_figures(found: EpochStack, unit_of: str = "solar current") -> list[figure]:

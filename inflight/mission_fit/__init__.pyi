@@ -58,6 +58,7 @@ from .temperature import (
 )
 from .torquers import (
     CURRENT_WINDOW_DAYS,
+    ETA,
     MEAN_STATES,
     TORQUER_BAND_HZ,
     FilledRunningMean,
@@ -67,8 +68,10 @@ from .torquers import (
     filled_running_mean,
     fit_band,
     fit_remanence_factor,
+    instrument_spectra,
     remanent_field,
     robust_mean,
+    torquer_lines,
 )
 from .trend_selection import RivalTrend, TrendComparison, fit_origin
 from .trends import TrendFit, fit_trends, make_trend
@@ -86,6 +89,7 @@ __all__ = [
     "CLUSTER_S",
     "CURRENT_WINDOW_DAYS",
     "DISPLAY_UNITS",
+    "ETA",
     "KNOWN_PERIODS",
     "MEAN_STATES",
     "MIN_CYCLES",
@@ -151,6 +155,7 @@ __all__ = [
     "fit_trends",
     "free_terms",
     "hysteresis_loop",
+    "instrument_spectra",
     "joint_cross_talk",
     "make_trend",
     "measure_event_steps",
@@ -175,6 +180,7 @@ __all__ = [
     "temperature_entry",
     "three_cornered_hat",
     "three_cornered_hat_sums",
+    "torquer_lines",
     "wide_and_auxiliary_equations",
     "with_auxiliary_columns",
     "with_nine_parameters",

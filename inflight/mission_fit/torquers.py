@@ -74,6 +74,28 @@ class TorquerSettings:
 
 TORQUER_SETTINGS = TorquerSettings()
 
+
+@dataclass(frozen=True, kw_only=True)
+class SpectraSettings:
+    """How the spectrum of each instrument is made, and when a line of the torquers is seen in it.
+
+    Attributes
+    ----------
+    length : float
+        Of a segment, s; its inverse is the resolution (assumed: four lines' width in the band).
+    flanks : tuple
+        Hz, where the spectrum beside the band is taken; assumed.
+    sure : float
+        Sigmas above which a line is seen; assumed.
+    """
+
+    length: float = 400.0
+    flanks: tuple[tuple[float, float], tuple[float, float]] = ((0.025, 0.0425), (0.0575, 0.085))
+    sure: float = 3.0
+
+
+SPECTRA_SETTINGS = SpectraSettings()
+
 #: Hz, around the 20 s of the modulation.
 TORQUER_BAND_HZ = (0.045, 0.055)
 
@@ -424,6 +446,125 @@ def band_spectra(
         coords={"frequency": ("frequency", frequency, {"units": "Hz"})},
         attrs={"segments": segments, "cadence_s": cadence},
     )
+
+
+def instrument_spectra(stamps: Int64, vector: Floats, scalar: Floats) -> xr.Dataset:
+    """Return the spectrum of each instrument's field about the torquers' band (Yin 2010, Fig. 3.12).
+
+    First differences take the orbit's slow part out before the transform, and their gain is taken out of the
+    spectrum again: it is that of the field.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, rising, at one cadence but for gaps.
+    vector, scalar : ndarray, shape (time,)
+        |B| of the corrected vector and the corrected scalar reading, nT; NaN where missing.
+
+    Returns
+    -------
+    xarray.Dataset
+        dim row: `frequency` Hz; `vector`, `scalar` nT^2/Hz, one-sided; `segments` that were averaged, half of
+        each shared with the next.
+
+    Raises
+    ------
+    SamplesError
+        The cadence is too slow for the band, or no stretch is long enough.
+    """
+    settings, cadence = SPECTRA_SETTINGS, usual_step(stamps) / SECOND if stamps.size > 1 else np.inf
+    if 0.5 / cadence <= settings.flanks[1][1]:
+        raise SamplesError(
+            f"samples every {cadence:g} s do not hold {settings.flanks[1][1]:g} Hz",
+            remedy="take the readings at the magnetometers' own cadence",
+        )
+    both, count = np.stack([vector, scalar]), round(settings.length / cadence)
+    total, segments = np.zeros((2, count // 2 + 1)), 0
+    for part in _stretches(stamps, np.isfinite(both.sum(axis=0)), cadence, np.inf, settings.length + cadence):
+        change = np.diff(both[:, part], axis=1)
+        frequency, power = scipy.signal.welch(
+            change, 1.0 / cadence, "hann", count, count // 2, detrend=scipy.signal.detrend, axis=1
+        )
+        pieces = (change.shape[1] - count // 2) // (count - count // 2)
+        total, segments = total + pieces * power, segments + pieces
+    if not segments:
+        raise SamplesError(f"no stretch of {settings.length:g} s without a gap", remedy="take another span")
+    kept = (frequency >= settings.flanks[0][0]) & (frequency <= settings.flanks[1][1])
+    power = (total / segments / np.maximum(2.0 * np.sin(np.pi * frequency * cadence), 1e-12) ** 2)[:, kept]
+    rows = {"frequency": frequency[kept], "vector": power[0], "scalar": power[1]}
+    rows["segments"] = np.full(int(kept.sum()), float(segments))
+    return xr.Dataset({f"{name}": ("row", values) for name, values in rows.items()})
+
+
+def torquer_lines(days: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return what each instrument holds in the torquers' band above the spectrum beside it.
+
+    The neighbours' course is a power of the frequency, fitted in the flanks.
+
+    Parameters
+    ----------
+    days : sequence of Dataset
+        Of `instrument_spectra`; those of other frequencies than the first are left out.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims sensor (vector, scalar), frequency: `power`, `beside` nT^2/Hz; of each sensor `excess` nT^2 and
+        `excess_sigma`, `value` nT rms (the root, 0 where it is negative) and `sigma`.
+
+    Raises
+    ------
+    SamplesError
+        When there is no day.
+    """
+    if not days:
+        raise SamplesError(
+            "no day has torquer currents and readings faster than 5 s for a spectrum of each instrument",
+            remedy="see the channel's missing days, and the cadence",
+        )
+    settings, frequency = SPECTRA_SETTINGS, np.asarray(days[0]["frequency"].values)
+    same = [day for day in days if np.array_equal(day["frequency"].values, frequency)]
+    weight = np.array([float(day["segments"].values[0]) for day in same])
+    power = np.array([[day[name].values for name in ("vector", "scalar")] for day in same])
+    power = np.einsum("d,dsf->sf", weight, power) / weight.sum()
+    low, high = TORQUER_BAND_HZ
+    band = (frequency >= low) & (frequency <= high)
+    flank = np.any([(frequency >= first) & (frequency <= last) for first, last in settings.flanks], axis=0)
+    columns = np.stack([np.ones_like(frequency), np.log(frequency)], axis=1)
+    course, *_ = np.linalg.lstsq(columns[flank], np.log(power[:, flank]).T, rcond=None)
+    beside = np.exp(columns @ course).T
+    misfit = np.std(np.log(power / beside)[:, flank], axis=1) / np.sqrt(flank.sum())
+    step = float(frequency[1] - frequency[0])
+    excess = ((power - beside)[:, band]).sum(axis=1) * step
+    # Hann windows that overlap by half: 1.056 of independent ones (Welch 1967), and neighbours share 4/9.
+    chance = (power[:, band] ** 2).sum(axis=1) * (1.0 + 8.0 / 9.0) * 1.056 / weight.sum()
+    sigma = np.sqrt(chance * step**2 + (misfit * beside[:, band].sum(axis=1) * step) ** 2)
+    value = np.sqrt(np.maximum(excess, 0.0))
+    each = ("sensor", "frequency")
+    return xr.Dataset(
+        {
+            "power": (each, power, {"units": "nT2/Hz"}),
+            "beside": (each, beside, {"units": "nT2/Hz"}),
+            "excess": ("sensor", excess, {"units": "nT2"}),
+            "excess_sigma": ("sensor", sigma, {"units": "nT2"}),
+            "value": ("sensor", value, {"units": "nT"}),
+            # The root's error from that of the square, also where the square is near zero.
+            "sigma": ("sensor", np.sqrt(value**2 + sigma) - value, {"units": "nT"}),
+        },
+        coords={"sensor": ["vector", "scalar"], "frequency": ("frequency", frequency, {"units": "Hz"})},
+        attrs={"days": len(same), "told": _which_sensor(excess, sigma, value)},
+    )
+
+
+def _which_sensor(excess: Floats, sigma: Floats, value: Floats) -> str:
+    """Return which sensor's torquer correction is wrong, in a sentence."""
+    seen, least = excess > SPECTRA_SETTINGS.sure * sigma, SPECTRA_SETTINGS.sure * float(np.hypot(*sigma))
+    if not seen.any():
+        return "neither instrument has a line of the torquers: what their matrices lack is below the noise"
+    if abs(excess[0] - excess[1]) < least:
+        return "both instruments have a line of the torquers, of one size"
+    more = ("vector", "scalar")[int(np.argmax(excess))]
+    return f"the torquer matrix of the {more} sensor lacks more: its line is {value.max():.3g} nT rms"
 
 
 #: nT/A at the scalar sensor, from the test on ground (Yin 2010: 0.0071 nT/mA).

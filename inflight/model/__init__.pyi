@@ -1,4 +1,4 @@
-from .apply import ModelEffect, at_all_sensors, correct_plain, place_variance
+from .apply import ModelEffect, at_all_sensors, correct_plain, place_variance, table_variance
 from .diff import changes, parse_tree
 from .model import Model, make_effect, with_dipole
 from .rows import (
@@ -41,5 +41,6 @@ __all__ = [
     "rows_of",
     "spin_residual",
     "substitute",
+    "table_variance",
     "with_dipole",
 ]

@@ -7,7 +7,7 @@ which is farther from the spacecraft, gives `field`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
@@ -62,6 +62,11 @@ class ModelEffect:
         follows = self.effect.follows_field and type(self.effect).correct is Effect.correct
         return self.effect.is_additive or (follows and self.sensor.is_scalar)
 
+    @property
+    def tables(self) -> dict[str, TimedValue]:
+        """Parameters whose values are those of a stored table, by name."""
+        return {name: timed for name, timed in self.parameters.items() if timed.time == "table"}
+
     def transfers(self) -> dict[str, Floats]:
         """Return, by each other sensor's name, the matrix (3, 3) from the field at `sensor` to the one there.
 
@@ -103,6 +108,15 @@ class ModelEffect:
     def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
         """Return every parameter's value at a time, or at times."""
         return {name: timed.at(tt2000) for name, timed in self.parameters.items()}
+
+    def with_tables(self, find: Callable[[str], xr.Dataset | None]) -> ModelEffect:
+        """Return a copy whose parameters of time ``table`` have the tables that `find` returns by name."""
+        bound = {}
+        for key, timed in self.tables.items():
+            table = find(timed.table_name)
+            if table is not None:
+                bound[key] = timed.with_table(table)
+        return replace(self, parameters={**self.parameters, **bound}) if bound else self
 
     def as_empirical(self) -> ModelEffect:
         """Return a copy that says of itself that its cause is not known."""
@@ -309,6 +323,36 @@ def place_variance(effects: Effects, samples: xr.Dataset) -> Floats:
         if entry.dipole is not None and entry.sensor.role in VECTOR_ROLES:
             field = entry.effect.field(samples, entry.values(times), entry.sensor)
             found += sum((field @ matrix.T) ** 2 for matrix in entry.place_errors())
+    return found
+
+
+def table_variance(effects: Effects, samples: xr.Dataset) -> Floats:
+    """Return what values taken from tables, and the numbers beside them, add to the vector field's variance.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        With the effects' channels and `tt2000`.
+
+    Returns
+    -------
+    ndarray, shape (time, axis)
+        nT^2, vector sensor axes; of the effects that have a parameter with time ``table``, each component
+        changed by one sigma. They count as independent.
+    """
+    times = _times(samples)
+    found = np.zeros((times.size, 3))
+    for entry in effects:
+        if not entry.tables or entry.sensor.role not in VECTOR_ROLES or not entry.is_additive:
+            continue
+        values = entry.values(times)
+        field = entry.effect.field(samples, values, entry.sensor)
+        for key, timed in entry.parameters.items():
+            sigma = timed.sigma_at(times)
+            for place in np.flatnonzero(sigma.reshape(-1, sigma.shape[-1]).any(axis=0)):
+                moved = values[key] + sigma * (np.arange(sigma.shape[-1]) == place)
+                changed = entry.effect.field(samples, {**values, key: moved}, entry.sensor)
+                found += (changed - field) ** 2
     return found
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,9 @@ from inflight.effects import (
     Effect,
     EffectSource,
     Parameter,
+    Remanent,
+    RemanentMoment,
+    Torquer,
     VectorSensor,
     channel_unit,
     coefficient_unit,
@@ -338,16 +341,38 @@ class Model:
             if entry.sensor == first
             and entry.is_additive
             and entry.dipole is None
-            and entry.effect.family in CURRENT_FAMILIES
-            and entry.effect.channels[0] not in elsewhere
+            and (
+                isinstance(entry.effect, RemanentMoment)
+                or (entry.effect.family in CURRENT_FAMILIES and entry.effect.channels[0] not in elsewhere)
+            )
         ]
         if not names:
             return ""
         return (
             f"{', '.join(names)}: known by the difference of {first.name} and {others[0].name}; what "
-            f"{others[0].name} sees of {'this current' if len(names) == 1 else 'these currents'} stays in "
+            f"{others[0].name} sees of {'this source' if len(names) == 1 else 'these sources'} stays in "
             f"the field of {first.name}, and no residual shows it. Say where the source stands, m: "
             f"inflight set {names[0]}.dipole='x y z +- sigma'"
+        )
+
+    @property
+    def torquers_alone(self) -> str:
+        """Where the torquers' field is taken off a scalar sensor without the body's, and what to do; or "".
+
+        The torquers cancel the body's moment on average: without their field the sensor sees the body's,
+        which changes over years (Yin 2010, section 3.4.4).
+        """
+        alone = [
+            entry for entry in self.effects if isinstance(entry.effect, Torquer) and entry.sensor.is_scalar
+        ]
+        if not alone or any(isinstance(entry.effect, RemanentMoment) for entry in self.effects):
+            return ""
+        constant = any(isinstance(entry.effect, Remanent) for entry in self.effects)
+        return (
+            f"{', '.join(entry.name for entry in alone)}: the torquers' field is taken off and the body's, "
+            f"which they cancel on average, {'is held constant' if constant else 'is not'}; its change over "
+            "years goes into the offsets. With 260 days: inflight reprocess --table continuous, then "
+            "inflight add remanent_moment"
         )
 
     def add(self, effect: ModelEffect, before: str | None = None) -> Model:
@@ -395,7 +420,7 @@ class Model:
 
     @property
     def columns(self) -> list[str]:
-        """Names of all values the model itself holds; those with time ``block`` are a table's.
+        """Names of all values the model itself holds; those with time ``block`` or ``table`` are a table's.
 
         ``effect.parameter[axis]``; with several coefficients as `TimedValue.columns` says.
         """
@@ -403,7 +428,7 @@ class Model:
             name
             for entry in self.effects
             for timed in entry.parameters.values()
-            if timed.time != "block"
+            if timed.time not in ("block", "table")
             for name in timed.columns
         ]
 
@@ -443,6 +468,27 @@ class Model:
     def known_layout(self) -> ResidualDefinition:
         """The layout; of a model without one, from the sensors of its effects."""
         return self.layout or ResidualDefinition.of_sensors(entry.sensor for entry in self.effects)
+
+    @property
+    def taken_tables(self) -> list[int]:
+        """Ids in the catalog of the tables that parameters of time ``table`` have the values of."""
+        tables = [timed.table for entry in self.effects for timed in entry.tables.values()]
+        return sorted({int(one.attrs["id"]) for one in tables if one is not None and one.attrs["id"]})
+
+    def with_tables(self, find: Callable[[str], xr.Dataset | None]) -> Model:
+        """Return a model whose parameters of time ``table`` have the values of stored tables.
+
+        Parameters
+        ----------
+        find : callable
+            Returns a table by the name that the model states, None where there is none.
+
+        Raises
+        ------
+        ModelError
+            When a table is of another form or unit.
+        """
+        return replace(self, effects=tuple(entry.with_tables(find) for entry in self.effects))
 
     def correct(self, samples: xr.Dataset) -> xr.Dataset:
         """Take the effects out of the readings: see `inflight.model.apply.correct`."""

@@ -3,8 +3,8 @@
 ``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
 ``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
 for each interval between the times ``at``; ``spline``: values at the times ``at``, with lines or a natural
-cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
-table.
+cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in the
+table that a reprocessing makes; ``table``: the values of a named table of the catalog, taken as they are.
 
 `Dependence` holds the functions of time, `TimedValue` the coefficients that multiply them. Time dependence
 belongs to the model, never to an effect.
@@ -25,6 +25,7 @@ from inflight.arrays import Floats
 from inflight.effects import Parameter
 from inflight.errors import ModelError, did_you_mean
 from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
+from inflight.units import factor_and_offset
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from inflight.mission import Event
 
 
-TIMES = ("constant", "linear", "parabola", "log", "block", "event", "spline")
+TIMES = ("constant", "linear", "parabola", "log", "block", "event", "spline", "table")
 
 #: Functions of the time since `t0`: their first coefficient is a value, the others its growth.
 TRENDS = ("linear", "parabola", "log")
@@ -223,7 +224,7 @@ class TimedValue:
     parameter : Parameter
         Its definition by the effect, in the unit the model states.
     time : str
-        constant, linear, parabola, log, block, event or spline: see `inflight.model.time_dependence`.
+        One of `TIMES`: see `inflight.model.time_dependence`.
     value, sigma : ndarray, shape (component, coefficient)
         Value and standard deviation; for block, those known beforehand.
     free : bool
@@ -231,11 +232,12 @@ class TimedValue:
     t0, per : int
         Origin (TT2000) and unit of a trend's time, nanoseconds.
     table : xarray.Dataset, optional
-        Bound calibration table of a block parameter.
+        Bound calibration table, of a block parameter or of one with time ``table``.
     key : str
         ``effect.parameter``, the name in tables.
     table_name : str
-        Name of the table its values lie in, as the model YAML states it; information only.
+        Name of the table its values lie in, as the model YAML states it; with time ``table`` its name and
+        the first digits of its key.
     change_times : tuple of int
         TT2000 of the events between intervals, or of a spline's knots.
     interpolation : str
@@ -284,9 +286,96 @@ class TimedValue:
         if self.time == "constant" or (self.time == "block" and self.table is None):
             return self.value[:, 0]
         t = np.asarray(tt2000, dtype=np.int64)
+        if self.time == "table":
+            return self._held(t, "value")
         if self.table is not None and self.time == "block":
             return self._from_table(self.table, t)
         return np.asarray(self.dependence.basis(t, self.key) @ self.value.T)
+
+    def sigma_at(self, tt2000: npt.ArrayLike) -> Floats:
+        """Return one sigma at a time, shape (component,), or at times, shape (time, component).
+
+        Of time ``table``, the table's; beyond its intervals, where the nearest one is held, also what two
+        intervals differ by. Else that of a constant, 0 where none is stated.
+
+        Raises
+        ------
+        ModelError
+            As `at`.
+        """
+        if self.time == "table":
+            return self._held(np.asarray(tt2000, dtype=np.int64), "sigma")
+        stated = self.sigma[:, 0] if self.time == "constant" and self.free else np.zeros(len(self.sigma))
+        return np.where(np.isfinite(stated), stated, 0.0)
+
+    def is_held_at(self, tt2000: int) -> bool:
+        """Return True where a table of time ``table`` has no interval: the nearest one's value is held."""
+        if self.time != "table" or self.table is None:
+            return False
+        return not bool(_nearest_interval(self.table, np.asarray(tt2000, dtype=np.int64))[1])
+
+    def _held(self, t: npt.NDArray[np.int64], what: str) -> Floats:
+        """Return value or sigma of a table at times; beyond its intervals the nearest one's."""
+        if self.table is None:
+            raise ModelError(
+                f"'{self.key}' takes its values from table {self.table_name!r}, which is not there",
+                remedy=f"'inflight set {self.key}={self.table_name.partition(':')[0]}' takes the newest one, "
+                f"'inflight drop {self.key.partition('.')[0]}' does without",
+            )
+        index, inside = _nearest_interval(self.table, t)
+        found = np.asarray(self.table[what].values[index])
+        if what == "sigma" and not inside.all():
+            value = self.table["value"].values
+            # Two intervals that know nothing of each other; of a single one, all it has.
+            apart = np.sqrt(2.0) * value.std(axis=0) if len(value) > 1 else np.abs(value[0])
+            found = np.where(inside[..., None], found, np.hypot(found, apart))
+        return found
+
+    def with_table(self, table: xr.Dataset) -> TimedValue:
+        """Return a copy of time ``table`` with the table's values: components that it has not are 0.
+
+        Parameters
+        ----------
+        table : xarray.Dataset
+            dim interval (`start`, `end`), and a second one, ``axis`` or ``parameter`` (whose names end in
+            ``[axis]``): `value` and `sigma`, with units in their attributes or in `units` (parameter).
+
+        Raises
+        ------
+        ModelError
+            When it has another form or unit.
+        """
+        import xarray as xr
+
+        try:
+            (dim,) = (str(one) for one in table["value"].dims if one != "interval")
+            names = [str(one).rpartition("[")[2].rstrip("]") for one in table[dim].values]
+            unit = str(table["units"].values[0] if "units" in table else table["value"].attrs["units"])
+            factor, _ = factor_and_offset(unit, self.parameter.unit)
+        except (KeyError, ValueError) as error:
+            raise ModelError(
+                f"table {self.table_name!r} has no values for '{self.key}', {self.parameter.unit}: {error}",
+                remedy="name a table of intervals by axis, such as main-z-offset",
+            ) from None
+        axes = self.parameter.axes or (names[0],)
+        wide = np.zeros((table.sizes["interval"], len(axes), 2))
+        for place, axis in enumerate(axes):
+            if axis in names:
+                one = table.isel({dim: names.index(axis)})
+                wide[:, place] = factor * np.stack([one["value"].values, one["sigma"].values], axis=-1)
+        each = ("interval", "component")
+        return replace(
+            self,
+            table=xr.Dataset(
+                {
+                    "value": (each, wide[..., 0]),
+                    "sigma": (each, wide[..., 1]),
+                    "start": ("interval", table["start"].values),
+                    "end": ("interval", table["end"].values),
+                },
+                attrs={"id": table.attrs.get("id", "")},
+            ),
+        )
 
     def _from_table(self, table: xr.Dataset, t: npt.NDArray[np.int64]) -> Floats:
         """Return the values of the intervals of a table that hold at times (...); see `at`."""
@@ -328,6 +417,8 @@ class TimedValue:
         """Return the mapping the model YAML holds for it."""
         axes = self.parameter.axes
         found: dict[str, Any] = {**self.dependence.as_yaml(), "unit": self.parameter.unit}
+        if self.time == "table":
+            return found | {"table": self.table_name}
         found["value"] = _as_yaml(self.value, axes)
         if not np.array_equal(self.sigma, _filled(self.parameter, self.dependence, self.parameter.sigma)):
             found["sigma"] = _as_yaml(self.sigma, axes)
@@ -335,6 +426,18 @@ class TimedValue:
             found["table"] = self.table_name
         found["free"] = self.free
         return found
+
+
+def _nearest_interval(
+    table: xr.Dataset, t: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the interval that holds at times, or the nearest one, and where one holds; (...) each."""
+    start, end = table["start"].values, table["end"].values
+    before = np.clip(np.searchsorted(start, t, side="right") - 1, 0, None)
+    inside = (start[before] <= t) & (t < end[before])
+    after = np.clip(before + 1, None, start.size - 1)
+    nearer = ~inside & (t >= end[before]) & (np.abs(start[after] - t) < np.abs(t - end[before]))
+    return np.asarray(np.where(nearer, after, before)), np.asarray(inside)
 
 
 def component_names(key: str, parameter: Parameter) -> list[str]:
@@ -363,6 +466,11 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
             remedy=f"known are {', '.join(sorted(known))}",
         )
     dependence = parse_dependence(key, entry, events)
+    if dependence.time == "table" and (not entry.get("table") or {"value", "sigma"} & entry.keys()):
+        raise ModelError(
+            f"'{key}' has time 'table' and " + ("a value of its own" if entry.get("table") else "names none"),
+            remedy="write {time: table, table: main-z-offset}",
+        )
     unit = str(entry.get("unit", parameter.unit))
     if unit != parameter.unit:
         raise ModelError(
@@ -375,7 +483,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
             f"'{key}' has a value or sigma that is no number, or a sigma below 0", remedy="correct it"
         )
     stated = entry.get("sigma") is not None
-    free = bool(entry.get("free", dependence.time == "block" or stated))
+    free = bool(entry.get("free", dependence.time == "block" or stated)) and dependence.time != "table"
     return TimedValue(
         parameter=parameter,
         time=dependence.time,

@@ -116,7 +116,7 @@ def offsets(
     if "offset_drift" in effects:
         rms = (parameters.offset_drift_rms,) * 3
         slow = drift(seconds[::60], seed, "offset drift", rms, periods=(5 * 86400.0, 60 * 86400.0))
-        offset += slow.repeat(60, axis=0)[: seconds.size]
+        offset += slow.repeat(60, axis=0)[: seconds.size] * parameters.offset_axes
     if "offset_steps" in effects:
         # Resets came on Wednesdays, MJD mod 7 = 4, here at 10:00 UTC.
         weeks = np.floor((mjd(seconds) - 4.0 - 10.0 / 24.0) / 7.0).astype(np.int64)
@@ -126,6 +126,7 @@ def offsets(
         offset += (
             parameters.offset_step_rms
             * np.array([steps[week] for week in np.unique(weeks)])[weeks - weeks[0]]
+            * parameters.offset_axes
         )
     return offset
 

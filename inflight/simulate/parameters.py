@@ -128,6 +128,8 @@ class Parameters(MissionParameters):
     eddy_time: Vector = (0.0, 0.005, 0.0)
     offset_step_rms: float = 0.3
     offset_drift_rms: float = 0.2
+    #: How much of both an axis has (chosen).
+    offset_axes: Vector = (1.0, 1.0, 1.0)
     #: Yin ch. 4: first and last MJD, seconds.
     clock_fault_days: tuple[float, float] = (3164.0, 3168.0)
     clock_fault: float = 0.012

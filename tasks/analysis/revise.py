@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -48,10 +48,11 @@ from inflight.diagnosis import (
     time_variable_columns,
     values_of,
 )
+from inflight.effects import Remanent, RemanentMoment
 from inflight.errors import ModelError, did_you_mean
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission, sensors_of
-from inflight.model import Model, ModelEffect, with_dipole
+from inflight.model import Model, ModelEffect, make_effect, with_dipole
 from inflight.residual import above_floor
 from inflight.tasks.analysis.diagnosis import (
     PassResult,
@@ -65,11 +66,14 @@ from inflight.tasks.analysis.gram_pass import PassPlan
 from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, save_diagnosis
 from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
+from inflight.tasks.analysis.stored_effects import pinned_table, stored_entry
 from inflight.tasks.models import (
     REFIT,
     SET,
+    TAKE,
     VersionedModel,
     current_model,
+    stored_table,
     version_before_change,
     version_with_gram_blocks,
 )
@@ -361,8 +365,9 @@ class Workbench:
         Parameters
         ----------
         effect : str or mapping
-            A candidate's name, mechanism, effect or channel; ``offset_step@2024-03-01``; or an entry of
-            the model YAML, as text or mapping. An effect of the bank gets the lag that fits best.
+            A candidate's name, mechanism, effect or channel; ``offset_step@2024-03-01``; an entry of
+            the model YAML, as text or mapping; ``z_offset`` or ``remanent_moment``, whose values are those
+            of a stored table. An effect of the bank gets the lag that fits best.
         empirical : bool
             Mark it as there for what it looks like: its cause is not known.
 
@@ -372,6 +377,9 @@ class Workbench:
             When nothing is called so, or it cannot be fitted.
         """
         self._rebase_refitted()
+        comparison = self.settings.comparison
+        if (stored := stored_entry(self.cat, self.mission, comparison, effect)) is not None:
+            return self._take(stored)
         request = find_request(self.maker, effect)
         self._require_new(request)
         addition = request.addition
@@ -383,6 +391,21 @@ class Workbench:
         more = [*self.additions, addition]
         self._require_separable(addition)
         return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
+
+    def _take(self, given: Mapping[str, Any]) -> Revision:
+        """Put an effect into the model whose values over time are a stored table; all else is fitted anew."""
+        model = self.current.model
+        sensors = sensors_of(self.mission, model.comparison)
+        entry = make_effect(given, sensors, model.own, self.mission)
+        entry = entry.with_tables(partial(stored_table, self.cat))
+        instead = [one.name for one in model.effects if replaces_constant(entry, one)]
+        for name in instead:
+            model = model.drop(name)
+        tables = ", ".join(timed.table_name for timed in entry.tables.values())
+        message = f"{TAKE} {entry.name} from {tables}"
+        message += f", instead of {', '.join(instead)}" if instead else ""
+        found = self._replaced(model.add(entry), "add", message)
+        return replace(found, values=fitted_values(self.current.model, [entry]))
 
     def _require_new(self, request: Request) -> None:
         """Raise ModelError for an effect whose numbers the model holds already, and fits."""
@@ -489,7 +512,8 @@ class Workbench:
             Such as ``stray.lag=410s``, ``stray.width=2.5`` or ``temperature.linear[x]=1.2e-5``, in the
             model's units. ``stray.dipole=0.3 0 0.1 +- 0.2`` says where the source stands, m, so that the
             other sensor sees it, too; ``stray.dipole=none`` takes that back. Its numbers are then fitted
-            as if nothing were known of them.
+            as if nothing were known of them. ``z_offset.vector=main-z-offset`` takes the newest table of
+            that name.
 
         Raises
         ------
@@ -512,7 +536,12 @@ class Workbench:
                 model = model.replace(with_dipole(entry, _source(name, text), sensors))
                 freed += [f"{entry.name}.{key}" for key in entry.parameters]
                 continue
-            known = [*numbers, *model.columns]
+            owner, _, key = name.rpartition(".")
+            taken = {f"{one.name}.{key}" for one in model.effects for key in one.tables}
+            if name in taken:
+                model = model.replace(self._with_newer(model.effect(owner), key, text))
+                continue
+            known = [*numbers, *model.columns, *taken]
             if name not in known:
                 raise _no_number(model, name, known, "'inflight model show' lists its values")
             if name in numbers and numbers[name].path:
@@ -525,17 +554,30 @@ class Workbench:
                 continue
             for entry in effects_at(numbers[name], _number(name, text), model, self.mission):
                 model = model.replace(entry)
+        message = f"{SET} {', '.join('='.join(one) for one in settings.items())}"
+        return self._replaced(model, verb, message, freed)
+
+    def _with_newer(self, entry: ModelEffect, key: str, named: str) -> ModelEffect:
+        """Return an effect whose parameter takes another table, the newest of the name."""
+        table = pinned_table(self.cat, self.mission, self.settings.comparison, named)
+        parameters = {**entry.parameters, key: replace(entry.parameters[key], table_name=table, table=None)}
+        return entry.with_parameters(parameters).with_tables(partial(stored_table, self.cat))
+
+    def _replaced(self, model: Model, verb: str, message: str, freed: Sequence[str] = ()) -> Revision:
+        """Fit a model that Gram blocks do not hold, and save it.
+
+        Parameters
+        ----------
+        freed : sequence of str
+            Parameters that are fitted as if nothing were known of them.
+        """
         before = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
         used = VersionedModel(model, self.root.version, model.text)
         setup = _fit_setup_of(self._prepared(used, []), self.settings)
         setup = replace(setup, refined=tuple(_without_sigma(term, freed) for term in setup.refined))
         after = setup.fit([], {})
         value, sigma = _fitted_of(setup.refined, after)
-        model = model.with_values(value, sigma)
-        message, parent = (
-            f"{SET} {', '.join('='.join(one) for one in settings.items())}",
-            self.current.version,
-        )
+        model, parent = model.with_values(value, sigma), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
         self._last, self._refitted = None, True
         return self._revision(verb, message, parent, before, after)
@@ -800,6 +842,12 @@ class Workbench:
         return [self._set(settings, "auto")] if settings else []
 
 
+def replaces_constant(entry: ModelEffect, other: ModelEffect) -> bool:
+    """Return True when the body's field from the torquers' mean stands for another effect's constant one."""
+    moment = isinstance(entry.effect, RemanentMoment)
+    return moment and isinstance(other.effect, Remanent) and not other.tables
+
+
 def _fitted_of(refined: Sequence[Term], fitted: JointFit) -> tuple[dict[str, float], dict[str, float]]:
     """Return values and sigmas of the model's own numbers after a fit."""
     value, sigma = {}, {}
@@ -960,7 +1008,7 @@ def require_change(workspace: Workspace, comparison: str, verb: str, *names: str
     current = current_model(cat, mission, comparison)
     model = current.model
     effects = [entry.name for entry in model.effects]
-    if verb == "add":
+    if verb == "add" and stored_entry(cat, mission, comparison, names[0]) is None:
         require_known(names[0], model, mission)
     if verb == "undo":
         version_before_change(cat, mission, current)

@@ -22,7 +22,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.batches import Mapper
-from inflight.tasks.models import effect_sources
+from inflight.tasks.models import effect_sources, parse_model
 from inflight.tasks.pipelines.base import (
     Failure,
     Job,
@@ -118,7 +118,8 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
     mission = Mission.parse(context.mission_text)
     base = _model(cat, mission, context.model_name, context.model_version)
     own = edges[days[0].id]
-    number = next((int(item[6:]) for item in own if item.startswith("table:")), None)
+    numbers = (int(item[6:]) for item in own if item.startswith("table:"))
+    number = next((one for one in numbers if one not in base.taken_tables), None)
     if number is None or days[0].dataset != product_of(settings.comparison):
         raise CatalogError(
             f"{days[0].dataset} of {days[0].day} was not made by a calibration table",
@@ -169,7 +170,7 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
 def _model(cat: Catalog, mission: Mission, name: str, version: int) -> Model:
     """Return a version of a model as it was; its own effects' files must not have changed since."""
     _, _, text = cat.model_text(name, version)
-    model = Model.parse(text, mission, model_label(name, version), effect_sources(cat, mission))
+    model = parse_model(cat, text, mission, model_label(name, version), effect_sources(cat, mission))
     record = next(one for one in cat.models() if (one.name, one.version) == (name, version))
     if model.sha != record.sha256:
         raise CatalogError(

@@ -27,6 +27,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "temperature": ("fgm", {"channel": "coil_temperature"}),
     "torquer": ("fgm", {"channel": "torquer_current"}),
     "remanent": ("fgm", {}),
+    "remanent_moment": ("fgm", {}),
     "channel_field": ("fgm", {"channel": "solar_current"}),
     "time_shift": ("ovm", {}),
     "scalar_response": ("ovm", {}),

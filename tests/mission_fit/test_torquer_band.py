@@ -6,7 +6,15 @@ from scipy.optimize import minimize
 from scipy.signal import detrend
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.mission_fit import band_equations, concat_band_equations, daily_fits, fit_band, robust_mean
+from inflight.mission_fit import (
+    band_equations,
+    concat_band_equations,
+    daily_fits,
+    fit_band,
+    instrument_spectra,
+    robust_mean,
+    torquer_lines,
+)
 from inflight.mission_fit.torquers import band_spectra
 from inflight.simulate import Parameters, Sampling, torquer_currents
 from inflight.time import SECOND, day_bounds
@@ -169,3 +177,31 @@ def test_what_cannot_be_done_is_refused():
     without = current * [1.0, 0.0, 1.0]
     with pytest.raises(CalibrationError, match="zero"):
         fit_band(band_equations(stamps, residual, direction, without, longest=900))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"), [("scalar", "scalar sensor"), ("vector", "vector sensor"), ("", "neither")]
+)
+def test_the_line_is_seen_in_the_instrument_whose_matrix_is_wrong(wrong, told):
+    stamps, _, direction, current = make_day(hours=12)
+    angle, random = 2 * np.pi * np.arange(stamps.size) / 5560.0, np.random.default_rng(3)
+    truth = 4e4 + 1.5e4 * np.cos(2 * angle) + 300 * np.sin(5 * angle)
+    line = np.einsum("tj,jk,tk->t", direction, 3 * LACKS, current)
+    vector, scalar = (
+        truth + size * random.standard_normal(truth.size) + line * (name == wrong)
+        for name, size in (("vector", 0.08), ("scalar", 0.04))
+    )
+    found = torquer_lines([instrument_spectra(stamps, vector, scalar)])
+    assert told in found.attrs["told"]
+    if wrong:
+        # The band holds the line of 20 s and the commands' own noise.
+        alone = np.sqrt(band_power(line) / line.size)
+        assert float(found["value"].sel(sensor=wrong)) == pytest.approx(alone, rel=0.15)
+    right = [name for name in ("vector", "scalar") if name != wrong]
+    assert (np.abs(found["excess"].sel(sensor=right)) < 4 * found["excess_sigma"].sel(sensor=right)).all()
+
+
+def test_readings_too_slow_for_the_band_are_refused():
+    stamps, residual, *_ = make_day(hours=2)
+    with pytest.raises(SamplesError, match="do not hold"):
+        instrument_spectra(stamps[::10], residual[::10], residual[::10])

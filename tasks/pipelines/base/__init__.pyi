@@ -51,7 +51,7 @@ from .publication import (
     rounded,
 )
 from .reprocessing import product_batch, product_key, report_if_unchanged, residual_of_days, run_plan
-from .stored_table import FITTED, MODEL, find_table
+from .stored_table import FITTED, MODEL
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
@@ -93,7 +93,6 @@ __all__ = [
     "equations_of",
     "failure_of",
     "fall_figure_of",
-    "find_table",
     "geometry_means",
     "history_section",
     "iter_digests",

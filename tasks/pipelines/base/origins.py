@@ -110,4 +110,10 @@ def _coefficients(
             for name, value, source in zip(names, values, sources, strict=True)
         ]
     values = np.atleast_1d(parameter.at(tt2000)).tolist()
+    if parameter.time == "table":
+        held = ", held beyond it" if parameter.is_held_at(tt2000) else ""
+        return [
+            (name, value, f"table {parameter.table_name}{held}")
+            for name, value in zip(names, values, strict=True)
+        ]
     return [(name, value, f"model {batch.model_name}") for name, value in zip(names, values, strict=True)]

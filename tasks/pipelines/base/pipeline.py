@@ -237,6 +237,7 @@ class Pipeline(ABC):
 
     def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
         """Yield remarks on a run as a whole, in sentences, from the extra fields of its report."""
+        yield from fields.get("warnings") or ()
         for name, why in fields.get("left_out", {}).items():
             yield f"table '{name}' is not made: {why}"
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
+from inflight.model import Model
 from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.models import preflight_model
@@ -244,6 +245,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     fitted = solved.model.name != plan.model.name
     version = solved.model.version if fitted else plan.used.version
     lineage = [f"model:{solved.model.name}@{version}"] if fitted else []
+    lineage += [f"table:{number}" for number in plan.model.taken_tables]
     arguments = []
     for number in sorted({solved.used[day].number for day in todo}):
         days = [day for day in todo if solved.used[day].number == number]
@@ -295,8 +297,23 @@ def _report(
         counts,
         problems,
         pipeline.outputs(plan, solved, len(made.done) + len(made.unchanged)),
-        pipeline.results(work, solved),
+        pipeline.results(work, solved)
+        | ({"warnings": told} if (told := _warnings(plan.model, products)) else {}),
     )
+
+
+def _warnings(model: Model, products: Sequence[Day]) -> list[str]:
+    """Return what to know of the products as a whole: of the model, and of tables that do not hold a day."""
+    held: dict[str, list[str]] = {}
+    for day in products:
+        for one in day.report.get("held_tables") or ():
+            held.setdefault(one, []).append(str(day.day))
+    told = [
+        f"{what} on {len(days)} days, {min(days)} to {max(days)}: its uncertainty there is that of a value "
+        "that may have changed; 'inflight set' with the table's name takes the newest"
+        for what, days in held.items()
+    ]
+    return [*([model.torquers_alone] if model.torquers_alone else []), *told]
 
 
 def residual_of_days(work: Reprocessing) -> dict[str, float]:

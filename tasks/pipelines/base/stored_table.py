@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from inflight.calibration import held_table
-from inflight.catalog import Catalog, TableRecord
-from inflight.errors import CatalogError, did_you_mean
+from inflight.catalog import Catalog
+from inflight.errors import CatalogError
 from inflight.model import Model
+from inflight.tasks.models import find_table, parse_model
 from inflight.tasks.pipelines.base.publication import (
     Certificate,
     Reprocessing,
@@ -23,34 +24,6 @@ from inflight.time import day_bounds
 
 #: Attributes of a table: hash of the model whose parameters it holds, and of the one fitted with it.
 MODEL, FITTED = "model", "fitted_model"
-
-
-def find_table(cat: Catalog, named: str) -> TableRecord:
-    """Return the record of a table ``main-span:12``, or the newest one called ``main-span``.
-
-    In place of the number stands the key, or its first digits, that the header of a product has.
-
-    Raises
-    ------
-    CatalogError
-        When there is none, or it is damaged.
-    """
-    name, _, number = named.partition(":")
-    records = cat.tables(name)
-    known = [
-        one
-        for one in records
-        if (number in ("", str(one.id)) or (len(number) > 7 and one.key.startswith(number)))
-        and not one.damaged
-    ]
-    if not known:
-        numbers = ", ".join(f"{name}:{one.id}" for one in records)
-        names = sorted({one.name for one in cat.tables()})
-        raise CatalogError(
-            f"there is no whole table {named!r}{did_you_mean(name, names)}",
-            remedy=f"the catalog has {numbers or ', '.join(names) or 'none yet'}",
-        )
-    return known[-1]
 
 
 def take_stored_table(work: Reprocessing, named: str) -> TablesToPublish:
@@ -96,7 +69,7 @@ def _fitted_model(cat: Catalog, base: Model, sha: str, work: Reprocessing) -> Mo
         if record.sha256 == sha:
             text = cat.model_text(record.name, record.version)[2]
             label = f"{record.name} version {record.version}"
-            return replace(Model.parse(text, work.mission, label, base.own), version=record.version)
+            return replace(parse_model(cat, text, work.mission, label, base.own), version=record.version)
     raise CatalogError(
         "the model that was fitted with the table is not in the catalog",
         remedy="make the table anew: 'inflight reprocess --table continuous'",

@@ -2,8 +2,10 @@
 
 In go the samples of a day and its own fit of nine parameters (`inflight.tasks.pipelines.scalar.fit_day`), out
 comes one Dataset with the normal equations of everything the model lets data move
-(`inflight.mission_fit.daily_equations`), and beside them up to four *parts*:
+(`inflight.mission_fit.daily_equations`), and beside them up to five *parts*:
 
+``spectrum``
+    spectrum of each instrument about that band (`inflight.mission_fit.instrument_spectra`)
 ``band``
     normal equations of the torquers' band (`inflight.mission_fit.torquers`), one row a segment
 ``epoch``
@@ -42,6 +44,7 @@ from inflight.mission_fit import (
     band_equations,
     empty_equations,
     extract_epochs,
+    instrument_spectra,
     wide_and_auxiliary_equations,
     with_nine_parameters,
 )
@@ -54,6 +57,7 @@ from inflight.time import Int64, day_bounds, usual_step
 
 #: Dimension of each part's rows, and the most rows that are kept (0: all).
 PART_ROWS = {
+    "spectrum": ("row", 0),
     "band": ("segment", 30),
     "epoch": ("epoch", 48),
     "channel": ("channel", 0),
@@ -281,12 +285,27 @@ def mission_statistics(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, di
     )
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
+        "spectrum": _spectra(samples, residual, rows, channels.torquer),
         "band": _torquer_band(samples, residual, rows, channels.torquer),
         "epoch": _current_steps(samples, residual, rows, channels.currents),
         "channel": means,
         "beside": columns,
     }
     return pack_parts(wide.assign(own_fit), parts), fitted.report
+
+
+def _spectra(samples: xr.Dataset, residual: Floats, rows: ResidualRows, torquer: str) -> xr.Dataset | None:
+    """Return the spectra of both instruments; None without torquers or a stretch long enough."""
+    if not torquer or torquer not in samples:
+        return None
+    stamps, strength = (
+        np.asarray(samples["tt2000"].values, dtype=np.int64),
+        np.linalg.norm(rows.field, axis=1),
+    )
+    try:
+        return instrument_spectra(stamps, strength + 0.0 * residual, strength - residual)
+    except SamplesError:
+        return None
 
 
 def _torquer_band(

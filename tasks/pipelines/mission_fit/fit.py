@@ -29,18 +29,21 @@ from inflight.mission_fit import (
     daily_fits,
     fit_band,
     fit_mission,
+    fit_spread_law,
     fit_step,
     robust_mean,
     scale_factor_rates,
     select_panel_model,
+    torquer_lines,
 )
 from inflight.model import Model
-from inflight.tasks.models import preflight_model
+from inflight.tasks.models import parse_model, preflight_model
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     FITTED,
     MODEL,
     Plan,
+    TablesToPublish,
     equations_of,
     newest_record,
     newest_tables,
@@ -57,6 +60,7 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     own_fits,
     periods_of,
     spread_offsets,
+    spread_statistics,
     stated_periods,
     torquer_band,
     torquer_mean,
@@ -72,6 +76,7 @@ TABLES = (
     "trend",
     "trend-choice",
     "own-fit",
+    "torquer-lines",
     "torquer-band",
     "torquer-band-daily",
     "torquer-band-mean",
@@ -168,6 +173,9 @@ def fit_mission_tables(
         return concat_epochs(unpack_part(read, "epoch"))
 
     makers: dict[str, Callable[[], xr.Dataset]] = {
+        "torquer-lines": lambda: torquer_lines(
+            [one for day in read for one in unpack_part([day], "spectrum")]
+        ),
         "torquer-band": lambda: fit_band(torquer_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(torquer_band(read)),
         "torquer-band-mean": lambda: robust_mean(out.required("torquer-band-daily")),
@@ -214,6 +222,54 @@ def trend_of_products(
     return kinds.pop() if len(kinds) == 1 and "constant" not in kinds else ""
 
 
+def z_offset_law(
+    cat: Catalog,
+    days: Mapping[np.datetime64, Day],
+    solved: TablesToPublish,
+    reports: Mapping[np.datetime64, Mapping[str, Any]],
+) -> xr.Dataset:
+    """Return the law of the residual's spread, ``std^2(dB) = a Z0^2 + noise^2`` (Yin 2010, eq. 3.6).
+
+    A day's Z0 is its own offset along z less the common one, and the one that the product had taken off.
+
+    Parameters
+    ----------
+    days : mapping of datetime64[D] to Day
+        Their statistics hold the days' own fits.
+    solved : TablesToPublish
+        With the table of the common fit.
+    reports : mapping
+        Of the products: see `spread_statistics`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `inflight.mission_fit.SpreadLaw.table`, and by ``day`` what was fitted: `offset`, `offset_sigma`
+        (nT), `variance` (nT^2), `start`.
+
+    Raises
+    ------
+    CalibrationError
+        When too few days have both, or all the same offset.
+    """
+    told = {day: one for day, one in reports.items() if one.get("spread") and day in days}
+    statistics, offset, sigma = spread_statistics(told), [], []
+    for day in sorted(told):
+        own = cat.read(days[day])[["fit", "fit_covariance"]].isel(block=0)
+        common = solved.used[day].table
+        row = int(np.searchsorted(common["start"].values, sum(day_bounds(day)) // 2, side="right")) - 1
+        apart = float(own["fit"].values[8]) - float(common["value"].values[row, 8])
+        offset.append(apart + float(told[day].get("z_offset_nT", 0.0)))
+        sigma.append(float(np.sqrt(own["fit_covariance"].values[8, 8])))
+    law = fit_spread_law(statistics, np.array(offset), np.array(sigma))
+    return law.table().assign(
+        offset=("day", np.array(offset), {"units": "nT"}),
+        offset_sigma=("day", np.array(sigma), {"units": "nT"}),
+        variance=("day", statistics["variance"].values, {"units": "nT2"}),
+        start=("day", statistics["start"].values, {"scale": "TT2000"}),
+    )
+
+
 def named_fit(base: Model, found: MissionFit) -> Model:
     """Return the fitted model under the name that the catalog has it by."""
     return replace(found.model, name=f"{base.name}-continuous")
@@ -245,7 +301,7 @@ class MissionFitResults:
     read : list of Dataset
         Theirs: parts, `before` and `after`.
     tables : dict of str to Dataset
-        Those of `TABLES`; ``z-offset``, of the products; ``window``, of another reprocessing.
+        Those of `TABLES`; ``z-offset`` and its law, of the products; ``window``, of another reprocessing.
     skipped : dict of str to str
         Why a table is not there.
     reports : mapping of datetime64[D] to mapping
@@ -324,7 +380,7 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
     # Only products of this fit have the spread of their residual in their report.
     products = cat.days(product_of(comparison), states=("published",))
     reports = {day.day: day.report for day in products if day.report.get("spread")}
-    tables |= newest_tables(cat, comparison, ("z-offset", "window"))
+    tables |= newest_tables(cat, comparison, ("z-offset", "z-offset-law", "window"))
     if "window" not in tables:
         skipped["window"] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"
@@ -380,7 +436,8 @@ def _models_of_fit(cat: Catalog, mission: Mission, comparison: str, day: Day) ->
     start, records = preflight_model(cat, mission, comparison), cat.models()
 
     def parse(name: str, version: int) -> Model:
-        return Model.parse(cat.model_text(name, version)[2], mission, f"{name} version {version}", start.own)
+        label = f"{name} version {version}"
+        return parse_model(cat, cat.model_text(name, version)[2], mission, label, start.own)
 
     sha = cat.read(day).attrs.get("model", "")
     used = next((record for record in records if record.sha256 == sha), None)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
@@ -50,7 +49,7 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=3, tables=6, products=6)
+    versions = Versions(statistics=4, tables=7, products=6)
     statistics = ALL_DAYS_STATISTICS
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
@@ -114,16 +113,17 @@ class MissionPipeline(Pipeline):
         solved: TablesToPublish,
         reports: Mapping[np.datetime64, Mapping[str, Any]],
     ) -> None:
-        """Stage the table of daily offsets from the spread of the products' residuals."""
-        from inflight.tasks.pipelines.mission_fit.tables import spread_offsets
+        """Stage the daily offsets from the spread of the products' residuals, and the law of the spread."""
+        from inflight.tasks.pipelines.mission_fit.fit import z_offset_law
+        from inflight.tasks.pipelines.mission_fit.tables import slope_offsets, spread_offsets
 
-        try:
-            table = spread_offsets(reports)
-        except InflightError as error:
-            solved.notes["z-offset"] = error.message
-            return
         stager = self.table_stager(work, days)
-        stager.table("z-offset", lambda: table)
+        makers = {
+            "z-offset": lambda: spread_offsets(reports),
+            "z-offset-slope": lambda: slope_offsets(reports),
+            "z-offset-law": lambda: z_offset_law(work.cat, days, solved, reports),
+        }
+        solved.notes.update(stager.stage_possible(makers))
         solved.certify.extend(stager.certify)
 
     def results(self, work: Reprocessing, solved: TablesToPublish | None) -> dict[str, Any]:

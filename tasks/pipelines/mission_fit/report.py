@@ -90,6 +90,9 @@ class MissionFitReport:
             f"residual {size['before_nT']:.4g} nT before, {own}{after}",
             f"scale factors: {trends['kind']}; {trends.get('told', 'no rivals compared')}",
             *_coefficient_lines(sections["coefficients"]["items"]),
+            *([lines["told"]] if (lines := sections["torquers"].get("lines")) else []),
+            *([f"the body's field: eta {eta['told']}"] if (eta := sections["torquers"].get("eta")) else []),
+            *_offset_lines(sections["offsets_from_spread"]),
             *(sections["clock_faults"].get("told") or []),
             *_cross_talk_lines(sections["cross_talk"].get("asked", {})),
         ]
@@ -147,6 +150,31 @@ def _coefficient_lines(items: list[Mapping[str, Any]]) -> list[str]:
             for one in sorted(far, key=lambda one: -abs(one["shift_sigma"]))
         ),
     ]
+
+
+#: Daily offsets are worth taking off when they are so many times their errors; assumed.
+_WORTH = 2.0
+#: Said of a law whose factor is not the orbit's.
+_NO_OFFSET = ": what days differ by in their own fits is no offset along z that spreads the residual"
+
+
+def _offset_lines(fields: Mapping[str, Any]) -> list[str]:
+    """Return the law of the residual's spread, and what its daily offsets are; none where there is no law."""
+    law, out, far = fields.get("law"), list[str](), MISSION_REPORT_SETTINGS.far_sigma
+    if law:
+        factor = with_unit(law["factor"], law["factor_sigma"], "")
+        noise = with_unit(law["noise_nT2"], law["noise_sigma_nT2"], "nT2")
+        out.append(
+            f"std^2(dB) = ({factor}) Z0^2 + ({noise}) over {law['days']} days; "
+            f"{law['geometry']:.4f} by the orbit"
+            + ("" if abs(law["factor"] - law["geometry"]) < far * law["factor_sigma"] else _NO_OFFSET)
+        )
+    if "rms_nT" in fields:
+        size, error = fields["rms_nT"], fields["sigma_rms_nT"]
+        what = "'inflight add z_offset' takes them off" if size > _WORTH * error else "no more than noise"
+        what = "the model takes them off" if fields["applied"] else what
+        out.append(f"daily z offsets {size:.3g} nT rms, their errors {error:.3g} nT: {what}")
+    return out
 
 
 def _cross_talk_lines(found: Mapping[str, Any]) -> list[str]:

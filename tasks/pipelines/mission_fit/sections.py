@@ -17,6 +17,7 @@ from bokeh.layouts import column
 from inflight.arrays import Floats
 from inflight.calibration import PARAMETER_GROUPS, table_boundary_steps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
+from inflight.effects import RemanentMoment
 from inflight.errors import SamplesError, SettingsError
 from inflight.figures import (
     band_level_figure,
@@ -30,12 +31,15 @@ from inflight.figures import (
     offsets_figure,
     prior_figure,
     short_parameter,
+    spread_law_figure,
     stack_figures,
+    torquer_lines_figure,
     torquer_mean_figures,
     unique_labels,
 )
 from inflight.mission_fit import (
     CURRENT_WINDOW_DAYS,
+    ETA,
     FilledRunningMean,
     OffsetsFromSpread,
     RivalTrend,
@@ -46,10 +50,11 @@ from inflight.mission_fit import (
     select_panel_model,
     stack_epochs,
 )
-from inflight.model import component_names
-from inflight.tasks.pipelines.base import Part
+from inflight.model import Model, component_names
+from inflight.tasks.pipelines.base import Part, with_unit
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.tables import node_times, torquer_band
+from inflight.tasks.pipelines.scalar import z_offsets_of
 from inflight.time import Int64, to_utc
 from inflight.units import with_error
 
@@ -445,6 +450,24 @@ def _add_local_time(part: Part, epochs: xr.Dataset) -> None:
 def torquers(found: MissionFitResults) -> Part:
     """The band of the torquers' modulation before and after, the matrix, and the running mean of currents."""
     part = Part("torquers", "Magneto-torquers")
+    with part.optional("Line of each instrument at 20 s"):
+        lines = found.table("torquer-lines")
+        part.fields["lines"] = {
+            str(sensor): {"rms_nT": float(one), "sigma_nT": float(error)}
+            for sensor, one, error in zip(
+                lines["sensor"].values, lines["value"].values, lines["sigma"].values, strict=True
+            )
+        }
+        sizes = ", ".join(
+            f"{sensor} {with_unit(one['rms_nT'], one['sigma_nT'], 'nT')} rms"
+            for sensor, one in part.fields["lines"].items()
+        )
+        part.fields["lines"]["told"] = f"line at 0.05 Hz: {sizes}; {lines.attrs['told']}"
+        part.add_text(
+            "By the first differences of each instrument alone (Yin 2010, Fig. 3.12), what its spectrum "
+            f"holds in the torquers' band above that beside it: {sizes}. Thus {lines.attrs['told']}."
+        )
+        part.plots.append(torquer_lines_figure(lines))
     with part.optional("Matrix from the band at 20 s"):
         _add_torquer_matrix(part, found.table("torquer-band"), torquer_band(found.read))
     with part.optional("Matrix of each day"):
@@ -465,8 +488,31 @@ def torquers(found: MissionFitResults) -> Part:
             "best_day_sigma_A": currents.sigma[best],
         }
         part.add_text(f"{currents.sentence}; the window is covered by {low:.0%} to {high:.0%}.")
-        part.plots += torquer_mean_figures(currents, remanent_field(currents))
+        eta, eta_sigma, told = eta_at_scalar(found.fitted)
+        part.fields["eta"] = {"value": eta, "sigma": eta_sigma, "unit": "nT/A", "told": told}
+        part.add_text(f"The body's field at the scalar sensor is drawn with eta = {told}.")
+        part.plots += torquer_mean_figures(currents, remanent_field(currents, eta=eta, eta_sigma=eta_sigma))
     return part
+
+
+def eta_at_scalar(model: Model) -> tuple[float, float, str]:
+    """Return eta at the scalar sensor, nT/A, its sigma, and in words where it is from.
+
+    Of a body whose place is stated, the model's eta is that at the vector sensor.
+    """
+    ground = f"{ETA:g} nT/A, of CHAMP's test on ground"
+    for entry in model.effects:
+        if not isinstance(entry.effect, RemanentMoment):
+            continue
+        timed, transfers = entry.parameters["eta"], list(entry.transfers().values())
+        value, sigma = float(timed.value[0, 0]), float(timed.sigma_at(0)[0])
+        if not transfers and not entry.sensor.is_scalar:
+            told = with_unit(value, sigma, "nT/A")
+            return ETA, 0.0, f"{ground}; fitted is {told}, vector less scalar sensor: its place is not stated"
+        share = 1.0 if entry.sensor.is_scalar else float(transfers[0][1, 1])
+        told = with_unit(share * value, share * sigma, "nT/A")
+        return share * value, share * sigma, f"{told} at the scalar sensor, fitted"
+    return ETA, 0.0, f"{ground}; 'inflight add remanent_moment' fits it"
 
 
 def _add_torquer_matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
@@ -517,6 +563,24 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
 def offsets(found: MissionFitResults) -> Part:
     """Daily offsets along z from the spread of the products' residual."""
     part = Part("offsets_from_spread", "Offsets from the spread of the residual")
+    with part.optional("Law of the spread"):
+        law = found.table("z-offset-law")
+        (factor, noise), (factor_sigma, noise_sigma) = law["value"].values, law["sigma"].values
+        geometry = float(law.attrs["geometry"])
+        part.fields["law"] = {
+            "factor": factor,
+            "factor_sigma": factor_sigma,
+            "geometry": geometry,
+            "noise_nT2": noise,
+            "noise_sigma_nT2": noise_sigma,
+            "days": int(law.attrs["days"]),
+        }
+        part.add_text(
+            f"Over {law.attrs['days']} days std^2(dB) = ({with_error(factor, factor_sigma)}) Z0^2 + "
+            f"({with_error(noise, noise_sigma)}) nT^2 (Yin 2010, eq. 3.6), Z0 a day's own offset along z "
+            f"less the common one; the orbit's own factor is {geometry:.4f}."
+        )
+        part.plots.append(spread_law_figure(law))
     with part.optional("Offsets of each day"):
         own = found.table("z-offset").isel(parameter=0)
         seen, unknown = own["determined"].values.astype(bool), np.full(own.sizes["interval"], np.nan)
@@ -529,16 +593,22 @@ def offsets(found: MissionFitResults) -> Part:
             end=own["end"].values,
             axis=str(own["parameter"].item()).rsplit("[", maxsplit=1)[-1].rstrip("]"),
         )
-        size, slope = (float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope))
-        part.fields = {
+        size, slope, error = (
+            float(np.sqrt(np.mean(one**2))) for one in (daily.value, daily.slope, daily.sigma)
+        )
+        part.fields |= {
             "days": int(seen.size),
             "seen": int(seen.sum()),
             "rms_nT": size,
             "slope_rms_nT": slope,
+            "sigma_rms_nT": error,
+            "applied": bool(z_offsets_of(found.fitted)),
         }
         part.add_text(
-            f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
-            f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, those of "
+            f"On {seen.sum()} of {seen.size} days the spread of the products' residual, with no such offset "
+            "taken off, is above its noise "
+            f"(hollow marks: the others); the offsets it tells are {size:.3g} nT rms, with errors of "
+            f"{error:.3g} nT, those of "
             f"the slope {slope:.3g} nT. A spread has no sign: it takes the slope's."
         )
         part.plots.append(offsets_figure(daily))

@@ -241,6 +241,22 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
     CalibrationError
         When too few days have a spread, or their noise cannot be told.
     """
+    statistics = spread_statistics(reports)
+    return offsets_from_spread(statistics, *residual_noise(statistics)).table()
+
+
+def slope_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset:
+    """Return the daily offsets along z by the slope of the residual against Bz/|B|; as `spread_offsets`.
+
+    What spreads the residual and does not follow Bz/|B| is no part of them.
+    """
+    found = spread_offsets(reports)
+    table = found.assign(value=found["slope"], sigma=found["sigma_slope"])
+    return table.drop_vars(["slope", "sigma_slope", "wrong_sign", "determined"])
+
+
+def spread_statistics(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset:
+    """Return what `day_statistics` told of the days that have it, in order; as `spread_offsets`."""
     spreads = [reports[day]["spread"] for day in sorted(reports) if reports[day].get("spread")]
     if len(spreads) < TABLE_SETTINGS.least_spread_days:
         raise CalibrationError(
@@ -253,10 +269,7 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
         "direction_mean": ("interval", "axis"),
         "direction_square": ("interval", "axis"),
     }
-    statistics = xr.Dataset(
-        {name: (dims[name], np.array([one[name] for one in spreads])) for name in spreads[0]}
-    )
-    return offsets_from_spread(statistics, *residual_noise(statistics)).table()
+    return xr.Dataset({name: (dims[name], np.array([one[name] for one in spreads])) for name in spreads[0]})
 
 
 # --- what the model may lack ----------------------------------------------------------------------------

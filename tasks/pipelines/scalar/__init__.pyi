@@ -1,6 +1,6 @@
 from .day import fit_day
 from .pipeline import ScalarPipeline
-from .product import level2_day
+from .product import level2_day, z_offsets_of
 from .tables import load_equations
 
 __all__ = [
@@ -8,4 +8,5 @@ __all__ = [
     "fit_day",
     "level2_day",
     "load_equations",
+    "z_offsets_of",
 ]

@@ -12,6 +12,7 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission_fit import day_statistics
+from inflight.model import Model, TimedValue
 from inflight.residual import residual_statistics
 from inflight.tasks.archive import load_samples, substitute_missing, substitution_report
 from inflight.tasks.pipelines.base import ProductBatch, rounded
@@ -69,11 +70,23 @@ def level2_day(
     }
     if distribute is not None:
         direction = direction_of(product["field_sensor"].values)
+        offset = float(sum(timed.at(middle)[2] for timed in z_offsets_of(fitted)))
         try:
-            spread = day_statistics(residual, direction, start, end, good=measured)
+            # What was taken off before is put back: the table of offsets must not depend on itself.
+            uncorrected = residual + offset * direction[:, 2]
+            spread = day_statistics(uncorrected, direction, start, end, good=measured)
             report["spread"] = {str(name): spread[name].values[0].tolist() for name in spread.data_vars}
+            report["z_offset_nT"] = offset
         except CalibrationError:
             report["spread"] = {}
+    held = [
+        f"{timed.key}: table {timed.table_name} has no value, the nearest one is held"
+        for entry in fitted.effects
+        for timed in entry.tables.values()
+        if timed.is_held_at(middle)
+    ]
+    if held:
+        report["held_tables"] = held
     product.attrs |= {
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
@@ -82,3 +95,13 @@ def level2_day(
     if fitted.empirical:
         product.attrs["empirical_effects"] = ", ".join(fitted.empirical)
     return product, report
+
+
+def z_offsets_of(model: Model) -> list[TimedValue]:
+    """Return the parameters of a model that take the daily offsets along z of the whole-mission fit."""
+    return [
+        timed
+        for entry in model.effects
+        for timed in entry.tables.values()
+        if timed.table_name.startswith(f"{model.comparison}-z-offset")
+    ]
