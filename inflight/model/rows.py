@@ -85,7 +85,7 @@ class ResidualDefinition:
     Attributes
     ----------
     kind : str
-        ``scalar``, ``dual``, ``platform`` or ``spin``.
+        ``scalar``, ``dual``, ``platform``, ``spin`` or ``zero_level``.
     sensors : mapping of str to Sensor
         By role in the comparison.
     band : Band, optional

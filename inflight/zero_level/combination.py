@@ -24,6 +24,7 @@ d^2``, which random signs give. So few intervals hardly reject anything.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -365,10 +366,26 @@ def _estimate_by_each(
     return methods, unusable
 
 
+def independent_covariance(methods: Sequence[Estimate], search: OffsetSearch) -> Floats:
+    """Return the covariance of the product of the methods' likelihoods, as if their data were independent.
+
+    They are not: `weighted_mean` has the same mean, and the error with what the methods share counted once.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        nT^2; 0 along axes that are not free.
+    """
+    inside = np.ix_(np.asarray(search.free), np.asarray(search.free))
+    out = np.zeros((3, 3))
+    out[inside] = np.linalg.inv(np.sum([np.linalg.inv(one.covariance[inside]) for one in methods], axis=0))
+    return out
+
+
 def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
-    Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
+    It is where the product of their likelihoods, each Gaussian, is largest. Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
     state: ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
 
     Parameters
@@ -379,7 +396,7 @@ def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     free = np.asarray(search.free)
     inside = np.ix_(free, free)
     each = [np.linalg.inv(one.covariance[inside]) for one in methods]
-    whole = np.linalg.inv(np.sum(each, axis=0))
+    whole = independent_covariance(methods, search)[inside]
     shares = [np.zeros((3, 3)) for _ in each]
     for share, one in zip(shares, each, strict=True):
         share[inside] = whole @ one

@@ -5,14 +5,16 @@ import pytest
 from nature import SECOND, unit
 
 from inflight.errors import CalibrationError
-from inflight.scorecard.zero_level_studies import (
+from inflight.scorecard.zero_level_studies import largest_leak
+from inflight.zero_level import (
     AveragingWarning,
+    Intervals,
     average_spans,
     check_averaging,
-    largest_leak,
+    minimum_correlation,
     remaining_part,
+    whole_average,
 )
-from inflight.zero_level import Intervals, minimum_correlation
 from inflight.zero_level.methods import axis_in_turn
 
 SAMPLING = (0.1875, 0.375, 0.75, 1.5)

@@ -7,13 +7,13 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.scorecard.zero_level_studies import correlation_sets
 from inflight.zero_level import (
     COMBINED_METHODS,
     METHODS,
     Intervals,
     OffsetSearch,
     combine_methods,
+    correlation_sets,
     davis_smith,
     minimum_correlation,
     pairs_within,
