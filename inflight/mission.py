@@ -235,7 +235,7 @@ class ZeroLevelComparison(Strict):
     #: Comparison whose product is taken in place of the readings: what was corrected already.
     product: str | None = None
     #: Axes whose zero level is asked for.
-    axes: Annotated[list[Literal["x", "y", "z"]], Field(min_length=1)] = ["x", "y", "z"]
+    axes: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     #: What is known beforehand, nT: it lies within `bound` of `start` along each axis.
     start: Vector3 = (0.0, 0.0, 0.0)
     bound: Annotated[float, Field(gt=0.0)] = 10.0
@@ -253,10 +253,14 @@ class ZeroLevelComparison(Strict):
 
     @model_validator(mode="after")
     def _times_fit(self) -> Self:
+        if not self.axes:
+            raise ValueError("'axes' names none: leave the key out for all three")
         for name, least in (("interval", 1), ("average", 1), ("sampling", 1), ("step", self.interval)):
             value = getattr(self, name)
             if value is not None and value < least:
-                raise ValueError(f"'{name}' must be {'longer than 0' if least == 1 else 'an interval or more'}")
+                raise ValueError(
+                    f"'{name}' must be {'longer than 0' if least == 1 else 'an interval or more'}"
+                )
         return self
 
     def instruments(self) -> dict[str, str]:

@@ -107,13 +107,26 @@ def check_assumptions(found: CombinedEstimate, intervals: Intervals) -> tuple[As
             float(np.median(kinds.compression[kinds.alfvenic])) if _enough(kinds.alfvenic) else np.nan,
             KIND_SETTINGS.alfvenic,
         ),
-        _measured(MIRROR_MODE, "compressions lie along the field", _tilt(found, intervals), limits.tilt_deg, " deg"),
+        _measured(
+            MIRROR_MODE, "compressions lie along the field", _tilt(found, intervals), limits.tilt_deg, " deg"
+        ),
     ]
-    ratio = float(compression_over_rotation(intervals.select(turning), offset)) if _enough(turning) else np.nan
+    ratio = (
+        float(compression_over_rotation(intervals.select(turning), offset)) if _enough(turning) else np.nan
+    )
     apart = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.nan
     out += [
-        _measured(MINIMUM_CORRELATION, "compression differs from rotation", apart, limits.unequal, " times", above=True),
-        _measured("all", "the field turns", _spread(found, intervals), limits.turning_deg, " deg", above=True),
+        _measured(
+            MINIMUM_CORRELATION,
+            "compression differs from rotation",
+            apart,
+            limits.unequal,
+            " times",
+            above=True,
+        ),
+        _measured(
+            "all", "the field turns", _spread(found, intervals), limits.turning_deg, " deg", above=True
+        ),
         _measured(
             MINIMUM_CORRELATION,
             "size and direction are independent",

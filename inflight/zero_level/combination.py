@@ -385,8 +385,9 @@ def independent_covariance(methods: Sequence[Estimate], search: OffsetSearch) ->
 def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
-    It is where the product of their likelihoods, each Gaussian, is largest. Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
-    state: ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
+    It is where the product of their likelihoods, each Gaussian, is largest. Covariances that are by chance
+    too small weigh too much, and so the error of the mean is larger than they state: ``1 + 4 sum w (1 - w) /
+    f`` times in variance, f being the degrees of freedom of each (Meier 1953).
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
     if found is None:
         known = [name for name in mission.comparisons if find_pipeline(mission, name) is not None]
         raise MissionError(
-            f"'{comparison}' is no scalar, spin, dual or zero_level comparison of mission '{mission.mission}'",
+            f"'{comparison}' is no scalar, spin, dual or zero_level comparison of '{mission.mission}'",
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )
     return found

@@ -21,17 +21,17 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
+    KEY_DIGITS,
     Pipeline,
-    Plan,
+    Reprocessing,
     TablesToPublish,
     UsedTable,
-    KEY_DIGITS,
     newest_record,
     product_key,
     table_label,
 )
 from inflight.tasks.pipelines.two_sensor.tables import ABSOLUTE, describe_constant
-from inflight.tasks.pipelines.zero_level import BEFORE_ZERO_LEVEL, SUBTRACTED
+from inflight.tasks.pipelines.zero_level import BEFORE_ZERO_LEVEL, STATES_TABLE, SUBTRACTED
 from inflight.time import day_bounds
 from inflight.units import with_error
 
@@ -73,11 +73,14 @@ class ZeroLevels:
     label : str
         Of the table: name and key; empty without one.
     table : Dataset or None
+    number : int
+        Of the table in the catalog.
     """
 
     comparison: str
-    label: str
-    table: xr.Dataset | None
+    label: str = ""
+    table: xr.Dataset | None = None
+    number: int = 0
 
     @classmethod
     def of(cls, cat: Catalog, mission: Mission, comparison: str) -> ZeroLevels | None:
@@ -86,8 +89,8 @@ class ZeroLevels:
             if entry.kind == "zero_level" and entry.product == comparison:
                 record = newest_record(cat, f"{name}-window")
                 if record is None:
-                    return cls(name, "", None)
-                return cls(name, table_label(record), cat.table_by_id(record.id))
+                    return cls(name)
+                return cls(name, table_label(record), cat.table_by_id(record.id), record.id)
         return None
 
     def of_day(self, states: xr.Dataset, label: str, day: np.datetime64) -> ConstantPart | str:
@@ -104,7 +107,9 @@ class ZeroLevels:
         if before == ABSOLUTE:
             return "the ambient field tells the constant part"
         if self.table is None:
-            return f"no zero level yet: run 'inflight reprocess --comparison {self.comparison}', then this again"
+            return (
+                f"no zero level yet: run 'inflight reprocess --comparison {self.comparison}', then this again"
+            )
         middle = sum(day_bounds(day)) // 2
         inside = np.flatnonzero((self.table["start"].values <= middle) & (middle < self.table["end"].values))
         if not inside.size:
@@ -136,9 +141,12 @@ def inputs_with_zero_level(
 
 
 def with_zero_levels(
-    pipeline: Pipeline, plan: Plan, levels: ZeroLevels | None, name: str, solved: TablesToPublish
+    pipeline: Pipeline, work: Reprocessing, levels: ZeroLevels | None, name: str, solved: TablesToPublish
 ) -> TablesToPublish:
     """Return the tables of a run, those of states with the zero level of each day that has one.
+
+    A table of states with levels is a table of its own, ``<name>-absolute``: products name it, and are made
+    again from it.
 
     Parameters
     ----------
@@ -150,33 +158,71 @@ def with_zero_levels(
     days_of: dict[int, list[np.datetime64]] = {}
     for day in sorted(solved.used):
         days_of.setdefault(solved.used[day].number, []).append(day)
-    used: dict[np.datetime64, UsedTable] = {}
+    used, certify = dict(solved.used), list(solved.certify)
     for number, days in days_of.items():
         first = solved.used[days[0]]
-        found = {day: levels.of_day(first.table, f"{name}:{first.inputs[0][:KEY_DIGITS]}", day) for day in days}
+        label = f"{name}:{first.inputs[0][:KEY_DIGITS]}"
+        found = {day: levels.of_day(first.table, label, day) for day in days}
+        reasons = "; ".join(dict.fromkeys(one for one in found.values() if isinstance(one, str)))
+        table = first.table.assign_attrs(zero_level=reasons)
         known = {day: one for day, one in found.items() if isinstance(one, ConstantPart)}
-        table = first.table.assign_attrs(zero_level=_reasons(found))
-        if known:
-            each = (_DAY,)
-            table = table.assign(
-                zero_start=(each, np.array([day_bounds(day)[0] for day in known])),
-                zero_value=((_DAY, "axis"), np.array([one.value for one in known.values()]), {"units": "nT"}),
-                zero_sigma=((_DAY, "axis"), np.array([one.sigma for one in known.values()]), {"units": "nT"}),
-                zero_words=(each, np.array([one.words for one in known.values()], dtype=np.str_)),
-                zero_before=(
-                    each,
-                    np.array([product_key(pipeline, plan, day, solved.used[day]) for day in known]),
-                ),
-            )
+        used |= {day: UsedTable(number, first.inputs, table) for day in days}
+        if not known:
+            continue
+        before = {day: product_key(pipeline, work.plan, day, solved.used[day]) for day in known}
+        table = _with_days(table, known, before).assign_attrs({STATES_TABLE: label})
+        record = _staged(
+            work,
+            f"{name}-absolute",
+            table,
+            [first.inputs[0], *(one.key for one in known.values())],
+            [f"table:{number}", f"table:{levels.number}"],
+            days,
+        )
+        certify.append(record)
         for day in days:
             more = (known[day].key,) if day in known else ()
-            used[day] = UsedTable(number, (*first.inputs, *more), table)
-    return replace(solved, used=used)
+            used[day] = UsedTable(record[0], (*first.inputs, *more), table)
+    return replace(solved, used=used, certify=certify)
 
 
-def _reasons(found: Mapping[np.datetime64, ConstantPart | str]) -> str:
-    """Return why days have no zero level, once each."""
-    return "; ".join(dict.fromkeys(one for one in found.values() if isinstance(one, str)))
+def _with_days(
+    table: xr.Dataset, known: Mapping[np.datetime64, ConstantPart], before: Mapping[np.datetime64, str]
+) -> xr.Dataset:
+    """Return a table of states with the zero levels of days."""
+    value, sigma = (np.array([getattr(one, name) for one in known.values()]) for name in ("value", "sigma"))
+    words = np.array([one.words for one in known.values()], dtype=np.str_)
+    return table.assign(
+        zero_start=(
+            _DAY,
+            np.array([day_bounds(day)[0] for day in known], dtype=np.int64),
+            {"scale": "TT2000"},
+        ),
+        zero_value=((_DAY, "axis"), value, {"units": "nT"}),
+        zero_sigma=((_DAY, "axis"), sigma, {"units": "nT"}),
+        zero_words=(_DAY, words),
+        zero_before=(_DAY, np.array([before[day] for day in known], dtype=np.str_)),
+    )
+
+
+def _staged(
+    work: Reprocessing,
+    name: str,
+    table: xr.Dataset,
+    inputs: Sequence[str],
+    parents: Sequence[str],
+    days: Sequence[np.datetime64],
+) -> tuple[int, int, int, None]:
+    """Stage a table, unless the catalog has it; return what certifies it for the days."""
+    key = hashlib.sha256("".join(inputs).encode()).hexdigest()
+    start, end = day_bounds(days[0])[0], day_bounds(days[-1])[1]
+    same = [one.id for one in work.cat.tables(name) if one.key == key and not one.damaged]
+    number = (
+        same[-1]
+        if same
+        else work.run.stage_table(name, table, start=start, end=end, parents=list(parents), key=key)
+    )
+    return number, start, end, None
 
 
 def constant_of_day(table: xr.Dataset, day: np.datetime64) -> str:
@@ -186,7 +232,7 @@ def constant_of_day(table: xr.Dataset, day: np.datetime64) -> str:
 
 
 def _row_of(table: xr.Dataset, day: np.datetime64) -> xr.Dataset | None:
-    if "zero_start" not in table:
+    if _DAY not in table.dims:
         return None
     found = np.flatnonzero(table["zero_start"].values == day_bounds(day)[0])
     return table.isel({_DAY: int(found[0])}) if found.size else None
@@ -214,6 +260,7 @@ def without_constant(product: xr.Dataset, table: xr.Dataset, day: np.datetime64)
         {
             "constant": str(row["zero_words"].values),
             "constant_before": before,
+            STATES_TABLE: table.attrs[STATES_TABLE],
             "constant_known": "yes" if (sigma > 0.0).all() else product.attrs["constant_known"],
             SUBTRACTED: value.tolist(),
         }

@@ -63,7 +63,7 @@ class StatesPipeline(Pipeline):
     ) -> Plan:
         """Find out what has to be done; raises `MissionError` when all days are to be fitted at once.
 
-        Beside the settings, the newest table of zero levels of the product is part of what a run is made from.
+        A run is also made from the newest table of zero levels of its product.
         """
         from inflight.tasks.pipelines.two_sensor.constant import ZeroLevels
 
@@ -123,7 +123,7 @@ class StatesPipeline(Pipeline):
 
         solved = solve_windows(work, self.versions.tables)
         levels = ZeroLevels.of(work.cat, work.mission, work.plan.settings.comparison)
-        return with_zero_levels(self, work.plan, levels, table_name(work.plan), solved)
+        return with_zero_levels(self, work, levels, table_name(work.plan), solved)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's corrected field; see `states_day`."""

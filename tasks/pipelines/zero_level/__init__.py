@@ -2,7 +2,7 @@
 
 In go averages of the readings, or of another comparison's product; out come a table of three offsets for each
 window with the test of every assumption, and the field without them. `pipeline.py` is the file to open first;
-`tables.py` estimates a window and reads what is published.
+`day.py` reads and averages a day, `tables.py` estimates a window, `report.py` says what was found.
 """
 
 import lazy_loader

@@ -9,7 +9,7 @@ before: the start, with the deviation of a uniform distribution within the bound
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -40,6 +40,8 @@ NAMES = tuple(f"zero_level.offset[{axis}]" for axis in AXES)
 
 #: Attribute of a product of two sensors: the zero level that was taken off its field, nT; three numbers.
 SUBTRACTED = "zero_level"
+#: Attribute of such a product and of its table: the table of states that the level goes with.
+STATES_TABLE = "states_table"
 #: Entry of the report of a product of two sensors: its key but for the zero level.
 BEFORE_ZERO_LEVEL = "before_zero_level"
 
@@ -104,11 +106,11 @@ class DayMeans:
 class _Row:
     """A window's zero level; axes that are not told keep the start."""
 
-    start: int
-    end: int
     value: Floats
     covariance: Floats
     determined: np.ndarray
+    start: int = 0
+    end: int = 0
     learnt: tuple[int, int] = (0, 0)
     method: str = "none"
     reason: str = ""
@@ -132,7 +134,7 @@ def search_of(entry: ZeroLevelComparison) -> OffsetSearch:
 def edges_of_constants(days: Sequence[DayMeans], edges: Sequence[np.datetime64]) -> list[np.datetime64]:
     """Return edges of windows with those days among them from which on the constant part is another."""
     changes = [
-        day_of(later.start)
+        np.datetime64(day_of(later.start), "D")
         for earlier, later in pairwise(days)
         if earlier.report.get("constant") != later.report.get("constant")
     ]
@@ -145,6 +147,7 @@ def zero_level_table(
     edges: Sequence[np.datetime64],
     attributes: Mapping[str, str],
     daily: xr.Dataset | None = None,
+    made: dict[tuple[int, ...], _Row] | None = None,
 ) -> xr.Dataset:
     """Return the zero level of each window that has a day.
 
@@ -158,6 +161,8 @@ def zero_level_table(
         Of the table.
     daily : Dataset, optional
         The table of days: how their levels scatter beyond their errors is part of a window's error.
+    made : dict, optional
+        Rows of other tables of these days, by their days: what is the same is not estimated again.
 
     Returns
     -------
@@ -171,23 +176,27 @@ def zero_level_table(
         `assumption_text`, `assumption_value`, `assumption_limit`, `assumption_holds`. `kinds` (interval,
         kind): Alfvenic, compressional and other intervals.
     """
-    rows = []
+    rows, known = [], {} if made is None else made
     for start, end in pairwise(day_bounds(edge)[0] for edge in edges):
         inside = [day for day in days if start <= day.start < end]
-        if inside:
-            row = _row(inside, entry, start, end)
-            rows.append(row if daily is None else _with_wander(row, daily))
+        if not inside:
+            continue
+        which = tuple(day.start for day in inside)
+        if which not in known:
+            known[which] = _row(inside, entry)
+        row = replace(known[which], start=start, end=end)
+        rows.append(row if daily is None else _with_wander(row, daily))
     if not rows:
         raise CalibrationError("no window has a day", remedy="ingest the days' files first")
     table = _table(rows, entry, attributes)
     return with_changes(table, [table if daily is None else daily])
 
 
-def _row(days: Sequence[DayMeans], entry: ZeroLevelComparison, start: int, end: int) -> _Row:
+def _row(days: Sequence[DayMeans], entry: ZeroLevelComparison) -> _Row:
     """Return the zero level of the days of a window, by all methods together."""
     search, asked = search_of(entry), np.array([axis in entry.axes for axis in AXES])
     prior = np.where(asked, entry.bound / np.sqrt(3.0), 0.0)
-    row = _Row(start, end, np.array(entry.start), np.diag(prior**2), np.zeros(3, dtype=bool))
+    row = _Row(np.array(entry.start), np.diag(prior**2), np.zeros(3, dtype=bool))
     row.basis = "; ".join(sorted({str(day.report["basis"]) for day in days if day.report.get("basis")}))
     row.constant = str(days[0].report.get("constant", ""))
     time, mean = (np.concatenate([getattr(day, name) for day in days]) for name in ("time", "mean"))
@@ -240,6 +249,7 @@ def _with_wander(row: _Row, daily: xr.Dataset) -> _Row:
     about their mean less what their errors make of them.
     """
     inside = (daily["start"].values >= row.start) & (daily["end"].values <= row.end)
+    wander = np.zeros(3)
     for axis in np.flatnonzero(row.determined):
         chosen = inside & daily["determined"].values[:, axis].astype(bool)
         if chosen.sum() < ZERO_TABLE_SETTINGS.fewest_days:
@@ -248,9 +258,8 @@ def _with_wander(row: _Row, daily: xr.Dataset) -> _Row:
         weight = sigma**-2.0
         square = float(weight @ (value - weight @ value / weight.sum()) ** 2)
         scale = float(weight.sum() - (weight**2).sum() / weight.sum())
-        row.wander[axis] = np.sqrt(max(square - (value.size - 1), 0.0) / scale)
-    row.covariance = row.covariance + np.diag(row.wander**2)
-    return row
+        wander[axis] = np.sqrt(max(square - (value.size - 1), 0.0) / scale)
+    return replace(row, wander=wander, covariance=row.covariance + np.diag(wander**2))
 
 
 def _table(rows: Sequence[_Row], entry: ZeroLevelComparison, attributes: Mapping[str, str]) -> xr.Dataset:
@@ -353,7 +362,11 @@ def step_table(
             "determined": (_EACH, known),
             "units": ("parameter", np.array(["nT"] * 3, dtype="U8")),
             "start": (_ONE, found.start, {"scale": "TT2000"}),
-            "end": (_ONE, np.maximum(np.minimum(found.end, np.append(found.start[1:], found.end[-1])), found.start + 1), {"scale": "TT2000"}),
+            "end": (
+                _ONE,
+                np.minimum(found.end, np.append(found.start[1:], found.end[-1])),
+                {"scale": "TT2000"},
+            ),
         },
         coords={"parameter": list(NAMES)},
         attrs=dict(attributes),
