@@ -8,13 +8,14 @@ the limit it is held against, and whether it holds. All are measured with the of
 - *Compressions along the field* (mirror mode): the direction of most variance lies near the mean field.
 - *Compression differs from rotation* (minimum correlation): it is blind where both are equal.
 - *Enough directions* (all): the field turns far enough, else an offset along it looks like strength.
-- *Size and direction independent* (minimum correlation, and the likelihood that refuses other offsets): the
-  correlation ``sum dB dn`` of the intervals is no larger than its own scatter in time; a chi-square.
+- *Size and direction independent* (all: the likelihood that refuses other offsets rests on it): the correlation
+  ``sum dB dn`` of the intervals is no larger than its own scatter in time; a chi-square.
 - *Agreement*: two methods on the same intervals differ by no more than their errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ import scipy
 
 from inflight.lsq import long_run_covariance
 from inflight.zero_level.combination import COMBINATION_SETTINGS, CombinedEstimate
+from inflight.zero_level.estimate import OffsetSearch
 from inflight.zero_level.intervals import INTERVAL_SETTINGS, Bools, Intervals
 from inflight.zero_level.methods import (
     DAVIS_SMITH,
@@ -71,6 +73,8 @@ class Assumption:
         What was measured, and what it is held against; NaN where nothing could be measured.
     unit : str
     holds : bool
+    used : bool
+        Whether a method that needs it has a part in the estimate.
     """
 
     methods: str
@@ -79,17 +83,20 @@ class Assumption:
     limit: float
     unit: str
     holds: bool
+    used: bool
 
     def summary(self) -> str:
         """Return one sentence."""
-        verdict = "holds" if self.holds else "FAILS"
+        verdict = "holds" if self.holds else "FAILS" if self.used else "fails, and is not relied on"
         if not np.isfinite(self.value):
-            return f"{self.text} ({self.methods}): not tested, too few intervals of the kind"
+            return f"{self.text} ({self.methods}): not tested, nothing to test it with"
         size = f"{self.value:.3g}{self.unit}, limit {self.limit:.3g}{self.unit}"
         return f"{self.text} ({self.methods}) {verdict}: {size}"
 
 
-def check_assumptions(found: CombinedEstimate, intervals: Intervals) -> tuple[Assumption, ...]:
+def check_assumptions(
+    found: CombinedEstimate, intervals: Intervals, search: OffsetSearch
+) -> tuple[Assumption, ...]:
     """Return the assumptions behind an estimate, each with its test.
 
     Parameters
@@ -97,65 +104,50 @@ def check_assumptions(found: CombinedEstimate, intervals: Intervals) -> tuple[As
     found : CombinedEstimate
         Of these intervals.
     intervals : Intervals
+    search : OffsetSearch
+        What the estimate answers: where an axis is not told, the independence is not tested.
     """
     offset, kinds = found.estimate.solution, found.kinds
     turning, limits = ~kinds.compressional, ASSUMPTION_SETTINGS
-    out = [
-        _measured(
-            f"{DAVIS_SMITH}, {WANG_PAN}",
-            "fluctuations are rotations",
-            float(np.median(kinds.compression[kinds.alfvenic])) if _enough(kinds.alfvenic) else np.nan,
-            KIND_SETTINGS.alfvenic,
-        ),
-        _measured(
-            MIRROR_MODE, "compressions lie along the field", _tilt(found, intervals), limits.tilt_deg, " deg"
-        ),
-    ]
-    ratio = (
-        float(compression_over_rotation(intervals.select(turning), offset)) if _enough(turning) else np.nan
-    )
+    taking_part = {one.method for one in found.methods}
+
+    def held(
+        methods: Sequence[str], text: str, value: float, limit: float, unit: str = "", *, above: bool = True
+    ) -> Assumption:
+        holds = bool(value >= limit if above else value <= limit)
+        names = ", ".join(methods) or "all"
+        used = not methods or not taking_part.isdisjoint(methods)
+        return Assumption(names, text, float(value), limit, unit, holds, used)
+
+    part = float(np.median(kinds.compression[kinds.alfvenic])) if _enough(kinds.alfvenic) else np.nan
+    ratio = np.nan
+    if _enough(turning):
+        ratio = float(compression_over_rotation(intervals.select(turning), offset))
     apart = max(ratio, 1.0 / ratio) if ratio > 0.0 else np.nan
-    out += [
-        _measured(
-            MINIMUM_CORRELATION,
-            "compression differs from rotation",
-            apart,
-            limits.unequal,
-            " times",
-            above=True,
+    told = bool(found.estimate.determined[np.asarray(search.free)].all())
+    chance = _independence(found, intervals, turning) if told else np.nan
+    least_chance = COMBINATION_SETTINGS.disagree
+    out = [
+        held(
+            (DAVIS_SMITH, WANG_PAN), "fluctuations are rotations", part, KIND_SETTINGS.alfvenic, above=False
         ),
-        _measured(
-            "all", "the field turns", _spread(found, intervals), limits.turning_deg, " deg", above=True
+        held(
+            (MIRROR_MODE,),
+            "compressions lie along the field",
+            _tilt(found, intervals),
+            limits.tilt_deg,
+            " deg",
+            above=False,
         ),
-        _measured(
-            MINIMUM_CORRELATION,
-            "size and direction are independent",
-            _independence(found, intervals, turning),
-            COMBINATION_SETTINGS.disagree,
-            " chance",
-            above=True,
-        ),
+        held((MINIMUM_CORRELATION,), "compression differs from rotation", apart, limits.unequal, " times"),
+        held((), "the field turns", _spread(found, intervals), limits.turning_deg, " deg"),
+        held((), "size and direction are independent", chance, least_chance, " chance"),
     ]
     if found.agreement:
         least = min(found.agreement, key=lambda one: one.chance)
-        out.append(
-            _measured(
-                f"{least.first}, {least.second}",
-                "methods agree",
-                least.chance,
-                COMBINATION_SETTINGS.disagree,
-                " chance",
-                above=True,
-            )
-        )
+        pair = (least.first, least.second)
+        out.append(held(pair, "methods agree", least.chance, least_chance, " chance"))
     return tuple(out)
-
-
-def _measured(
-    methods: str, text: str, value: float, limit: float, unit: str = "", *, above: bool = False
-) -> Assumption:
-    holds = bool(value >= limit if above else value <= limit)
-    return Assumption(methods, text, float(value), limit, unit, holds)
 
 
 def _enough(chosen: Bools) -> bool:

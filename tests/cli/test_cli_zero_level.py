@@ -66,7 +66,7 @@ def test_a_mission_in_which_only_the_zero_level_is_wrong_goes_through_the_verbs(
     assert all(1.0 < one < 3.0 for one in level["sigma_over_independent"])
     error, sigma, product = errors(quiet, "l2/field-zero")
     assert np.all(np.abs(error) < 3.0 * sigma)
-    assert sigma.max() < 0.12 < 1.7 <= np.abs(OFFSET).min()
+    assert sigma.max() < 0.2 < 1.7 <= np.abs(OFFSET).min()
     assert "zero-window:" in product.attrs["calibration_table"]
     assert told.json["residual"]["after_nT"] < 0.6 * told.json["residual"]["before_nT"]
     again = inflight("reprocess", "--comparison", "zero", *PLAIN, "--json", "-w", root)
@@ -74,7 +74,12 @@ def test_a_mission_in_which_only_the_zero_level_is_wrong_goes_through_the_verbs(
     page = tmp_path / "zero.html"
     shown = inflight("compare", "--comparison", "zero", "--html", page, "-w", root)
     assert shown.code == 0
-    for words in ("where the field turns, varies by", "fluctuations are rotations", "holds", "share intervals"):
+    for words in (
+        "where the field turns, varies by",
+        "fluctuations are rotations",
+        "holds",
+        "share intervals",
+    ):
         assert words in shown.out
     for words in ("Zero levels", "Each method by itself", "What the methods assume", "Steps of 2 h"):
         assert words in page.read_text(encoding="utf-8")
@@ -85,7 +90,7 @@ def test_a_mission_in_which_only_the_zero_level_is_wrong_goes_through_the_verbs(
     pull = ((value - OFFSET) / wide)[known]
     assert np.mean(np.abs(pull) < 2.0) > 0.8
     # A step is no more than a result: far less certain than the window.
-    assert np.median(wide[known], axis=0).min() > 2.0 * sigma.max()
+    assert np.all(np.median(wide[known], axis=0) > 1.5 * sigma)
 
 
 def test_a_span_with_too_few_intervals_says_so_and_states_what_was_known_before(inflight, quiet):
@@ -109,7 +114,9 @@ def test_a_field_that_hardly_turns_tells_no_zero_level_or_one_that_holds(infligh
     (level,) = told.json["zero_levels"]
     assert level["not_determined"]
     assert level["reason"]
-    assert any(text.startswith("the field turns (all) FAILS") for text in level["fails"] or level["assumptions"])
+    assert any(
+        text.startswith("the field turns (all) FAILS") for text in level["fails"] or level["assumptions"]
+    )
     error, sigma, _ = errors(made, "l2/field-zero")
     assert np.all(np.abs(error) < 3.0 * sigma)
 

@@ -12,6 +12,7 @@ from inflight.zero_level import (
     METHODS,
     Intervals,
     OffsetSearch,
+    check_assumptions,
     combine_methods,
     correlation_sets,
     davis_smith,
@@ -299,3 +300,28 @@ def test_one_axis_after_the_other_states_the_error_that_it_makes():
     assert size.size >= 15
     assert np.mean(size < 1.0) > 0.45
     assert size.max() < 4.0
+
+
+def test_a_sensor_that_turns_right_round_tells_its_offsets():
+    times, field = solar_wind(np.random.default_rng(3))
+    phase = 2.0 * np.pi * (times - times[0]) / SECOND / 1100.0
+    cos, sin = np.cos(phase), np.sin(phase)
+    x, y = cos * field[:, 0] + sin * field[:, 1], cos * field[:, 1] - sin * field[:, 0]
+    offset = np.array([3.2, -4.1, 1.7])
+    intervals = Intervals.of(times, np.stack([x, y, field[:, 2]], axis=1) + offset, 900.0)
+    found = combine_methods(intervals).estimate
+    assert found.determined.all()
+    assert np.all(np.abs(found.value - offset) < 3.0 * found.sigma)
+    assert found.sigma.max() < 0.1
+    # The middle of a cloud of readings is still no offset.
+    cloud = np.random.default_rng(4).normal(size=field.shape)
+    assert Intervals.of(times, cloud, 900.0).encloses(np.zeros(3))
+
+
+def test_assumptions_are_tested_and_one_that_fails_is_named():
+    times, field = solar_wind(np.random.default_rng(5), spread=0.12)
+    intervals, search = Intervals.of(times, field, 900.0), OffsetSearch()
+    tests = {one.text: one for one in check_assumptions(combine_methods(intervals), intervals, search)}
+    assert tests["fluctuations are rotations"].holds
+    assert not tests["the field turns"].holds
+    assert "FAILS: " in tests["the field turns"].summary()

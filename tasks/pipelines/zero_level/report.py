@@ -73,13 +73,11 @@ def rows_as_json(table: xr.Dataset, entry: ZeroLevelComparison) -> list[dict[str
                 "assumptions": [str(one) for one in row["assumption_text"].values if str(one)],
                 "fails": [
                     str(text)
-                    for text, holds, size in zip(
-                        row["assumption_text"].values,
-                        row["assumption_holds"].values,
-                        row["assumption_value"].values,
+                    for text, holds, used, size in zip(
+                        *(row[f"assumption_{name}"].values for name in ("text", "holds", "used", "value")),
                         strict=True,
                     )
-                    if np.isfinite(size) and not holds
+                    if used and np.isfinite(size) and not holds
                 ],
                 "basis": str(row["basis"].values),
                 "constant": str(row["constant"].values),

@@ -173,7 +173,7 @@ def zero_level_table(
         state if they had independent data; `wander`, scatter of the days' levels beyond their errors, in the
         covariance; `method`, `reason`, `basis`, `constant` (interval). Over `method_name`: `method_value`,
         `method_sigma` (interval, method_name, parameter), `method_used`, `method_reason`. Over `assumption`:
-        `assumption_text`, `assumption_value`, `assumption_limit`, `assumption_holds`. `kinds` (interval,
+        `assumption_text`, `_value`, `_limit`, `_holds`, `_used`. `kinds` (interval,
         kind): Alfvenic, compressional and other intervals.
     """
     rows, known = [], {} if made is None else made
@@ -235,7 +235,7 @@ def _fill_row(row: _Row, found: CombinedEstimate, intervals: Intervals, search: 
     for place, name in enumerate(COMBINED_METHODS):
         told = [one.removeprefix(f"{name}: ") for one in found.unusable if one.startswith(name)]
         row.why[place] = row.why[place] or "; ".join(told)
-    row.tests = check_assumptions(found, intervals)
+    row.tests = check_assumptions(found, intervals, search)
     kinds = found.kinds
     row.kinds = (int(kinds.alfvenic.sum()), int(kinds.compressional.sum()), int(kinds.neither.sum()))
     notes = (*estimate.reasons, *intervals.notes)
@@ -298,7 +298,7 @@ def _table(rows: Sequence[_Row], entry: ZeroLevelComparison, attributes: Mapping
         }
         | {
             f"assumption_{name}": (of_tests, _tests(tests, name, empty))
-            for name, empty in (("value", np.nan), ("limit", np.nan), ("holds", False))
+            for name, empty in (("value", np.nan), ("limit", np.nan), ("holds", False), ("used", False))
         }
         | {
             "assumption_text": (
