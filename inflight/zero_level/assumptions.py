@@ -8,8 +8,8 @@ the limit it is held against, and whether it holds. All are measured with the of
 - *Compressions along the field* (mirror mode): the direction of most variance lies near the mean field.
 - *Compression differs from rotation* (minimum correlation): it is blind where both are equal.
 - *Enough directions* (all): the field turns far enough, else an offset along it looks like strength.
-- *Size and direction independent* (all: the likelihood that refuses other offsets rests on it): the correlation
-  ``sum dB dn`` of the intervals is no larger than its own scatter in time; a chi-square.
+- *Size and direction independent* (all: the likelihood that refuses other offsets rests on it): what is left
+  of the correlation ``sum dB dn`` is no larger than its own scatter in time; a chi-square.
 - *Agreement*: two methods on the same intervals differ by no more than their errors.
 """
 

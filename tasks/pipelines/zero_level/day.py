@@ -155,8 +155,8 @@ def averaging_of(mission: Mission, entry: ZeroLevelComparison) -> Averaging:
         if not delivered.kept:
             found.append(
                 f"'{entry.vector}' is delivered in {instrument.averaging / SECOND:g} s means, which are no "
-                f"whole turns and samples: such {delivered.summary()}; across the spin axis zero levels are no "
-                "better than that part of the offset there; ask for other means, or for all samples"
+                f"whole turns and samples: such {delivered.summary()}; across the spin axis zero levels are "
+                "no better than that part of the offset there; ask for other means, or for all samples"
             )
     count = whole_average(spin, sampling, wanted / SECOND)
     rule = delivered_rule(spin, count * sampling, sampling)
