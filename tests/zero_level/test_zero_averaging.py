@@ -15,6 +15,7 @@ from inflight.zero_level import (
     check_averaging,
     minimum_correlation,
     remaining_part,
+    whole_average,
 )
 from inflight.zero_level.methods import axis_in_turn
 

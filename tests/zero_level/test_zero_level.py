@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from nature import magnetosheath, solar_wind, stamps, unit
+from nature import SECOND, magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
 from inflight.zero_level import (
