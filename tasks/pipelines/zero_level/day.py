@@ -207,7 +207,7 @@ def day_averages(read: FieldOfDay, rule: Averaging, span: tuple[int, int]) -> xr
 
 def _usable(read: FieldOfDay) -> Bools:
     """Return which samples averages may take; (time,)."""
-    return ((read.flag & np.uint32(_LEFT_OUT)) == 0) & np.isfinite(read.field).all(axis=1)
+    return np.asarray(((read.flag & np.uint32(_LEFT_OUT)) == 0) & np.isfinite(read.field).all(axis=1))
 
 
 def row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:

@@ -21,7 +21,7 @@ from inflight.calibration import with_changes, with_learnt_spans
 from inflight.errors import CalibrationError, InflightError
 from inflight.lsq import robust_sigma
 from inflight.mission import ZeroLevelComparison
-from inflight.time import SECOND, Int64, day_bounds, day_of
+from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
 from inflight.zero_level import (
     AXES,
     COMBINED_METHODS,
@@ -134,7 +134,7 @@ def search_of(entry: ZeroLevelComparison) -> OffsetSearch:
 def edges_of_constants(days: Sequence[DayMeans], edges: Sequence[np.datetime64]) -> list[np.datetime64]:
     """Return edges of windows with those days among them from which on the constant part is another."""
     changes = [
-        np.datetime64(day_of(later.start), "D")
+        as_day(utc_text(later.start)[:10])
         for earlier, later in pairwise(days)
         if earlier.report.get("constant") != later.report.get("constant")
     ]
