@@ -239,6 +239,8 @@ class ZeroLevelComparison(Strict):
     #: What is known beforehand, nT: it lies within `bound` of `start` along each axis.
     start: Vector3 = (0.0, 0.0, 0.0)
     bound: Annotated[float, Field(gt=0.0)] = 10.0
+    #: The spacecraft turns the sensor right round within an interval.
+    turns: bool = False
     #: Fluctuations are taken within intervals of this length.
     interval: Duration = 900 * SECOND
     #: Readings are averaged over about so long first; a thirtieth of an interval when absent.

@@ -8,7 +8,7 @@ from .averaging import (
     remaining_part,
     whole_average,
 )
-from .combination import CombinedEstimate, combine_methods, independent_covariance
+from .combination import CombinedEstimate, combine_methods, independent_covariance, without_rivals
 from .estimate import Estimate, OffsetSearch
 from .flipper import PARTS, FlipperSolution, separate_flipped
 from .intervals import AXES, Bools, Intervals
@@ -65,5 +65,6 @@ __all__ = [
     "separate_flipped",
     "size_angle_covariance",
     "whole_average",
+    "without_rivals",
     "zero_of_minimum_correlation",
 ]

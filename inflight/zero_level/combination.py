@@ -54,8 +54,12 @@ class LikelihoodSettings:
     ----------
     rejected : float
         An offset is rejected from so many standard deviations on. Level of significance: 0.3 %.
+    rejected_anywhere : float
+        The same of offsets anywhere in the cube of the bound: of thousands one comes nearer by chance. Assumed.
     steps : int
         Offsets along an axis, from one end of the bound to the other. Assumed.
+    cube : int
+        Offsets along each axis of the cube. Assumed.
     least_chance : float
         Least variance of a sum of differences, of that of random signs. Assumed.
     least_variance : float
@@ -64,7 +68,9 @@ class LikelihoodSettings:
     """
 
     rejected: float = 3.0
+    rejected_anywhere: float = 4.0
     steps: int = 121
+    cube: int = 13
     least_chance: float = 0.5
     least_variance: float = 1e-6
 
@@ -84,11 +90,14 @@ class CombinationSettings:
         So rarely that one of the methods must be wrong, and no mean is given. Level of significance.
     rounds : int
         Most rounds of classification and estimate. Assumed.
+    same_sigmas : float
+        An offset within so many standard deviations of a solution is the same. Assumed.
     """
 
     disagree: float = 0.01
     apart: float = 1e-4
     rounds: int = 8
+    same_sigmas: float = 4.0
 
 
 COMBINATION_SETTINGS = CombinationSettings()
@@ -176,6 +185,45 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: Offset
         if why:
             determined[axis] = False
             reasons.append(f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: {why}")
+    return found.with_axes(determined, search).with_reasons(*reasons) if reasons else found
+
+
+def without_rivals(intervals: Intervals, found: Estimate, search: OffsetSearch) -> Estimate:
+    """Return an estimate without the axes on which an offset anywhere in the cube of the bound differs from it.
+
+    Lines along the axes do not see a false zero away from all of them. Of a field that turns by less than ten
+    degrees half of the days had one, as far away as the field is large, at a stated 0.1 nT.
+
+    Parameters
+    ----------
+    found : Estimate
+        Of these intervals.
+    """
+    line = np.linspace(-search.bound, search.bound, LIKELIHOOD_SETTINGS.cube)
+    axes = [
+        line + begin if free else np.array([begin])
+        for free, begin in zip(search.free, search.start, strict=True)
+    ]
+    cube = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cube = np.concatenate([[found.solution], cube])
+    likelihood = log_likelihood(intervals, cube)
+    apart = np.abs(cube - found.solution)
+    # Nearer than this an offset is the same, whatever the others are where they are not told.
+    sigma = np.where(found.determined, found.sigma, 0.0)
+    same = np.maximum(line[1] - line[0], COMBINATION_SETTINGS.same_sigmas * sigma)
+    near = np.all((apart <= same)[:, found.determined], axis=1)
+    own = np.where(near, likelihood.sum(axis=1), -np.inf).argmax()
+    possible = likelihood_ratio(likelihood[own], likelihood) < LIKELIHOOD_SETTINGS.rejected_anywhere
+    determined, reasons = found.determined.copy(), list[str]()
+    for axis in np.flatnonzero(found.determined):
+        rivals = cube[possible & (apart[:, axis] > same[axis])]
+        if len(rivals):
+            determined[axis] = False
+            least, most = rivals[:, axis].min(), rivals[:, axis].max()
+            reasons.append(
+                f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: with other offsets "
+                f"along the other axes {least:.1f} to {most:.1f} nT are not refused"
+            )
     return found.with_axes(determined, search).with_reasons(*reasons) if reasons else found
 
 

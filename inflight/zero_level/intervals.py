@@ -202,15 +202,24 @@ class Intervals:
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
         return np.asarray(total > INTERVAL_SETTINGS.above_noise * noise)
 
-    def encloses(self, offset: Floats) -> bool:
+    def encloses(self, offset: Floats, turning: bool = False) -> bool:
         """Whether an offset lies within the readings themselves: there a direction has no meaning.
 
-        The mean of the corrected field is then, in half of the intervals, smaller than its fluctuation. A
-        sensor that turns right round has such intervals, too, but there the size stays nearly the same.
+        The mean of the corrected field is then, in half of the intervals, smaller than its fluctuation.
+
+        Parameters
+        ----------
+        offset : ndarray, shape (3,)
+            nT.
+        turning : bool
+            The sensor is known to turn right round: then such an offset is one where the field's size stays
+            nearly the same. Of a sensor that does not, every arc of readings has such a centre.
         """
         square = np.sum((self.mean - offset) ** 2, axis=1)
         if np.median(square / np.trace(self.covariance, axis1=1, axis2=2)) >= 1.0:
             return False
+        if not turning:
+            return True
         size = np.linalg.norm(self.field - offset, axis=2)
         mean = np.nansum(size, axis=1) / self.count
         variance = np.nansum((size - mean[:, None]) ** 2, axis=1) / self.count

@@ -72,7 +72,7 @@ def test_a_mission_in_which_only_the_zero_level_is_wrong_goes_through_the_verbs(
     again = inflight("reprocess", "--comparison", "zero", *PLAIN, "--json", "-w", root)
     assert again.json["days"] == {**told.json["days"], "done": 0, "unchanged": 1}
     page = tmp_path / "zero.html"
-    shown = inflight("compare", "--comparison", "zero", "--html", page, "-w", root)
+    shown = inflight("compare", "--comparison", "zero", "--output", page, "-w", root)
     assert shown.code == 0
     for words in (
         "the field turns, varies by",

@@ -68,7 +68,7 @@ instruments:
     role: vector
     cadence: {cadence}
     averaging: {averaging}
-    files: {{pattern: "a.csv", reader: csv, time: t}}
+    files: {{pattern: "a.csv", reader: table, time: t}}
     channels: {{field: {{variable: B, unit: nT, axes: [x, y, z]}}}}
 comparisons:
   main: {{kind: zero_level, vector: fgm, average: 5 s, axes: [z]{sampling}}}

@@ -19,6 +19,7 @@ from inflight.zero_level import (
     minimum_correlation,
     pairs_within,
     size_angle_covariance,
+    without_rivals,
 )
 from inflight.zero_level.combination import compare_estimates
 from inflight.zero_level.methods import (
@@ -309,17 +310,30 @@ def test_a_sensor_that_turns_right_round_tells_its_offsets():
     x, y = cos * field[:, 0] + sin * field[:, 1], cos * field[:, 1] - sin * field[:, 0]
     offset = np.array([3.2, -4.1, 1.7])
     intervals = Intervals.of(times, np.stack([x, y, field[:, 2]], axis=1) + offset, 900.0)
-    found = combine_methods(intervals).estimate
+    found = combine_methods(intervals, OffsetSearch(turning=True)).estimate
     assert found.determined.all()
     assert np.all(np.abs(found.value - offset) < 3.0 * found.sigma)
     assert found.sigma.max() < 0.1
-    # The middle of a cloud of readings is still no offset.
+    # The middle of a cloud of readings is no offset, and of a sensor that does not turn nothing enclosed is.
     cloud = np.random.default_rng(4).normal(size=field.shape)
-    assert Intervals.of(times, cloud, 900.0).encloses(np.zeros(3))
+    assert Intervals.of(times, cloud, 900.0).encloses(np.zeros(3), turning=True)
+    assert intervals.encloses(offset)
+
+
+@pytest.mark.parametrize(("seed", "spread"), [(5, 0.08), (9, 0.12), (10, 0.12), (12, 0.12)])
+def test_a_false_zero_away_from_the_axes_is_found_out(seed, spread):
+    # Of a field that turns by a few degrees any arc of readings has a centre, 6 nT from the truth.
+    times, field = solar_wind(np.random.default_rng(seed), spread=spread)
+    intervals, search = Intervals.of(times, field, 900.0), OffsetSearch()
+    found = combine_methods(intervals).estimate
+    assert np.nanmax(np.abs(found.value / found.sigma)) > 10.0
+    told = without_rivals(intervals, found, search)
+    assert not told.determined.any()
+    assert "not refused" in told.reasons[-1]
 
 
 def test_assumptions_are_tested_and_one_that_fails_is_named():
-    times, field = solar_wind(np.random.default_rng(5), spread=0.12)
+    times, field = solar_wind(np.random.default_rng(5), spread=0.1)
     intervals, search = Intervals.of(times, field, 900.0), OffsetSearch()
     tests = {one.text: one for one in check_assumptions(combine_methods(intervals), intervals, search)}
     assert tests["fluctuations are rotations"].holds

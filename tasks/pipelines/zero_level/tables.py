@@ -33,6 +33,7 @@ from inflight.zero_level import (
     combine_methods,
     correlation_sets,
     independent_covariance,
+    without_rivals,
 )
 
 #: Names of the three parameters.
@@ -128,7 +129,7 @@ class _Row:
 def search_of(entry: ZeroLevelComparison) -> OffsetSearch:
     """Return which axes are estimated, from where and within which bound."""
     x, y, z = (axis in entry.axes for axis in AXES)
-    return OffsetSearch(free=(x, y, z), start=entry.start, bound=entry.bound)
+    return OffsetSearch(free=(x, y, z), start=entry.start, bound=entry.bound, turning=entry.turns)
 
 
 def edges_of_constants(days: Sequence[DayMeans], edges: Sequence[np.datetime64]) -> list[np.datetime64]:
@@ -210,6 +211,7 @@ def _row(days: Sequence[DayMeans], entry: ZeroLevelComparison) -> _Row:
             )
             return row
         found = combine_methods(intervals, search)
+        found = replace(found, estimate=without_rivals(intervals, found.estimate, search))
     except InflightError as error:
         row.reason = f"{error.message}; {error.remedy}" if error.remedy else error.message
         return row
