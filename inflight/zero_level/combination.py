@@ -55,7 +55,7 @@ class LikelihoodSettings:
     rejected : float
         An offset is rejected from so many standard deviations on. Level of significance: 0.3 %.
     rejected_anywhere : float
-        The same of offsets anywhere in the cube of the bound: of thousands one comes nearer by chance. Assumed.
+        The same of offsets anywhere in the cube: of thousands one comes nearer by chance. Assumed.
     steps : int
         Offsets along an axis, from one end of the bound to the other. Assumed.
     cube : int
@@ -189,10 +189,10 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: Offset
 
 
 def without_rivals(intervals: Intervals, found: Estimate, search: OffsetSearch) -> Estimate:
-    """Return an estimate without the axes on which an offset anywhere in the cube of the bound differs from it.
+    """Return an estimate without the axes along which another offset in the cube of the bound is as likely.
 
-    Lines along the axes do not see a false zero away from all of them. Of a field that turns by less than ten
-    degrees half of the days had one, as far away as the field is large, at a stated 0.1 nT.
+    Lines along the axes do not see a false zero away from all of them: where the field turns by less than ten
+    degrees it lies as far away as the field is large, at a stated 0.05 nT (docs/science/zero-level.md).
 
     Parameters
     ----------
