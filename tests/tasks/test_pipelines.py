@@ -186,5 +186,5 @@ def test_a_comparison_in_which_nothing_is_calibrated_has_no_pipeline():
     mission = Mission.parse(shipped_missions()["conrad"].read_text(encoding="utf-8"))
     for comparison in [*mission.comparisons, "nothing"]:
         if find_pipeline(mission, comparison) is None:
-            with pytest.raises(MissionError, match="is no scalar, spin, dual or zero_level comparison"):
+            with pytest.raises(MissionError, match="is no scalar, spin, dual, field_model or zero_level"):
                 pipeline_of(mission, comparison)
