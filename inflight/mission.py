@@ -37,7 +37,7 @@ from inflight.instruments import (
     Vector3,
 )
 from inflight.main_field import IGRF
-from inflight.time import utc_text
+from inflight.time import SECOND, utc_text
 
 __all__ = [
     "Channel",
@@ -64,6 +64,7 @@ __all__ = [
     "SpinComparison",
     "Unit",
     "Vector3",
+    "ZeroLevelComparison",
 ]
 
 
@@ -234,6 +235,53 @@ class PlatformComparison(Strict):
         return {"scalar": self.scalar, "vector": self.vector}
 
 
+class ZeroLevelComparison(Strict):
+    """A vector sensor against nature: its zero level from fluctuations of the field (three rows, nT).
+
+    The readings are in axes in which the offset stands still: those of the sensor, or despun ones where the
+    mission states a period `spin`, with the axes that do not turn in `axes`.
+    """
+
+    kind: Literal["zero_level"]
+    vector: str
+    #: Comparison whose product is taken in place of the readings: what was corrected already.
+    product: str | None = None
+    #: Axes whose zero level is asked for.
+    axes: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+    #: What is known beforehand, nT: it lies within `bound` of `start` along each axis.
+    start: Vector3 = (0.0, 0.0, 0.0)
+    bound: Annotated[float, Field(gt=0.0)] = 10.0
+    #: The spacecraft turns the sensor right round within an interval.
+    turns: bool = False
+    #: Fluctuations are taken within intervals of this length.
+    interval: Duration = 900 * SECOND
+    #: Readings are averaged over about so long first; a thirtieth of an interval when absent.
+    average: Duration | None = None
+    #: Readings of which a delivered mean (`averaging` of the instrument) was made, where they are not as good
+    #: as continuous.
+    sampling: Duration | None = None
+    #: Makes a table of zero levels of steps of this length, too, as published ones have.
+    step: Duration | None = None
+    base: str | None = None
+    preflight: str | None = None
+
+    @model_validator(mode="after")
+    def _times_fit(self) -> Self:
+        if not self.axes:
+            raise ValueError("'axes' names none: leave the key out for all three")
+        for name, least in (("interval", 1), ("average", 1), ("sampling", 1), ("step", self.interval)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise ValueError(
+                    f"'{name}' must be {'longer than 0' if least == 1 else 'an interval or more'}"
+                )
+        return self
+
+    def instruments(self) -> dict[str, str]:
+        """Return role in the comparison -> instrument."""
+        return {"vector": self.vector}
+
+
 class FieldModelComparison(Strict):
     """A vector sensor minus a model of the Earth's field, in spacecraft axes (three rows a sample, nT).
 
@@ -257,7 +305,12 @@ class FieldModelComparison(Strict):
 
 
 Comparison = Annotated[
-    ScalarComparison | DualComparison | SpinComparison | PlatformComparison | FieldModelComparison,
+    ScalarComparison
+    | DualComparison
+    | SpinComparison
+    | PlatformComparison
+    | FieldModelComparison
+    | ZeroLevelComparison,
     Field(discriminator="kind"),
 ]
 
@@ -341,6 +394,8 @@ class Mission(Strict):
             named = comparison.instruments() | ({"base": comparison.base} if comparison.base else {})
             if comparison.kind == "dual" and comparison.ambient:
                 self._check_ambient(name, comparison.ambient)
+            if comparison.kind == "zero_level" and comparison.product:
+                self._check_product(name, comparison.vector, comparison.product)
             for role, instrument_name in named.items():
                 if instrument_name not in self.instruments:
                     raise ValueError(f"comparisons.{name}.{role}: there is no instrument {instrument_name!r}")
@@ -350,6 +405,22 @@ class Mission(Strict):
                     has = self.instruments[sensor].role
                     raise ValueError(f"comparisons.{name}.{role}: {sensor!r} has role {has!r}")
         return self
+
+    def _check_product(self, comparison: str, instrument: str, product: str) -> None:
+        """Raise ValueError unless a comparison has a product of an instrument in axes that stand still."""
+        found = self.comparisons.get(product)
+        if found is None or found.kind not in ("scalar", "dual"):
+            kinds = "there is no such comparison" if found is None else f"it is of kind {found.kind!r}"
+            raise ValueError(
+                f"comparisons.{comparison}.product: {product!r} is no comparison of kind 'scalar' or 'dual':"
+                f" {kinds}"
+            )
+        measured = found.instruments()["vector" if found.kind == "scalar" else "outboard"]
+        if measured != instrument:
+            raise ValueError(
+                f"comparisons.{comparison}.product: the product of {product!r} is of {measured!r}, not of"
+                f" {instrument!r}"
+            )
 
     def _check_ambient(self, comparison: str, instrument: str) -> None:
         """Raise ValueError unless an instrument can give the ambient field of a comparison."""

@@ -20,9 +20,9 @@ from inflight.figures import (
     log_ticks,
     plain_figure,
 )
-from inflight.scorecard.zero_level_studies import PUBLISHED, OffsetSets, ScatterWithHours
+from inflight.scorecard.zero_level_studies import PUBLISHED, ScatterWithHours
 from inflight.time import DAY
-from inflight.zero_level import AXES, KIND_SETTINGS, CombinedEstimate, IntervalKinds
+from inflight.zero_level import AXES, KIND_SETTINGS, CombinedEstimate, IntervalKinds, OffsetSets
 
 #: Distance of an axis' mark from the method's place.
 _APART = 0.18

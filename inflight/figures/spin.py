@@ -118,9 +118,9 @@ def zero_drift_figure(table: xr.Dataset, rate: dict[str, tuple[float, float]]) -
     return plot
 
 
-def zero_methods_figure(zero: xr.Dataset) -> figure:
-    """Draw the offset along the spin axis by every method in each window, and the combined one."""
-    plot = plain_figure("Offset along the spin axis by method", "", "nT", x_axis_type="datetime", width=560)
+def zero_methods_figure(zero: xr.Dataset, title: str = "Offset along the spin axis by method") -> figure:
+    """Draw the offset along an axis by every method in each window, and the combined one."""
+    plot = plain_figure(title, "", "nT", x_axis_type="datetime", width=560)
     start, end = zero["start"].values, zero["end"].values
     colours = (*COMPONENTS, "#8a5ca8")
     for place, (name, colour) in enumerate(zip(zero["method_name"].values, colours, strict=True)):

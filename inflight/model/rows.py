@@ -91,7 +91,7 @@ class ResidualDefinition:
     Attributes
     ----------
     kind : str
-        ``scalar``, ``dual``, ``platform``, ``field_model`` or ``spin``.
+        ``scalar``, ``dual``, ``platform``, ``field_model``, ``spin`` or ``zero_level``.
     sensors : mapping of str to Sensor
         By role in the comparison.
     band : Band, optional

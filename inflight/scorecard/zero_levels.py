@@ -8,11 +8,13 @@ import numpy as np
 
 from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
 from inflight.scorecard.scene import SimulatedDays
-from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
+from inflight.scorecard.zero_level_studies import PUBLISHED, largest_leak
 from inflight.simulate.spinning import SPACECRAFT_PRESETS, solar_wind
 from inflight.time import DAY, SECOND
 from inflight.zero_level import (
+    SET,
     Intervals,
+    average_spans,
     davis_smith,
     minimum_correlation,
     pairs_within,

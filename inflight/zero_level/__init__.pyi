@@ -1,4 +1,14 @@
-from .combination import CombinedEstimate, combine_methods
+from .assumptions import Assumption, check_assumptions
+from .averaging import (
+    AveragingRule,
+    AveragingWarning,
+    average_spans,
+    check_averaging,
+    delivered_rule,
+    remaining_part,
+    whole_average,
+)
+from .combination import CombinedEstimate, combine_methods, independent_covariance, without_rivals
 from .estimate import Estimate, OffsetSearch
 from .flipper import PARTS, FlipperSolution, separate_flipped
 from .intervals import AXES, Bools, Intervals
@@ -9,12 +19,15 @@ from .methods import (
     MINIMUM_CORRELATION,
     Estimator,
     IntervalKinds,
+    classify_intervals,
+    compression,
     davis_smith,
     minimum_correlation,
     pairs_within,
     size_angle_covariance,
     zero_of_minimum_correlation,
 )
+from .sets import SET, OffsetSets, correlation_sets
 
 __all__ = [
     "AXES",
@@ -23,6 +36,10 @@ __all__ = [
     "METHODS",
     "MINIMUM_CORRELATION",
     "PARTS",
+    "SET",
+    "Assumption",
+    "AveragingRule",
+    "AveragingWarning",
     "Bools",
     "CombinedEstimate",
     "Estimate",
@@ -31,11 +48,23 @@ __all__ = [
     "IntervalKinds",
     "Intervals",
     "OffsetSearch",
+    "OffsetSets",
+    "average_spans",
+    "check_assumptions",
+    "check_averaging",
+    "classify_intervals",
     "combine_methods",
+    "compression",
+    "correlation_sets",
     "davis_smith",
+    "delivered_rule",
+    "independent_covariance",
     "minimum_correlation",
     "pairs_within",
+    "remaining_part",
     "separate_flipped",
     "size_angle_covariance",
+    "whole_average",
+    "without_rivals",
     "zero_of_minimum_correlation",
 ]

@@ -24,6 +24,7 @@ d^2``, which random signs give. So few intervals hardly reject anything.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -53,8 +54,12 @@ class LikelihoodSettings:
     ----------
     rejected : float
         An offset is rejected from so many standard deviations on. Level of significance: 0.3 %.
+    rejected_anywhere : float
+        The same of offsets anywhere in the cube: of thousands one comes nearer by chance. Assumed.
     steps : int
         Offsets along an axis, from one end of the bound to the other. Assumed.
+    cube : int
+        Offsets along each axis of the cube. Assumed.
     least_chance : float
         Least variance of a sum of differences, of that of random signs. Assumed.
     least_variance : float
@@ -63,7 +68,9 @@ class LikelihoodSettings:
     """
 
     rejected: float = 3.0
+    rejected_anywhere: float = 4.0
     steps: int = 121
+    cube: int = 13
     least_chance: float = 0.5
     least_variance: float = 1e-6
 
@@ -83,11 +90,14 @@ class CombinationSettings:
         So rarely that one of the methods must be wrong, and no mean is given. Level of significance.
     rounds : int
         Most rounds of classification and estimate. Assumed.
+    same_sigmas : float
+        An offset within so many standard deviations of a solution is the same. Assumed.
     """
 
     disagree: float = 0.01
     apart: float = 1e-4
     rounds: int = 8
+    same_sigmas: float = 4.0
 
 
 COMBINATION_SETTINGS = CombinationSettings()
@@ -175,6 +185,45 @@ def without_ambiguous_axes(intervals: Intervals, found: Estimate, search: Offset
         if why:
             determined[axis] = False
             reasons.append(f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: {why}")
+    return found.with_axes(determined, search).with_reasons(*reasons) if reasons else found
+
+
+def without_rivals(intervals: Intervals, found: Estimate, search: OffsetSearch) -> Estimate:
+    """Return an estimate without the axes along which another offset in the cube of the bound is as likely.
+
+    Lines along the axes do not see a false zero away from all of them: where the field turns by less than ten
+    degrees it lies as far away as the field is large, at a stated 0.05 nT (docs/science/zero-level.md).
+
+    Parameters
+    ----------
+    found : Estimate
+        Of these intervals.
+    """
+    line = np.linspace(-search.bound, search.bound, LIKELIHOOD_SETTINGS.cube)
+    axes = [
+        line + begin if free else np.array([begin])
+        for free, begin in zip(search.free, search.start, strict=True)
+    ]
+    cube = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cube = np.concatenate([[found.solution], cube])
+    likelihood = log_likelihood(intervals, cube)
+    apart = np.abs(cube - found.solution)
+    # Nearer than this an offset is the same, whatever the others are where they are not told.
+    sigma = np.where(found.determined, found.sigma, 0.0)
+    same = np.maximum(line[1] - line[0], COMBINATION_SETTINGS.same_sigmas * sigma)
+    near = np.all((apart <= same)[:, found.determined], axis=1)
+    own = np.where(near, likelihood.sum(axis=1), -np.inf).argmax()
+    possible = likelihood_ratio(likelihood[own], likelihood) < LIKELIHOOD_SETTINGS.rejected_anywhere
+    determined, reasons = found.determined.copy(), list[str]()
+    for axis in np.flatnonzero(found.determined):
+        rivals = cube[possible & (apart[:, axis] > same[axis])]
+        if len(rivals):
+            determined[axis] = False
+            least, most = rivals[:, axis].min(), rivals[:, axis].max()
+            reasons.append(
+                f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: with other offsets "
+                f"along the other axes {least:.1f} to {most:.1f} nT are not refused"
+            )
     return found.with_axes(determined, search).with_reasons(*reasons) if reasons else found
 
 
@@ -365,11 +414,28 @@ def _estimate_by_each(
     return methods, unusable
 
 
+def independent_covariance(methods: Sequence[Estimate], search: OffsetSearch) -> Floats:
+    """Return the covariance of the product of the methods' likelihoods, as if their data were independent.
+
+    They are not: `weighted_mean` has the same mean, and the error with what the methods share counted once.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        nT^2; 0 along axes that are not free.
+    """
+    inside = np.ix_(np.asarray(search.free), np.asarray(search.free))
+    out = np.zeros((3, 3))
+    out[inside] = np.linalg.inv(np.sum([np.linalg.inv(one.covariance[inside]) for one in methods], axis=0))
+    return out
+
+
 def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
-    Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
-    state: ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
+    It is where the product of their likelihoods, each Gaussian, is largest. Covariances that are by chance
+    too small weigh too much, and so the error of the mean is larger than they state: ``1 + 4 sum w (1 - w) /
+    f`` times in variance, f being the degrees of freedom of each (Meier 1953).
 
     Parameters
     ----------
@@ -379,7 +445,7 @@ def weighted_mean(methods: list[Estimate], search: OffsetSearch) -> Estimate:
     free = np.asarray(search.free)
     inside = np.ix_(free, free)
     each = [np.linalg.inv(one.covariance[inside]) for one in methods]
-    whole = np.linalg.inv(np.sum(each, axis=0))
+    whole = independent_covariance(methods, search)[inside]
     shares = [np.zeros((3, 3)) for _ in each]
     for share, one in zip(shares, each, strict=True):
         share[inside] = whole @ one

@@ -162,12 +162,15 @@ class OffsetSearch:
         The offset lies within this many nT of the start.
     near : tuple of float, optional
         Where methods begin to look, nT; when absent the start and offsets by simpler rules.
+    turning : bool
+        The sensor turns right round within an interval: its offset lies in the middle of its readings.
     """
 
     free: tuple[bool, bool, bool] = ALL
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bound: float = SOLVER_SETTINGS.bound
     near: tuple[float, float, float] | None = None
+    turning: bool = False
 
     def starts(self, other: Floats) -> list[Floats]:
         """Return the offsets to begin with: `near`, else the start and another offset."""
@@ -302,7 +305,7 @@ def solve(
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
         notes.append(f"no zero within {search.bound:g} nT of the start ({where})")
         known = np.zeros((3, 3))
-    if not turning and intervals.select(used).encloses(offset):
+    if not turning and intervals.select(used).encloses(offset, search.turning):
         notes.append("the zero found lies within the readings themselves")
         known = np.zeros((3, 3))
     return estimate_from_scores(

@@ -44,6 +44,9 @@ class IntervalSettings:
         them.
     returns : float
         A spike comes back: the sum of the two changes is less than this part of the smaller one. Assumed.
+    sphere : float
+        Readings all around an offset lie on a sphere about it when their distance varies by no more than this
+        part of it. Derived: that of a Gaussian cloud about its own mean varies by 0.42 of it.
     """
 
     fewest_intervals: int = 8
@@ -52,6 +55,7 @@ class IntervalSettings:
     above_noise: float = 2.0
     stuck: int = 3
     returns: float = 0.5
+    sphere: float = 0.25
 
 
 INTERVAL_SETTINGS = IntervalSettings()
@@ -198,13 +202,28 @@ class Intervals:
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
         return np.asarray(total > INTERVAL_SETTINGS.above_noise * noise)
 
-    def encloses(self, offset: Floats) -> bool:
+    def encloses(self, offset: Floats, turning: bool = False) -> bool:
         """Whether an offset lies within the readings themselves: there a direction has no meaning.
 
-        The corrected field is then, in half of the intervals, smaller than its fluctuation.
+        The mean of the corrected field is then, in half of the intervals, smaller than its fluctuation.
+
+        Parameters
+        ----------
+        offset : ndarray, shape (3,)
+            nT.
+        turning : bool
+            The sensor is known to turn right round: then such an offset is one where the field's size stays
+            nearly the same. Of a sensor that does not, every arc of readings has such a centre.
         """
         square = np.sum((self.mean - offset) ** 2, axis=1)
-        return bool(np.median(square / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
+        if np.median(square / np.trace(self.covariance, axis1=1, axis2=2)) >= 1.0:
+            return False
+        if not turning:
+            return True
+        size = np.linalg.norm(self.field - offset, axis=2)
+        mean = np.nansum(size, axis=1) / self.count
+        variance = np.nansum((size - mean[:, None]) ** 2, axis=1) / self.count
+        return bool(np.median(variance / mean**2) > INTERVAL_SETTINGS.sphere**2)
 
     @cached_property
     def neighbours(self) -> Bools:

@@ -649,7 +649,7 @@ def hedgecock(
         reasons.append(
             f"no zero within {search.bound:g} nT of the start that {len(found.history)} rounds settle to"
         )
-    if part.encloses(offset):
+    if part.encloses(offset, search.turning):
         reasons.append("the zero found lies within the readings themselves")
     known = np.zeros((3, 3)) if reasons else known
     return estimate_from_scores(
@@ -678,7 +678,7 @@ def zero_of_minimum_correlation(intervals: Intervals, search: OffsetSearch) -> F
             settled = bool(np.abs(step).max() < SOLVER_SETTINGS.settled)
             if settled or np.abs(offset).max() >= search.bound:
                 break
-        if settled and np.abs(offset).max() < search.bound and not intervals.encloses(offset):
+        if settled and np.abs(offset).max() < search.bound and not intervals.encloses(offset, search.turning):
             influence = scores @ inverse.T
             found.append(np.stack([offset, np.sqrt(np.sum(influence**2, axis=0)) + 1e-9]))
     if not found:

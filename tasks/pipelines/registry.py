@@ -16,6 +16,7 @@ from inflight.tasks.pipelines.mission_fit import MissionPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.pipelines.spin import SpinPipeline
 from inflight.tasks.pipelines.two_sensor import StatesPipeline
+from inflight.tasks.pipelines.zero_level import ZeroLevelPipeline
 from inflight.tasks.report import Progress, RunReport
 from inflight.time import DayLike
 
@@ -31,6 +32,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     FieldModelPipeline(),
     RelationPipeline(),
     StatesPipeline(),
+    ZeroLevelPipeline(),
 )
 
 #: Chooses the pipeline that makes tables of all days together.
@@ -65,7 +67,7 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
     if found is None:
         known = [name for name in mission.comparisons if find_pipeline(mission, name) is not None]
         raise MissionError(
-            f"'{comparison}' is no scalar, spin, dual or field_model comparison of mission"
+            f"'{comparison}' is no scalar, spin, dual, field_model or zero_level comparison of mission"
             f" '{mission.mission}'",
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )

@@ -89,6 +89,21 @@ def test_two_sensors_told_apart_by_states_keep_the_contract(tmp_path):
     check_pipeline(BY_TAG["states"], made)
 
 
+def test_a_zero_level_keeps_the_contract(tmp_path):
+    text = (
+        shipped_missions()["venus-express"]
+        .read_text(encoding="utf-8")
+        .replace("cadence: 1 s", "cadence: 30 s")
+    )
+    source = tmp_path / "boom.yaml"
+    comparison = "  zero: {kind: zero_level, vector: outboard, step: 6 h}\n"
+    source.write_text(text.replace("release:\n", f"{comparison}release:\n"), encoding="utf-8")
+    made = Workspace.create(tmp_path / "w", source)
+    simulate(DualSettings(days=1, seed=31, overrides={"cadence": 30.0}), made.data, workers=1)
+    ingest(Catalog(made.root), made.mission(), made.data)
+    check_pipeline(BY_TAG["zero_level"], made, ReprocessSettings(comparison="zero"))
+
+
 def test_the_pipeline_to_copy_keeps_the_contract(tiny, template):
     check_pipeline(template, tiny)
 
@@ -171,5 +186,5 @@ def test_a_comparison_in_which_nothing_is_calibrated_has_no_pipeline():
     mission = Mission.parse(shipped_missions()["conrad"].read_text(encoding="utf-8"))
     for comparison in [*mission.comparisons, "nothing"]:
         if find_pipeline(mission, comparison) is None:
-            with pytest.raises(MissionError, match="is no scalar, spin, dual or field_model comparison"):
+            with pytest.raises(MissionError, match="is no scalar, spin, dual, field_model or zero_level"):
                 pipeline_of(mission, comparison)

@@ -5,14 +5,18 @@ import pytest
 from nature import SECOND, unit
 
 from inflight.errors import CalibrationError
-from inflight.scorecard.zero_level_studies import (
+from inflight.mission import Mission
+from inflight.scorecard.zero_level_studies import largest_leak
+from inflight.tasks.pipelines.zero_level.day import averaging_of
+from inflight.zero_level import (
     AveragingWarning,
+    Intervals,
     average_spans,
     check_averaging,
-    largest_leak,
+    minimum_correlation,
     remaining_part,
+    whole_average,
 )
-from inflight.zero_level import Intervals, minimum_correlation
 from inflight.zero_level.methods import axis_in_turn
 
 SAMPLING = (0.1875, 0.375, 0.75, 1.5)
@@ -45,6 +49,50 @@ def test_five_seconds_fail_by_samples_although_they_are_whole_spins():
 def test_six_seconds_are_whole_spins_and_samples(recwarn):
     assert check_averaging(1.0, 1.5, 6.0, strict=True).remaining == pytest.approx(0.0, abs=1e-12)
     assert not recwarn.list
+
+
+def test_an_average_is_chosen_of_whole_turns_and_whole_samples():
+    # Five seconds are asked for: 3.33 samples; four make six seconds, six turns of one.
+    assert whole_average(1.0, 1.5, 5.0) == 4
+    # No turn of 20 s lies near 2 s: what leaves least is taken.
+    count = whole_average(20.0, 1.0, 2.0)
+    assert count == 4
+    assert remaining_part(20.0, 1.0, count) > 0.5
+
+
+MISSION = """
+mission: turning
+periods: {{spin: 1 s}}
+instruments:
+  fgm:
+    role: vector
+    cadence: {cadence}
+    averaging: {averaging}
+    files: {{pattern: "a.csv", reader: table, time: t}}
+    channels: {{field: {{variable: B, unit: nT, axes: [x, y, z]}}}}
+comparisons:
+  main: {{kind: zero_level, vector: fgm, average: 5 s, axes: [z]{sampling}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("cadence", "averaging", "sampling", "length", "warned"),
+    [
+        ("1.5 s", "0 s", "", 6, ""),
+        ("5 s", "5 s", "", 5, ""),
+        ("5 s", "5 s", ", sampling: 1.5 s", 5, "3.333 samples"),
+        ("2.3 s", "2.3 s", "", 6.9, "2.300 spins"),
+    ],
+)
+def test_deliveries_that_are_averaged_over_a_broken_number_are_warned_about(
+    cadence, averaging, sampling, length, warned
+):
+    text = MISSION.format(cadence=cadence, averaging=averaging, sampling=sampling)
+    mission = Mission.parse(text)
+    rule = averaging_of(mission, mission.comparisons["main"])
+    assert rule.length == pytest.approx(length * SECOND)
+    assert bool(rule.warnings) == bool(warned)
+    assert all(warned in one and "delivered in" in one for one in rule.warnings)
 
 
 def test_samples_at_one_phase_average_nothing_out():

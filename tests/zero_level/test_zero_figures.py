@@ -5,8 +5,8 @@ from bokeh.models import GlyphRenderer
 from nature import solar_wind
 
 from docs.figures.zero_level import kinds_figure, methods_figure, scatter_figure, sets_figure
-from inflight.scorecard.zero_level_studies import correlation_sets, scatter_with_hours
-from inflight.zero_level import Intervals, combine_methods, minimum_correlation
+from inflight.scorecard.zero_level_studies import scatter_with_hours
+from inflight.zero_level import Intervals, combine_methods, correlation_sets, minimum_correlation
 
 
 def drawn(plot) -> int:

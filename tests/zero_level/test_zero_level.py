@@ -4,20 +4,22 @@ from functools import cache
 
 import numpy as np
 import pytest
-from nature import magnetosheath, solar_wind, stamps, unit
+from nature import SECOND, magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.scorecard.zero_level_studies import correlation_sets
 from inflight.zero_level import (
     COMBINED_METHODS,
     METHODS,
     Intervals,
     OffsetSearch,
+    check_assumptions,
     combine_methods,
+    correlation_sets,
     davis_smith,
     minimum_correlation,
     pairs_within,
     size_angle_covariance,
+    without_rivals,
 )
 from inflight.zero_level.combination import compare_estimates
 from inflight.zero_level.methods import (
@@ -299,3 +301,46 @@ def test_one_axis_after_the_other_states_the_error_that_it_makes():
     assert size.size >= 15
     assert np.mean(size < 1.0) > 0.45
     assert size.max() < 4.0
+
+
+def test_a_sensor_that_turns_right_round_tells_its_offsets():
+    times, field = solar_wind(np.random.default_rng(3))
+    phase = 2.0 * np.pi * (times - times[0]) / SECOND / 1100.0
+    cos, sin = np.cos(phase), np.sin(phase)
+    x, y = cos * field[:, 0] + sin * field[:, 1], cos * field[:, 1] - sin * field[:, 0]
+    offset = np.array([3.2, -4.1, 1.7])
+    intervals = Intervals.of(times, np.stack([x, y, field[:, 2]], axis=1) + offset, 900.0)
+    found = combine_methods(intervals, OffsetSearch(turning=True)).estimate
+    assert found.determined.all()
+    assert np.all(np.abs(found.value - offset) < 3.0 * found.sigma)
+    assert found.sigma.max() < 0.1
+    # The middle of a cloud of readings is no offset, and of a sensor that does not turn nothing enclosed is.
+    cloud = np.random.default_rng(4).normal(size=field.shape)
+    assert Intervals.of(times, cloud, 900.0).encloses(np.zeros(3), turning=True)
+    assert intervals.encloses(offset)
+
+
+@pytest.mark.parametrize(("seed", "spread"), [(5, 0.08), (9, 0.12), (10, 0.12), (12, 0.12)])
+def test_a_false_zero_away_from_the_axes_is_found_out(seed, spread):
+    # Of a field that turns by a few degrees any arc of readings has a centre, 6 nT from the truth.
+    times, field = solar_wind(np.random.default_rng(seed), spread=spread)
+    intervals, search = Intervals.of(times, field, 900.0), OffsetSearch()
+    found = combine_methods(intervals).estimate
+    assert np.nanmax(np.abs(found.value / found.sigma)) > 10.0
+    told = without_rivals(intervals, found, search)
+    assert not told.determined.any()
+    assert "not refused" in told.reasons[-1]
+
+
+def test_assumptions_are_tested_and_one_that_fails_is_named():
+    told = []
+    for spread in (0.5, 0.1):
+        times, field = solar_wind(np.random.default_rng(5), spread=spread)
+        intervals = Intervals.of(times, field, 900.0)
+        tests = check_assumptions(combine_methods(intervals), intervals, OffsetSearch())
+        told.append({one.text: one for one in tests})
+    wide, narrow = told
+    assert wide["fluctuations are rotations"].holds
+    assert wide["the field turns"].holds
+    assert not narrow["the field turns"].holds
+    assert "not tested" in narrow["fluctuations are rotations"].summary()

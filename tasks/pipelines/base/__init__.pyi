@@ -28,7 +28,7 @@ from .compare_rows import (
     scalar_channels,
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
-from .origins import model_label, table_label
+from .origins import KEY_DIGITS, model_label, table_label
 from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_unit
 from .pipeline import Pipeline, Versions
 from .planning import (
@@ -57,6 +57,7 @@ from .tables import content_keys, month_edges, newest_record, newest_table, newe
 __all__ = [
     "ALL_DAYS_STATISTICS",
     "FITTED",
+    "KEY_DIGITS",
     "MATTERS",
     "MODEL",
     "ONE_DAY",

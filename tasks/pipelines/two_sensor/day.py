@@ -66,9 +66,9 @@ from inflight.tasks.archive import (
     saturation_flags,
 )
 from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
+from inflight.tasks.pipelines.two_sensor.constant import report_before, without_constant
 from inflight.tasks.pipelines.two_sensor.tables import (
     constant_part,
-    describe_constant,
     gradiometer_in_states,
     gradiometer_with_states,
     with_remark,
@@ -430,14 +430,14 @@ def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dic
     readings, flag = readings_of(model, samples)
     correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
-    product = rounded(dual_level2(readings, correction, flag, model.comparison))
+    product = dual_level2(readings, correction, flag, model.comparison)
+    product = rounded(without_constant(product, batch.table, day))
     product.attrs |= {
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
         "day": str(day),
-        "constant": describe_constant(batch.table),
     }
-    return product, product_report(product, day)
+    return product, product_report(product, day) | report_before(batch.table, day)
 
 
 def product_report(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:

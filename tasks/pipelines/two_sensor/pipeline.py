@@ -7,6 +7,7 @@ products (`day.py`) and comparison (`compare.py`). No statistics of days are kep
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,13 +61,22 @@ class StatesPipeline(Pipeline):
         settings: ReprocessSettings,
         span: tuple[DayLike | None, DayLike | None],
     ) -> Plan:
-        """Find out what has to be done; raises `MissionError` when all days are to be fitted at once."""
+        """Find out what has to be done; raises `MissionError` when all days are to be fitted at once.
+
+        A run is also made from the newest table of zero levels of its product.
+        """
+        from inflight.tasks.pipelines.two_sensor.constant import ZeroLevels
+
         if settings.table == "continuous":
             raise MissionError(
                 "a comparison of two sensors has no table 'continuous'",
                 remedy="choose daily, window or span",
             )
-        return super().make_plan(cat, mission, settings, span)
+        plan = super().make_plan(cat, mission, settings, span)
+        levels = ZeroLevels.of(cat, mission, settings.comparison)
+        if levels is None:
+            return plan
+        return replace(plan, recorded={**plan.recorded, "zero_level": levels.label})
 
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
         """Return the days whose products a run would make, and those it would leave alone.
@@ -75,6 +85,7 @@ class StatesPipeline(Pipeline):
         """
         import xarray as xr
 
+        from inflight.tasks.pipelines.two_sensor.constant import ZeroLevels, inputs_with_zero_level
         from inflight.tasks.pipelines.two_sensor.tables import TablesBefore, continued_key
         from inflight.tasks.pipelines.two_sensor.windows import StoredTables, table_name, window_key, windows
 
@@ -83,25 +94,36 @@ class StatesPipeline(Pipeline):
         current = {day.day: day.key for day in cat.days(plan.product, states=("published",))}
         groups = windows(plan.days, plan.settings)
         before = TablesBefore.of_day(cat, name, groups[0][0])
+        mission = Mission.parse(cat.context(plan.context).mission_text)
+        levels = ZeroLevels.of(cat, mission, plan.settings.comparison)
         todo: list[np.datetime64] = []
         same: list[np.datetime64] = []
         for group in groups:
             key = continued_key(window_key(plan, group, self.versions.tables), before.keys)
             record = stored.continued.get(key)
+            table = xr.Dataset() if record is None else cat.table_by_id(record.id)
             for day in group:
-                own = product_key(self, plan, day, UsedTable(0, (key,), xr.Dataset()))
+                inputs = (key,) if record is None else inputs_with_zero_level(levels, name, table, key, day)
+                own = product_key(self, plan, day, UsedTable(0, inputs, table))
                 (same if record is not None and current.get(day) == own else todo).append(day)
             if record is None:
                 before.add_key(key)
             else:
-                before.add(key, cat.table_by_id(record.id))
+                before.add(key, table)
         return todo, same
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
-        """Fit each window of days, and continue the tables in order; see `solve_windows`."""
-        from inflight.tasks.pipelines.two_sensor.windows import solve_windows
+        """Fit each window of days, and continue the tables in order; see `solve_windows`.
 
-        return solve_windows(work, self.versions.tables)
+        Where a comparison of kind ``zero_level`` has a table of this one's products, the constant part is
+        that of its levels; see `with_zero_levels`.
+        """
+        from inflight.tasks.pipelines.two_sensor.constant import ZeroLevels, with_zero_levels
+        from inflight.tasks.pipelines.two_sensor.windows import solve_windows, table_name
+
+        solved = solve_windows(work, self.versions.tables)
+        levels = ZeroLevels.of(work.cat, work.mission, work.plan.settings.comparison)
+        return with_zero_levels(self, work, levels, table_name(work.plan), solved)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
         """Return the day's corrected field; see `states_day`."""
@@ -121,7 +143,8 @@ class StatesPipeline(Pipeline):
         ``residual`` is the step of the outboard field where the spacecraft switches, rms of a component, as
         measured and corrected, and ``floor_nT`` that of the corrected field where nothing switches.
         """
-        from inflight.tasks.pipelines.two_sensor.tables import constant_changes, describe_constant
+        from inflight.tasks.pipelines.two_sensor.constant import constant_of_day
+        from inflight.tasks.pipelines.two_sensor.tables import constant_changes
         from inflight.tasks.pipelines.two_sensor.windows import combine_steps, window_verdicts
 
         tables = solved.used if solved else {}
@@ -130,18 +153,20 @@ class StatesPipeline(Pipeline):
             "residual": combine_steps([day.report for day in published if day.day in plan.keys]),
             "windows": window_verdicts(tables),
             "constant_changes": constant_changes(
-                {day: describe_constant(used.table) for day, used in tables.items()}
+                {day: constant_of_day(used.table, day) for day, used in tables.items()}
             ),
         }
 
     def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
         """Yield which windows are not corrected and why, and where the field may step."""
+        from inflight.tasks.pipelines.two_sensor.constant import constant_remarks
         from inflight.tasks.pipelines.two_sensor.tables import constant_sentences
 
         for one in fields.get("windows", []):
             if one["applied"] != "yes":
                 yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
         yield from constant_sentences(fields.get("constant_changes", []))
+        yield from constant_remarks(fields.get("windows", []))
 
     def compare(
         self,

@@ -28,13 +28,13 @@ from inflight.tasks.pipelines.base import (
     record_failure,
     window_edges,
 )
+from inflight.tasks.pipelines.two_sensor.constant import constant_of_day
 from inflight.tasks.pipelines.two_sensor.day import states_window
 from inflight.tasks.pipelines.two_sensor.tables import (
     OWN_KEY,
     TablesBefore,
     continue_table,
     continued_key,
-    describe_constant,
     remarks_of,
 )
 from inflight.time import day_bounds
@@ -169,7 +169,8 @@ def window_verdicts(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str,
                 "method": str(table.attrs.get("method", "")),
                 "applied": str(table.attrs.get("applied", "")),
                 "verdict": str(table.attrs.get("verdict", "")),
-                "constant": describe_constant(table),
+                "constant": constant_of_day(table, day),
+                "zero_level": str(table.attrs.get("zero_level", "")),
             },
         )
         fields["end"] = str(day + ONE_DAY)
