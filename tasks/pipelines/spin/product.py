@@ -13,7 +13,7 @@ from inflight.flags import Flag
 from inflight.model import Model, rows_of
 from inflight.samples import fold_spins
 from inflight.spin import PARAMETER_NAMES, CalibrationParameters, field_uncertainty, make_spin_product
-from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
+from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples, within_day
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
@@ -32,7 +32,18 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     The report's residual is the rms of the spin tones of synthetic turns, before and after calibration.
     """
     cat, mission, model, table, job = batch.cat, batch.mission, batch.model, batch.table, batch.job
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
+    samples = load_samples(
+        cat,
+        mission,
+        model,
+        day,
+        list(job.needs),
+        job.index,
+        geometry=False,
+        folded=False,
+        surroundings=True,
+    )
+    own = within_day(np.asarray(samples["tt2000"].values), day)
     span = day_bounds(day)
     bound = model.bind(table)
     entry = require_spinning(bound)
@@ -53,6 +64,7 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
         product["uncertainty"] = product["uncertainty"].where(~outside[:, None], wider)
     if not np.all(row["determined"].values[free]):
         product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
+    product, samples = product.isel(time=own), samples.isel(time=own)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {
