@@ -305,8 +305,9 @@ def level2(
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
         was subtracted (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
         field); `before_stray_field` (time, axis) nT, spacecraft axes, the calibrated field with these terms
-        of the vector sensor still in, where it is their sum (`Model.before_corrections`); ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with
-        attribute `applied`; `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
+        of the vector sensor still in, where it is their sum (`Model.before_corrections`);
+        ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with attribute `applied`;
+        `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
         channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """

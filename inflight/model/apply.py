@@ -290,7 +290,7 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
 
 
 def before_corrections(effects: Effects, samples: xr.Dataset, terms: Mapping[str, Floats]) -> Floats | None:
-    """Return the vector sensor's field with all that `correction_terms` lists for it still in; (time, axis) nT.
+    """Return the vector sensor's field with what `correction_terms` lists for it still in; (time, axis) nT.
 
     None without such a term, and where the field is not simply the sum: the sensor's equation, or an effect
     that follows the field, comes behind the first of them.

@@ -178,7 +178,7 @@ def test_a_play_makes_a_closed_loop_and_forgets_where_it_began():
 
 
 def test_a_play_stands_where_it_is_not_pushed_until_the_channel_has_moved_by_its_width():
-    """Wherever a record is cut, before that the play is nearly the same: a day goes on from the day before."""
+    """Before that it hardly depends on where a record begins: a day goes on from the day before."""
     swing = np.sin(np.arange(4000) / 300)
     assert np.ptp(play(swing, 3.0)) == 0.0
     assert play(swing, 3.0)[0] == pytest.approx(play(swing[700:], 3.0)[0], abs=1e-3)

@@ -53,7 +53,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=3, tables=5, products=6)
+    versions = Versions(statistics=3, tables=5, products=7)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""
