@@ -628,6 +628,7 @@ _DOCUMENTS: Final = {
     "changes.csv": "days and variables that changed since the release before, and by how much",
     "changes": "the same, drawn",
     "gaps.csv": "of each day of a product: gaps between samples, values that are missing, flags by kind",
+    "missing.csv": "from when to when samples, fields or whole days are missing, with flags or cause",
     "validation": "residual, noise floor, and what is left in the residual",
     "calendar": "a page a year with a thumbnail a day; click for the day",
     "exclusions.csv": "readings that no fit took, by whom and why; their samples are flagged",
