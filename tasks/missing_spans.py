@@ -1,4 +1,4 @@
-"""What is missing of the days of a dataset, as spans in time: days, samples, and fields of samples."""
+"""What is missing of the days of a dataset, as spans in time: days, samples, and values of samples."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class MissingSpan:
     start, end : int
         TT2000, half-open.
     what : str
-        ``day``, ``samples``, or the field that samples do not have.
+        ``day``, ``samples``, or the variables that samples have no value of.
     why : str
-        Cause of a missing day, flags of samples without a field.
+        Cause of a missing day, flags of samples that lack values.
     samples : int
         How many are there all the same.
     """
@@ -59,26 +59,33 @@ def span_of_absent_day(day: Day) -> MissingSpan:
 
 
 def missing_spans(day: Day, dataset: xr.Dataset) -> Iterator[MissingSpan]:
-    """Yield the spans of a day without samples, and those whose samples have no field, with their flags."""
+    """Yield the spans of a day without samples, and those whose samples lack values, with their flags."""
     start, end = day_bounds(day.day)
     stamps = dataset["tt2000"].values
     step = usual_step(stamps, end - start)
     edges = np.concatenate([[start - step], stamps, [end]])
     for place in np.flatnonzero(np.diff(edges) > GAP * step):
         yield MissingSpan(day.dataset, int(edges[place] + step), int(edges[place + 1]), "samples", "")
-    name = next((name for name in map(str, dataset.data_vars) if name.startswith("field")), None)
-    if name is None or not stamps.size:
-        return
-    lost = ~np.isfinite(dataset[name].values).reshape(stamps.size, -1).all(axis=1)
+    names = [
+        str(name)
+        for name, array in dataset.data_vars.items()
+        if array.dims[:1] == ("time",) and array.dtype.kind == "f"
+    ]
+    lost = np.zeros((stamps.size, len(names)), dtype=np.bool_)
+    for column, name in enumerate(names):
+        lost[:, column] = ~np.isfinite(dataset[name].values).reshape(stamps.size, -1).all(axis=1)
     flags = dataset["flag"].values if "flag" in dataset else np.zeros(stamps.size, dtype=np.uint32)
-    places = np.flatnonzero(lost)
-    # A run ends where a sample is not lost, where samples are missing, and where other flags begin.
+    places = np.flatnonzero(lost.any(axis=1))
+    if not places.size:
+        return
+    # A run is of the same variables and the same flags.
     goes_on = (np.diff(places) == 1) & (np.diff(stamps[places]) <= GAP * step)
-    goes_on &= flags[places[1:]] == flags[places[:-1]]
-    for run in np.split(places, np.flatnonzero(~goes_on) + 1) if places.size else ():
+    goes_on &= (lost[places[1:]] == lost[places[:-1]]).all(axis=1) & (flags[places[1:]] == flags[places[:-1]])
+    for run in np.split(places, np.flatnonzero(~goes_on) + 1):
         until = min(int(stamps[run[-1]]) + step, end)
+        what = " ".join(name for name, absent in zip(names, lost[run[0]], strict=True) if absent)
         why = " ".join(str(bit.name).lower() for bit in Flag if bit and flags[run[0]] & np.uint32(bit))
-        yield MissingSpan(day.dataset, int(stamps[run[0]]), until, name, why, run.size)
+        yield MissingSpan(day.dataset, int(stamps[run[0]]), until, what, why, run.size)
 
 
 def joined_spans(spans: Sequence[MissingSpan]) -> list[MissingSpan]:

@@ -18,7 +18,10 @@ def product(day, kept, without=slice(0)):
     field, flag = np.ones((stamps.size, 3)), np.zeros(stamps.size, dtype=np.uint32)
     field[without, 1] = np.nan
     flag[without] = np.uint32(Flag.VECTOR_MISSING | Flag.OUT_OF_RANGE)
-    variables = {"tt2000": ("time", stamps), "flag": ("time", flag), "field_nec": (("time", "axis"), field)}
+    scalar = np.ones(stamps.size)
+    scalar[np.arange(stamps.size)[without][-1:]] = np.nan
+    variables = {"tt2000": ("time", stamps), "flag": ("time", flag), "scalar": ("time", scalar)}
+    variables["field_nec"] = (("time", "axis"), field)
     return xr.Dataset(variables).isel(time=kept)
 
 
@@ -33,10 +36,12 @@ def test_gaps_run_on_over_midnight_and_missing_values_have_their_flags():
     ]
     rows = [one.row() for one in joined_spans(spans)]
     assert [(row["what"], row["start"][:19], row["end"][:19], row["samples"]) for row in rows] == [
-        ("field_nec", "2016-12-31T00:10:00", "2016-12-31T00:13:00", 3),
+        ("field_nec", "2016-12-31T00:10:00", "2016-12-31T00:12:00", 2),
+        ("scalar field_nec", "2016-12-31T00:12:00", "2016-12-31T00:13:00", 1),
         ("samples", "2016-12-31T23:50:00", "2017-01-01T00:05:00", 0),
         ("day", "2017-01-02T00:00:00", "2017-01-03T00:00:00", 0),
     ]
-    assert [row["seconds"] for row in rows] == [180.0, 901.0, 86_400.0]
-    assert [row["why"] for row in rows] == ["vector_missing out_of_range", "", "no_work: no file"]
+    assert [row["seconds"] for row in rows] == [120.0, 60.0, 901.0, 86_400.0]
+    bad = "vector_missing out_of_range"
+    assert [row["why"] for row in rows] == [bad, bad, "", "no_work: no file"]
     assert not list(missing_spans(last, product(DAYS[1], slice(None))))
