@@ -5,12 +5,14 @@ import pytest
 from heated_mission import HEATED_DAYS, HOUSEKEEPING, deliver_heated_day, heater_field, housekeeping, nothing
 from tiny_mission import TINY_YAML
 
+from inflight.calibration.product import distribute_residual
 from inflight.catalog import Catalog, Workspace
 from inflight.effects import time_derivative
 from inflight.samples import slow_response
 from inflight.tasks.archive import ArchiveIndex, Need, ingest
 from inflight.tasks.archive.inputs import SPIN_PHASE
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.mission_fit.pipeline import MissionPipeline
 from inflight.time import SECOND
 
 SHIFT_S, LAG_S = 0.5, 4000.0
@@ -72,6 +74,23 @@ def test_lags_and_rates_leave_no_trace_of_midnight(place):
     shift = products["scalar"].values - measured
     assert shift[1400:1480] == pytest.approx(SHIFT_S * rate[1400:1480], abs=0.02)
     assert np.abs(rate[1438:1442]).max() > 5.0, "the delivered field jumps there, so that it would show"
+
+
+def test_the_whole_mission_fit_takes_as_much_of_its_neighbours_as_its_filter_sees():
+    count, middle, reach = 6000, 3000, round(MissionPipeline.reach_s)
+    stamps = np.arange(count) * SECOND
+    residual = np.random.default_rng(0).normal(0, 0.1, count) + 0.2 * np.sin(np.arange(count) / 900)
+    field = np.tile([3e4, 0.0, 3e4], (count, 1))
+
+    def slow(first: int, last: int) -> np.ndarray:
+        part = slice(first, last)
+        return distribute_residual(field[part], residual[part], stamps[part]).slow
+
+    unbroken = slow(0, count)
+    assert slow(0, middle + reach)[:middle] == pytest.approx(unbroken[:middle], abs=1e-5)
+    assert slow(middle - reach, count)[reach:] == pytest.approx(unbroken[middle:], abs=1e-5)
+    alone = slow(middle, count)[0] - slow(0, middle)[-1]
+    assert abs(alone) > 10 * np.abs(np.diff(unbroken)).max()
 
 
 def test_the_field_before_the_correction_is_the_sum(place):
