@@ -10,6 +10,7 @@ from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
 from inflight.tasks.pipelines.base import Pipeline, ReprocessSettings, report_if_unchanged, run_plan
+from inflight.tasks.pipelines.field_model import FieldModelPipeline
 from inflight.tasks.pipelines.intercalibration import RelationPipeline
 from inflight.tasks.pipelines.mission_fit import MissionPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
@@ -27,6 +28,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ScalarPipeline(),
     MissionPipeline(),
     SpinPipeline(),
+    FieldModelPipeline(),
     RelationPipeline(),
     StatesPipeline(),
 )
@@ -63,7 +65,8 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
     if found is None:
         known = [name for name in mission.comparisons if find_pipeline(mission, name) is not None]
         raise MissionError(
-            f"'{comparison}' is no scalar, spin or dual comparison of mission '{mission.mission}'",
+            f"'{comparison}' is no scalar, spin, dual or field_model comparison of mission"
+            f" '{mission.mission}'",
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )
     return found
