@@ -609,15 +609,16 @@ _FORMAT_NOTES: Final = {
         "`k * chunk + i` of every variable with a time; `chunk`, `days` and `counts` stand in the",
         "attribute `inflight` of the store. Packed variables follow the CF convention (`scale_factor`,",
         "`_FillValue`). `tt2000` counts nanoseconds since 2000-01-01T12:00:00 Terrestrial Time; rows",
-        "beyond a day's count are fill.",
+        "beyond a day's count are fill. In Python `inflight.catalog.Catalog(FOLDER).open(DATASET)` gives all",
+        "days as one xarray Dataset; `inflight serve FOLDER` hands them out over HAPI.",
     ),
     "cdf": (
         "`cdf/<source>/<year>/` holds one ISTP CDF file for each day: `Epoch` is TT2000, labels and units",
-        "stand with each variable, `Parents` names what a file was made from.",
+        "stand with each variable, `Parents` names what a file was made from. In Python: `cdflib.CDF(FILE)`.",
     ),
     "netcdf": (
         "`netcdf/<source>/<year>/` holds one CF NetCDF-4 file for each day: `time` counts UTC seconds of the",
-        "day, `tt2000` is exact.",
+        "day, `tt2000` is exact. In Python: `xarray.open_mfdataset(FILES)`.",
     ),
 }
 
@@ -628,6 +629,7 @@ _DOCUMENTS: Final = {
     "changes.csv": "days and variables that changed since the release before, and by how much",
     "changes": "the same, drawn",
     "gaps.csv": "of each day of a product: gaps between samples, values that are missing, flags by kind",
+    "missing.csv": "from when to when days, samples or values are missing, with cause or flags",
     "validation": "residual, noise floor, and what is left in the residual",
     "calendar": "a page a year with a thumbnail a day; click for the day",
     "exclusions.csv": "readings that no fit took, by whom and why; their samples are flagged",

@@ -130,6 +130,7 @@ class Served:
             "citation": _doi_url(header.doi),
             "x_version": self.release.version,
             "x_frozen": True,
+            **self._active(),
             "x_maturity": self.release.maturity if self.dataset.startswith("l2/") else "",
             "x_dataset": self.dataset,
             "x_days": described.days,
@@ -143,6 +144,26 @@ class Served:
             **{key: value for key, value in fields.items() if value not in ("", {})},
             "parameters": [time_info(), *(parameter.info() for parameter in parameters)],
         }
+
+    def _active(self) -> dict[str, Any]:
+        """Return the newest release that has the dataset, and the published days that none has yet.
+
+        Those may still change, and are not served; of a release's folder nothing of the kind is known.
+        """
+        releases = [one.version for one in self.catalog.releases() if self.dataset in one.datasets]
+        frozen = {day.id for version in releases for day in self.catalog.days(self.dataset, release=version)}
+        days = [
+            day.day for day in self.catalog.days(self.dataset, states=("published",)) if day.id not in frozen
+        ]
+        newest = {"x_newest_release": releases[-1]}
+        if not days:
+            return newest
+        ends = days[0], days[-1] + np.timedelta64(1, "D")
+        span = {
+            name: f"{day}T00:00:00Z"
+            for name, day in zip(("x_active_start", "x_active_stop"), ends, strict=True)
+        }
+        return {**newest, "x_active_days": len(days), **span}
 
     def _left_out(self) -> dict[str, str]:
         """Variable -> why it is no parameter."""

@@ -1,8 +1,8 @@
 """What goes with a release beside the data: notes on what changed, validation, and a calendar of pictures.
 
 `write_documents` is called by the catalog with the folder of a release and its contents (`ReleaseContents`).
-It writes ``changes.csv`` with pictures, ``gaps.csv``, ``validation/`` and ``calendar/``, and returns lines
-of RELEASE_NOTES.md. All of it is written from what the catalog and the workspace know.
+It writes ``changes.csv`` with pictures, ``gaps.csv``, ``missing.csv``, ``validation/`` and ``calendar/``, and
+returns lines of RELEASE_NOTES.md. All of it is written from what the catalog and the workspace know.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from inflight.figures import (
     ranges,
 )
 from inflight.flags import UNUSABLE, Flag
+from inflight.tasks.missing_spans import joined_spans, missing_spans, span_of_absent_day
 from inflight.time import GAP, SECOND, day_bounds, usual_step
 
 if TYPE_CHECKING:
@@ -351,10 +352,12 @@ def _validated(
 def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) -> None:
     """Write for each product a page a year with a thumbnail a day, and a picture of each day.
 
-    Each day is read once: what is missing of it goes into ``gaps.csv``.
+    Each day is read once: what is missing of it goes into ``gaps.csv``, and from when to when into
+    ``missing.csv``.
     """
     pages: dict[str, list[str]] = {}
     missing = []
+    spans = [span_of_absent_day(day) for day in contents.absent]
     products = [day for day in contents.days if day.dataset.startswith("l2/")]
     for (name, year), group in groupby(products, key=lambda day: (day.dataset, str(day.day)[:4])):
         place = folder / "calendar" / name.replace("/", "-")
@@ -364,6 +367,7 @@ def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) 
             if "tt2000" not in dataset:
                 continue
             missing.append(_missing_of_day(day, dataset))
+            spans += missing_spans(day, dataset)
             if panels := _panels(dataset):
                 what = f"{panels[-1].title} {panels[-1].names[0]}".strip()
                 cells[day.day] = _drawn_day(place, day, dataset, panels, contents.request.version)
@@ -372,11 +376,8 @@ def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) 
             cells |= {one.day: CalendarDay(one.cause or one.state) for one in absent}
             (place / f"{year}.html").write_text(calendar_page(f"{name}, {year}", what, cells), "utf-8")
             pages.setdefault(name, []).append(year)
-    if missing:
-        with (folder / "gaps.csv").open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.DictWriter(stream, list(missing[0]))
-            writer.writeheader()
-            writer.writerows(missing)
+    _write_rows(folder / "gaps.csv", missing)
+    _write_rows(folder / "missing.csv", [one.row() for one in joined_spans(spans)])
     if pages:
         lines = ["# Pictures", ""]
         for name, years in pages.items():
@@ -426,6 +427,15 @@ def _missing_of_day(day: Day, dataset: xr.Dataset) -> dict[str, object]:
         "without_field": next(iter(lost.values()), 0),
         **{str(bit.name).lower(): int(np.count_nonzero(flags & np.uint32(bit))) for bit in Flag if bit},
     }
+
+
+def _write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows as CSV; no file without any."""
+    if rows:
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
 
 
 def _panels(dataset: xr.Dataset) -> list[Panel]:

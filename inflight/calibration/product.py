@@ -304,8 +304,10 @@ def level2(
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
         was subtracted (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
-        field); ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with
-        attribute `applied`; `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
+        field); `before_stray_field` (time, axis) nT, spacecraft axes, the calibrated field with these terms
+        of the vector sensor still in, where it is their sum (`Model.before_corrections`);
+        ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with attribute `applied`;
+        `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
         channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
@@ -322,7 +324,8 @@ def level2(
     if distribution is not None and distribute:
         field = field - distribution.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
-    body = rotate(field, np.asarray(sensor.orientation))
+    orientation = np.asarray(sensor.orientation)
+    body = rotate(field, orientation)
     before = raw.residual(samples)[:, 0]
     variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
     variance += table_variance(model.effects, corrected)
@@ -338,7 +341,12 @@ def level2(
         "residual_preflight": (_SCALAR, before, _attributes("|B_vector| - F with the pre-flight model")),
         "uncertainty": (_VECTOR, sigma, _attributes("one sigma", "sensor")),
     }
-    for name, term in model.correction_terms(corrected).items():
+    terms = model.correction_terms(corrected)
+    before_terms = model.before_corrections(corrected, terms)
+    if before_terms is not None:
+        attributes = _attributes("calibrated field, nothing of the spacecraft's taken out", "spacecraft")
+        variables["before_stray_field"] = (_VECTOR, rotate(before_terms, orientation), attributes)
+    for name, term in terms.items():
         dims, frame = (_VECTOR, "sensor") if term.ndim == 2 else (_SCALAR, "")
         attributes = _attributes(f"taken out of the reading: {name}", frame)
         variables[f"correction_{name}"] = (dims, term, attributes)

@@ -275,6 +275,15 @@ class Effect:
     def prepare(self) -> None:
         """Read the options; called once, for subclasses to override."""
 
+    def reach_s(self, cadence_s: float) -> float:
+        """Return how far before and after a sample lies what its field is made from, s; 0 unless overridden.
+
+        A day is corrected with so much of its neighbours, so that the field does not step at midnight. Slow
+        responses and plays of channels are no part of it: they come with their own past.
+        """
+        del cadence_s
+        return 0.0
+
     def require_complete(self) -> None:
         """Raise `ModelError` when an option is missing that only a search may leave open."""
 
@@ -583,6 +592,12 @@ def field_strength(samples: xr.Dataset) -> Floats:
 
 #: Steps are equal when they differ by less than this part of the usual one.
 _EVEN = 1e-3
+
+
+def reach_of_rate(effect: Effect, cadence_s: float) -> float:
+    """Return `Effect.reach_s` of an effect that follows a rate: two neighbours on either side."""
+    del effect
+    return 2.0 * cadence_s
 
 
 def time_derivative(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floats:

@@ -25,6 +25,7 @@ from inflight.effects.base import (
     Values,
     best_field,
     multiply,
+    reach_of_rate,
     response_name,
     time_derivative,
 )
@@ -127,6 +128,7 @@ class ChannelRate(Effect):
     family_by_channel = True
     channels = ("",)
     coefficient = Parameter("nT*s", AXES, sigma=1e4, per_channel=1)
+    reach_s = reach_of_rate
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``coefficient * dc/dt``; (time, axis) nT."""
@@ -342,6 +344,7 @@ class Eddy(Effect):
     family = "eddy"
     follows_field = True
     diagonal = Parameter("s", AXES, step=1e-2, sigma=0.3)
+    reach_s = reach_of_rate
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``diagonal * dB/dt``; (time, axis) nT, NaN where a sample has no neighbour."""
@@ -368,6 +371,7 @@ class TollesLawson(Effect):
     permanent = Parameter("nT", AXES, step=1.0, sigma=1e3)
     induced = Parameter("1", SYMMETRIC, step=1e-6, sigma=0.1)
     eddy = Parameter("s", MATRIX, step=1e-2, sigma=1.0)
+    reach_s = reach_of_rate
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of the three; (time, axis) nT."""

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from inflight.arrays import Floats, times_axes
-from inflight.effects.base import AXES, Effect, Parameter, Values, field_strength, multiply, time_derivative
+from inflight.effects.base import (
+    AXES,
+    Effect,
+    Parameter,
+    Values,
+    field_strength,
+    multiply,
+    reach_of_rate,
+    time_derivative,
+)
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
@@ -230,6 +239,7 @@ class TimeShift(Effect):
     family = "clock"
     acts_on = ("scalar",)
     seconds = Parameter("s", step=1e-2, sigma=0.1)
+    reach_s = reach_of_rate
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the early reading; (time,) nT."""
@@ -256,6 +266,10 @@ class ScalarResponse(Effect):
     family = "clock"
     acts_on = ("scalar",)
     half_variance = Parameter("s^2", step=1e-2, sigma=1.0)
+
+    def reach_s(self, cadence_s: float) -> float:
+        """Return the time between the two rates, a sample at least, s."""
+        return max(_CURVATURE_STEP, cadence_s) + cadence_s
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a slow instrument; (time,) nT."""
@@ -421,6 +435,7 @@ class ChannelClock(Effect):
     acts_on = ("scalar",)
     channels = ("",)
     coefficient = Parameter("s", step=1e-2, sigma=0.1, per_channel=1)
+    reach_s = reach_of_rate
 
     def _shift(self, samples: xr.Dataset, values: Values) -> Floats:
         seconds = values["coefficient"][..., 0] * self.drive(samples, "coefficient")

@@ -303,6 +303,20 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     return terms
 
 
+def before_corrections(effects: Effects, samples: xr.Dataset, terms: Mapping[str, Floats]) -> Floats | None:
+    """Return the vector sensor's field with what `correction_terms` lists for it still in; (time, axis) nT.
+
+    None without such a term, and where the field is not simply the sum: the sensor's equation, or an effect
+    that follows the field, comes behind the first of them.
+    """
+    own = [entry for entry in at_all_sensors(effects) if entry.sensor.role in VECTOR_ROLES]
+    added = [entry for entry in own if entry.is_additive]
+    if not added or added != own[own.index(added[0]) :]:
+        return None
+    parts = [terms[entry.name] for entry in added]
+    return np.asarray(samples["field"].values + np.sum(parts, axis=0))
+
+
 def place_variance(effects: Effects, samples: xr.Dataset) -> Floats:
     """Return what uncertain places of dipoles add to the variance of the vector sensor's field.
 

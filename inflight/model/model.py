@@ -35,7 +35,14 @@ from inflight.effects import (
 )
 from inflight.errors import InflightError, ModelError, SettingsError, did_you_mean
 from inflight.mission import Sensor, sensors_of
-from inflight.model.apply import ModelEffect, correct, correct_plain, correction_terms, disturb
+from inflight.model.apply import (
+    ModelEffect,
+    before_corrections,
+    correct,
+    correct_plain,
+    correction_terms,
+    disturb,
+)
 from inflight.model.diff import changes, parse_tree
 from inflight.model.rows import ResidualDefinition, rows_of
 from inflight.model.time_dependence import TimedValue, parse_timed
@@ -509,6 +516,10 @@ class Model:
     def correction_terms(self, samples: xr.Dataset) -> dict[str, Floats]:
         """Return what each additive effect subtracts: see `inflight.model.apply.correction_terms`."""
         return correction_terms(self.effects, samples)
+
+    def before_corrections(self, samples: xr.Dataset, terms: Mapping[str, Floats]) -> Floats | None:
+        """Return the field with these terms still in: see `inflight.model.apply.before_corrections`."""
+        return before_corrections(self.effects, samples, terms)
 
     def changes(self, other: Model) -> list[dict[str, Any]]:
         """Return what `other` changes of this model: see `inflight.model.diff.changes`."""

@@ -161,13 +161,15 @@ class SubstitutedSamples:
             ),
         )
 
-    def by_effect(self, model: Model) -> dict[str, EffectSubstitution]:
-        """Return what was substituted, by effect."""
+    def by_effect(self, model: Model, part: slice = slice(None)) -> dict[str, EffectSubstitution]:
+        """Return what was substituted within a part of the samples, by effect."""
         out = {}
         for entry in model.effects:
             names = sorted(_series_of(entry, self.samples) & set(self.rows))
             if names:
-                rows = np.logical_or.reduce([_any_component(self.rows[name]) for name in names])
+                rows = np.logical_or.reduce([_any_component(self.rows[name]) for name in names])[part]
+                if not rows.any():
+                    continue
                 instead = {self.typical[name].source if name in self.typical else "" for name in names}
                 replaced_by = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
                 out[entry.name] = EffectSubstitution(int(rows.sum()), tuple(names), replaced_by)

@@ -1,5 +1,6 @@
 from .alignment import FIELD_ROLES, PlainSamples, Series, align, continuous_sign
 from .derived import (
+    PLAY_VERSION,
     ChannelFactor,
     DerivedChannel,
     base_channels,
@@ -14,6 +15,7 @@ __all__ = [
     "FIELD_ROLES",
     "FOLDING_VERSION",
     "FOLD_ORDER",
+    "PLAY_VERSION",
     "ChannelFactor",
     "Complex",
     "DerivedChannel",

@@ -56,6 +56,9 @@ class ResponseSettings:
 
 RESPONSE_SETTINGS = ResponseSettings()
 
+#: Version of how a play is made: it enters the keys of what is made from one.
+PLAY_VERSION = 2
+
 _PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<placebo>[1-9]\d*))?$")
 
 _OPTION = re.compile(r"@(\w+)=([^@~*]+)")
@@ -355,10 +358,14 @@ def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Float
 def play(values: Floats, width: float) -> Floats:
     """Return the play (backlash) of a channel: it follows only when pushed by half the width.
 
+    Where it stands at first is not known before the channel has moved by the whole width. Until then it
+    stands still, at the one place from which the channel never pushes it; of a channel that never moves so
+    far, in the middle of its range. A later start of the same record then stands at nearly the same place.
+
     Parameters
     ----------
     values : ndarray, shape (time,) or (time, axis)
-        The channel; NaN are passed over and stay NaN. The first value is taken as the middle.
+        The channel; NaN are passed over and stay NaN.
     width : float
         Full width of the play, in the channel's unit; 0 returns the channel.
 
@@ -382,12 +389,22 @@ def play(values: Floats, width: float) -> Floats:
 def _play(values: Floats, half: float) -> Floats:  # pragma: no cover
     out = np.full_like(values, np.nan)
     for column in range(values.shape[1]):
-        state, known = 0.0, False
+        low, high = np.inf, -np.inf
         for i in range(values.shape[0]):
             now = values[i, column]
             if not np.isfinite(now):
                 continue
-            state = min(max(state, now - half), now + half) if known else now
-            known = True
+            below, above = min(low, now), max(high, now)
+            if above - below > 2.0 * half and high >= low:
+                # The side that is not pushed is where the width begins.
+                low, high = (low, low + 2.0 * half) if now > high else (high - 2.0 * half, high)
+                break
+            low, high = below, above
+        state = 0.5 * (low + high)
+        for i in range(values.shape[0]):
+            now = values[i, column]
+            if not np.isfinite(now):
+                continue
+            state = min(max(state, now - half), now + half)
             out[i, column] = state
     return out

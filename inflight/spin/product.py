@@ -66,7 +66,8 @@ def make_spin_product(
     -------
     xarray.Dataset
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
-        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
+        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT;
+        `before_stray_field` like `field_payload`, with these terms still in; `uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
         `field_payload` is NaN and the flag is set. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
@@ -103,7 +104,13 @@ def make_spin_product(
         variables["field_gsm"] = (_VECTOR, gsm, {**attributes, "frame": "gsm"})
         known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.sunward)).all(axis=1)
         flag[~known] |= flag_without_attitude
-    for name, term in model.correction_terms(corrected).items():
+    terms = model.correction_terms(corrected)
+    before = model.before_corrections(corrected, terms)
+    if before is not None:
+        before = np.where(flipped[:, None], np.nan, before)
+        kind = {"units": "nT", "long_name": "calibrated field, nothing of the spacecraft's taken out"}
+        variables["before_stray_field"] = (_VECTOR, despin(before, phase), {**kind, "frame": "payload"})
+    for name, term in terms.items():
         kind = {"units": "nT", "long_name": f"taken out of the reading: {name}"}
         variables[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, dict(kind))
     masks, names = flag_meanings()

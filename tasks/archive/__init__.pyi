@@ -24,6 +24,7 @@ from .inputs import (
     position_channel,
     replaceable_needs,
     require_days,
+    with_surroundings,
 )
 from .samples import (
     SPIN_FAULTS,
@@ -40,6 +41,7 @@ from .samples import (
     substitute_missing,
     substitution_problems,
     substitution_report,
+    within_day,
 )
 from .simulated_deliveries import SECOND_FLUXGATE, simulate
 
@@ -84,4 +86,6 @@ __all__ = [
     "substitute_missing",
     "substitution_problems",
     "substitution_report",
+    "with_surroundings",
+    "within_day",
 ]

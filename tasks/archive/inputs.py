@@ -80,6 +80,8 @@ class Need:
         Readings are averaged over this long, centred.
     average_ns : int
         A field is averaged over this long where it is resampled: see `averaging_by_role`.
+    around_ns : int
+        A day's product is made from samples that reach so far into its neighbours: see `with_surroundings`.
     replaceable : bool
         A typical value may replace the channel where it is missing: see `replaceable_needs`.
     """
@@ -93,6 +95,7 @@ class Need:
     products: tuple[str, ...] = ()
     smooth_ns: int = 0
     average_ns: int = 0
+    around_ns: int = 0
     replaceable: bool = False
 
     @property
@@ -113,7 +116,7 @@ class Need:
     @property
     def margin_ns(self) -> int:
         """How much of the neighbouring days a day is made with."""
-        around = abs(self.lag_ns) + self.smooth_ns + self.average_ns
+        around = abs(self.lag_ns) + self.smooth_ns + self.average_ns + self.around_ns
         return INPUT_SETTINGS.margin_cadences * self.cadence_ns + around
 
 
@@ -228,6 +231,29 @@ def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> 
         typical = need.channel != "field" and kind not in NO_CAUSE
         out.append(replace(need, replaceable=typical and need.name in used))
     return out
+
+
+def with_surroundings(
+    mission: Mission, models: Iterable[Model], needs: Iterable[Need], least_s: float = 0.0
+) -> list[Need]:
+    """Return needs of a day whose product is made with as much of its neighbours as its effects look at.
+
+    Parameters
+    ----------
+    models : iterable of Model
+        Of one comparison; the farthest-reaching counts.
+    least_s : float
+        What is filtered besides reaches so far, s.
+    """
+    needs = list(needs)
+    reach = 0.0
+    for model in models:
+        role = base_role(mission, model.comparison)
+        cadence = next(need.cadence_ns for need in needs if need.name == role) / SECOND
+        # One effect's field is made from what the others have corrected.
+        reach = max(reach, sum(entry.effect.reach_s(cadence) for entry in model.effects))
+    around = int(np.ceil((reach + least_s) * SECOND))
+    return [replace(need, around_ns=around) for need in needs]
 
 
 def geometry_channels(mission: Mission) -> list[str]:
@@ -478,11 +504,16 @@ class ArchiveIndex:
         return [unique[key] for key in sorted(unique)]
 
     def shares_stamps(self, need: Need, base: Need, day: np.datetime64) -> bool:
-        """Return True when a series has the base's stamps, so that nothing is interpolated."""
+        """Return True when a series has the base's stamps, and a day of it needs none of its neighbours.
+
+        The phase of the spin and its axis always run on over midnight.
+        """
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or need.part or need.smooth_ns or need.average_ns:
+        if need.lag_ns or need.part or need.smooth_ns or need.average_ns or need.around_ns:
+            return False
+        if need.name in (SPIN_PHASE, SPIN_AXIS):
             return False
         if need.cadence_ns != base.cadence_ns:
             return False

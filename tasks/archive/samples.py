@@ -507,6 +507,7 @@ def load_samples(
     index: ArchiveIndex,
     geometry: bool = True,
     folded: bool = True,
+    surroundings: bool = False,
 ) -> xr.Dataset:
     """Read one day from the archive and align it.
 
@@ -520,6 +521,9 @@ def load_samples(
         False leaves out what `add_geometry` makes unless a need or the model asks for it.
     folded : bool
         False leaves a spin comparison's samples as they were measured.
+    surroundings : bool
+        Samples reach as far into the neighbouring days as the needs say (`Need.around_ns`); `within_day`
+        tells which are the day's own.
 
     Returns
     -------
@@ -533,13 +537,15 @@ def load_samples(
     SamplesError
         When a field's day is not in the archive.
     """
+    if not surroundings:
+        needs = [replace(need, around_ns=0) for need in needs]
     base = next(need for need in needs if need.name == base_role(mission, model.comparison))
     needs = [need for need in needs if need.name != SPIN_AXIS]
     clock = next((need for need in needs if need.name == SPIN_PHASE), None)
     present = _present(cat, [need for need in needs if need is not clock], base, day, index)
     stamps = present[base.name].stamps
     start, end = day_bounds(day)
-    samples = align(present, stamps[(stamps >= start) & (stamps < end)])
+    samples = align(present, stamps[(stamps >= start - base.around_ns) & (stamps < end + base.around_ns)])
     samples["flag"] = samples["flag"] | exclusion_flags(mission, model.comparison, samples["tt2000"].values)
     if clock is not None:
         series = channel_series(cat, clock, day, index)
@@ -569,6 +575,12 @@ def load_samples(
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
     return samples if folding is None else fold_spins(samples, folding, (start, end))
+
+
+def within_day(stamps: Int64, day: np.datetime64) -> slice:
+    """Return which of rising stamps (TT2000) lie within a UTC day."""
+    first, last = np.searchsorted(stamps, day_bounds(day))
+    return slice(int(first), int(last))
 
 
 def _present(

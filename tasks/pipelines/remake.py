@@ -137,7 +137,8 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
     if settings.use_table is not None and set(LEARNT) <= set(table.variables):
         table = held_table(table, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1])
     pipeline = pipeline_of(mission, settings.comparison, settings)
-    needs = product_needs(mission, base, preflight, pipeline.extra_channels(mission, settings.comparison))
+    channels = pipeline.extra_channels(mission, settings.comparison)
+    needs = product_needs(mission, base, preflight, channels, pipeline.reach_s)
     sources = cat.days_by_id(item for parents in edges.values() for item in parents)
     index = ArchiveIndex(
         {(source.dataset, source.day): source for source in sources},

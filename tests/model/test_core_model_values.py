@@ -176,6 +176,33 @@ def test_a_term_that_follows_the_field_at_the_scalar_sensor_is_told_apart():
     assert np.allclose(terms["induced"], raw["scalar"].values - truth["scalar"].values, rtol=0, atol=1e-9)
 
 
+def test_the_field_before_its_corrections_is_that_of_a_model_without_them():
+    sensor = {
+        "effect": "vector_sensor",
+        "sensor": "fgm",
+        "offset": [10, -20, 30],
+        "scale_factor": [1.01, 0.99, 1],
+    }
+    remanent = {"effect": "remanent", "sensor": "fgm", "vector": [5, -3, 1]}
+    heater = {
+        "effect": "channel_field",
+        "channel": "solar_current",
+        "sensor": "fgm",
+        "coefficient": [3, 2, -1],
+    }
+    own = {"effect": "heading", "sensor": "ovm", "vector": [1, 2, 3]}
+    model, raw = model_of(sensor, remanent, heater, own), true_samples(0)
+    corrected = model.correct(raw)
+    found = model.before_corrections(corrected, model.correction_terms(corrected))
+    without = model_of(sensor, own).correct(raw)["field"].values
+    assert found == pytest.approx(without, abs=1e-9)
+    assert np.abs(without - corrected["field"].values).max() > 5.0
+    # Scaled by the sensor's equation behind it a term is not what it adds to the field; and none is no sum.
+    for other in (model_of(remanent, sensor), model_of(sensor, own)):
+        corrected = other.correct(raw)
+        assert other.before_corrections(corrected, other.correction_terms(corrected)) is None
+
+
 def test_changes_tell_each_value_that_moved():
     new = MODEL.with_values({"vector_sensor.offset[y]*b": 0.5}).drop("time_shift")
     extra = make_effect({"effect": "heading", "sensor": "ovm", "vector": [1, 2, 3]}, SENSORS)

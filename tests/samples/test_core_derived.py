@@ -177,9 +177,19 @@ def test_a_play_makes_a_closed_loop_and_forgets_where_it_began():
     assert one[near & rising].mean() - one[near & falling].mean() == pytest.approx(-2.0, abs=0.05)
 
 
+def test_a_play_stands_where_it_is_not_pushed_until_the_channel_has_moved_by_its_width():
+    """Before that it hardly depends on where a record begins: a day goes on from the day before."""
+    swing = np.sin(np.arange(4000) / 300)
+    assert np.ptp(play(swing, 3.0)) == 0.0
+    assert play(swing, 3.0)[0] == pytest.approx(play(swing[700:], 3.0)[0], abs=1e-3)
+    rising = np.arange(50.0)
+    assert play(rising, 20.0)[:20] == pytest.approx(10.0)
+    assert play(-rising, 20.0)[:20] == pytest.approx(-10.0)
+
+
 def test_missing_values_are_passed_over():
     series = np.array([0.0, 5.0, NAN, 5.5, NAN, 3.0])
-    assert play(series, 2.0) == pytest.approx([0.0, 4.0, NAN, 4.5, NAN, 4.0], nan_ok=True)
+    assert play(series, 2.0) == pytest.approx([1.0, 4.0, NAN, 4.5, NAN, 4.0], nan_ok=True)
     assert np.isnan(play(np.full(3, NAN), 1.0)).all()
 
 

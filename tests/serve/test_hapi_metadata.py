@@ -1,8 +1,10 @@
 """What the server says of itself, of its datasets and of their parameters."""
 
+import shutil
+
 import numpy as np
 import pytest
-from serve_cases import ID, MISSION, Client, collection_of, make_workspace, samples
+from serve_cases import DAYS, ID, MISSION, Client, collection_of, make_workspace, samples
 
 from inflight.catalog import Catalog, DayData, write_segment
 from inflight.serve import make_app
@@ -61,6 +63,22 @@ def test_info_tells_version_frozen_part_doi_and_rules(ask):
     assert info["description"] == "A probe with one magnetometer: l2/field, release 1.0"
     assert info["x_left_out"] == {"rotation": "it is the same for all samples of a day"}
     assert (info["x_days"], info["x_samples"]) == (4, 4 * (144 + 8))
+
+
+def test_info_tells_which_days_no_release_holds_yet(workspace, tmp_path, ask):
+    assert ask("info").json()["x_newest_release"] == "1.0"
+    assert not [key for key in ask("info").json() if key.startswith("x_active")]
+    root = tmp_path / "probe"
+    shutil.copytree(workspace, root)
+    catalog = Catalog(root)
+    with catalog.run("reprocess") as run:
+        for day in (DAYS[2], np.datetime64("2006-01-04")):
+            run.stage("l2/field", samples(day), day=day, key=f"{day} anew")
+        run.publish()
+    found = Client(make_app(collection_of(root))).get("/hapi/info", {"dataset": ID}).json()
+    active = [found[f"x_active_{part}"] for part in ("days", "start", "stop")]
+    assert active == [2, "2006-01-01T00:00:00Z", "2006-01-05T00:00:00Z"]
+    assert found["stopDate"] == "2006-01-04T00:00:00Z"
 
 
 def test_the_example_span_of_info_holds_samples(ask):

@@ -79,6 +79,9 @@ class Pipeline(ABC):
         Text in place of a product, for a pipeline without.
     learns_states : bool
         Whether it finds states of the spacecraft, between which the field of currents switches.
+    reach_s : float
+        How far the filters of its products reach into the neighbouring days, s; what effects look at comes
+        on top (`inflight.effects.Effect.reach_s`).
     """
 
     tag: ClassVar[str]
@@ -87,6 +90,7 @@ class Pipeline(ABC):
     has_products: ClassVar[bool] = True
     note: ClassVar[str] = ""
     learns_states: ClassVar[bool] = False
+    reach_s: ClassVar[float] = 0.0
 
     # --- choosing ---------------------------------------------------------------------------------------
 
@@ -132,6 +136,7 @@ class Pipeline(ABC):
             equations=equations_of(settings.comparison, self.statistics or "base"),
             version=self.versions.statistics,
             channels=self.extra_channels(mission, settings.comparison),
+            reach_s=self.reach_s,
         )
 
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:

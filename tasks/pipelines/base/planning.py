@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.samples import PLAY_VERSION
 from inflight.tasks.archive import (
     INPUT_SETTINGS,
     ArchiveIndex,
@@ -27,6 +28,7 @@ from inflight.tasks.archive import (
     needs_of,
     replaceable_needs,
     require_days,
+    with_surroundings,
 )
 from inflight.tasks.models import VersionedModel, current_model, preflight_model
 from inflight.time import DayLike, as_day, day_range
@@ -110,6 +112,9 @@ class Plan:
         The published days behind them.
     sources : mapping of datetime64[D] to sequence of Day
         What each planned day is made from.
+    neighbours : mapping of datetime64[D] to sequence of Day
+        What its product is made from besides: its filters and rates reach so far, those of its statistics end
+        with the day.
     keys : mapping of datetime64[D] to str
         Hash of what each day's statistics are made from.
     published : mapping of datetime64[D] to Day
@@ -129,6 +134,7 @@ class Plan:
     sources: Mapping[np.datetime64, Sequence[Day]]
     keys: Mapping[np.datetime64, str]
     published: Mapping[np.datetime64, Day]
+    neighbours: Mapping[np.datetime64, Sequence[Day]] = field(default_factory=dict)
     no_work: Mapping[np.datetime64, str] = field(default_factory=dict)
     recorded: Mapping[str, Any] = field(default_factory=dict)
 
@@ -171,6 +177,15 @@ class Plan:
         """Return days in batches, one a worker's task and a segment."""
         size = self.settings.batch_days
         return [list(days[at : at + size]) for at in range(0, len(days), size)]
+
+    def product_inputs(self, day: np.datetime64) -> list[str]:
+        """Return what the samples of a day's product are made from, as parts of its key."""
+        around = max((need.around_ns for need in self.needs), default=0)
+        return [
+            self.keys[day],
+            *[f"around={around}"] * bool(around),
+            *(one.key for one in self.neighbours.get(day, ())),
+        ]
 
 
 def plan_days(
@@ -219,15 +234,17 @@ def plan_days(
 
 
 def product_needs(
-    mission: Mission, model: Model, preflight: Model, channels: Iterable[str] = ()
+    mission: Mission, model: Model, preflight: Model, channels: Iterable[str] = (), reach_s: float = 0.0
 ) -> tuple[Need, ...]:
     """Return the series of the archive that a day's statistics and product are made from.
 
-    Products tell the residual with the pre-flight model, too, whatever was dropped of it since.
+    Products tell the residual with the pre-flight model, too, whatever was dropped of it since. `reach_s` is
+    `Pipeline.reach_s`.
     """
     before_flight = {channel for entry in preflight.effects for channel in entry.effect.channels}
     named = needs_of(mission, model, [*geometry_channels(mission), *channels, *before_flight])
-    return tuple(replaceable_needs(mission, model, named))
+    needs = with_surroundings(mission, (model, preflight), named, reach_s)
+    return tuple(replaceable_needs(mission, model, needs))
 
 
 def plan_archive_days(
@@ -239,6 +256,7 @@ def plan_archive_days(
     equations: str,
     version: int,
     channels: Iterable[str] = (),
+    reach_s: float = 0.0,
 ) -> Plan:
     """Find out which archive days of a half-open span of UTC days have to be worked on.
 
@@ -252,6 +270,8 @@ def plan_archive_days(
         Of the algorithm that makes them.
     channels : iterable of str
         Channels to read, beside those the model needs; those the mission has not are skipped.
+    reach_s : float
+        How far the filters of the product reach into the neighbouring days, s (`Pipeline.reach_s`).
 
     Raises
     ------
@@ -261,7 +281,7 @@ def plan_archive_days(
     start, end = span
     used = current_model(cat, mission, settings.comparison)
     preflight = preflight_model(cat, mission, settings.comparison)
-    needs = product_needs(mission, used.model, preflight, channels)
+    needs = product_needs(mission, used.model, preflight, channels, reach_s)
     # A day is also made from days around it; the farthest have typical values for a missing channel.
     after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1
     before = max(after, *(need.days_before for need in needs))
@@ -270,6 +290,13 @@ def plan_archive_days(
     index = ArchiveIndex.of(cat, needs, slice(first, last))
     complete = require_days(index, needs, start, end)
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
+    has_play = any(need.part is not None and need.part.width for need in needs)
+    by_itself = [replace(need, around_ns=0) for need in needs]
+    sources = {day: index.sources(by_itself, day, base) for day in complete}
+    neighbours = {}
+    for day, own in sources.items():
+        known = {one.id for one in own}
+        neighbours[day] = [one for one in index.sources(needs, day, base) if one.id not in known]
     planned = plan_days(
         cat,
         mission,
@@ -278,9 +305,9 @@ def plan_archive_days(
         equations=equations,
         version=version,
         index=index,
-        sources={day: index.sources(needs, day, base) for day in complete},
+        sources=sources,
         needs=needs,
-        inputs=[f"min_coverage={settings.min_coverage}"],
+        inputs=[f"min_coverage={settings.min_coverage}", *[f"play={PLAY_VERSION}"] * has_play],
     )
     fields = [need for need in needs if need.channel == "field"]
     no_work = {}
@@ -289,7 +316,7 @@ def plan_archive_days(
             absent = sorted({need.instrument for need in fields if index.get(need, day) is None})
             no_work[day] = f"no measurements of {', '.join(absent)}"
     recorded = {**planned.recorded, "start": str(complete[0]), "end": str(complete[-1] + ONE_DAY)}
-    return replace(planned, no_work=no_work, recorded=recorded)
+    return replace(planned, neighbours=neighbours, no_work=no_work, recorded=recorded)
 
 
 #: Name of the statistics of days that one fit of all days needs; those of tables of days are ``base``.

@@ -52,11 +52,15 @@ class Reprocessing:
     ) -> list[Job]:
         """Return the job of each batch of days; what a day is made from are its parents."""
         plan = self.plan
+        beside = plan.neighbours if dataset == plan.product else {}
         return [
             Job(
                 tuple(batch),
                 {day: keys[day] for day in batch},
-                {day: tuple(source.id for source in plan.sources[day]) for day in batch},
+                {
+                    day: tuple(source.id for source in (*plan.sources[day], *beside.get(day, ())))
+                    for day in batch
+                },
                 plan.index.around(batch),
                 plan.needs,
                 self.run.id,

@@ -107,7 +107,7 @@ def report_if_unchanged(pipeline: Pipeline, cat: Catalog, plan: Plan) -> RunRepo
 def _hash_of_plan(pipeline: Pipeline, plan: Plan) -> str:
     """Return a hash of all that a run is made from: days with their inputs, settings, model, algorithms."""
     versions = [pipeline.versions.statistics, pipeline.versions.tables, pipeline.versions.products]
-    days = [[str(day), key] for day, key in plan.keys.items()]
+    days = [[str(day), *plan.product_inputs(day)] for day in plan.keys]
     missing = [[str(day), reason] for day, reason in plan.no_work.items()]
     return _hash([pipeline.tag, versions, plan.context, plan.recorded, days, missing])
 
@@ -221,7 +221,7 @@ def product_batch(pipeline: Pipeline, batch: ProductBatch, folder: Path | None =
 
 def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
     """Return the key of a day's product: a hash of its samples, the model, and what holds of the table."""
-    inputs = [plan.keys[day], *used.inputs]
+    inputs = [*plan.product_inputs(day), *used.inputs]
     return idempotency_key(plan.product, day, pipeline.versions.products, plan.context, inputs)
 
 

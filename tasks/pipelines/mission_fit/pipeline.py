@@ -49,8 +49,11 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=4, tables=7, products=6)
+    versions = Versions(statistics=4, tables=7, products=7)
     statistics = ALL_DAYS_STATISTICS
+    #: Four periods of the filter of `inflight.calibration.product.distribute_residual`: beyond, its response
+    #: is below 1e-5.
+    reach_s = 320.0
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison whose days are to be fitted at once."""

@@ -14,7 +14,7 @@ from inflight.frames import direction_of
 from inflight.mission_fit import day_statistics
 from inflight.model import Model, TimedValue
 from inflight.residual import residual_statistics
-from inflight.tasks.archive import load_samples, substitute_missing, substitution_report
+from inflight.tasks.archive import load_samples, substitute_missing, substitution_report, within_day
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.time import day_bounds, usual_step
 
@@ -42,8 +42,11 @@ def level2_day(
         measured; it is empty where the day has too little for it.
     """
     mission, model, job = batch.mission, batch.model, batch.job
-    samples = load_samples(batch.cat, mission, model, day, list(job.needs), job.index, geometry=False)
+    samples = load_samples(
+        batch.cat, mission, model, day, list(job.needs), job.index, geometry=False, surroundings=True
+    )
     start, end = day_bounds(day)
+    own = within_day(np.asarray(samples["tt2000"].values), day)
     middle = (start + end) // 2
     parameters = day_parameters(batch.table, middle, reference_of(model, middle), (start, end))
     fitted, preflight, extra_variance = model.bind(batch.table), batch.preflight, None
@@ -51,10 +54,12 @@ def level2_day(
     typical = substitute_missing(batch.cat, mission, model, job.needs, job.index, day, samples)
     if typical is not None:
         extra_variance, scalar = typical.variance(fitted)
-        sigma = float(np.sqrt(scalar[typical.lost].mean()))
-        substituted = substitution_report(typical.by_effect(model), sigma)
+        if treated := typical.by_effect(model, own):
+            sigma = float(np.sqrt(scalar[own][typical.lost[own]].mean()))
+            substituted = substitution_report(treated, sigma)
         samples, fitted, preflight = typical.samples, typical.model(fitted), typical.model(preflight)
-    product = rounded(level2(fitted, samples, parameters, preflight, extra_variance, distribute))
+    product = level2(fitted, samples, parameters, preflight, extra_variance, distribute)
+    product = rounded(product.isel(time=own))
     flag, residual = product["flag"].values, product["residual"].values
     good = flag & ~np.uint32(_HARMLESS) == 0
     step = usual_step(np.asarray(product["tt2000"].values), end - start)

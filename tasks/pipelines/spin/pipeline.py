@@ -53,7 +53,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=4, tables=6, products=7)
+    versions = Versions(statistics=4, tables=6, products=8)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""

@@ -20,7 +20,7 @@ from inflight.spin import (
     make_spin_product,
     tones_of_turns,
 )
-from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples
+from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples, within_day
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.tasks.pipelines.spin.orbit import eclipses_of
@@ -40,7 +40,18 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     The report's residual is the rms of the spin tones of synthetic turns, before and after calibration.
     """
     cat, mission, model, table, job = batch.cat, batch.mission, batch.model, batch.table, batch.job
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
+    samples = load_samples(
+        cat,
+        mission,
+        model,
+        day,
+        list(job.needs),
+        job.index,
+        geometry=False,
+        folded=False,
+        surroundings=True,
+    )
+    own = within_day(np.asarray(samples["tt2000"].values), day)
     span = day_bounds(day)
     bound = model.bind(table)
     entry = require_spinning(bound)
@@ -48,13 +59,13 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
     free = np.array([entry.parameters[name.partition("[")[0]].free for name in PARAMETER_NAMES])
-    uncertainty, flag = np.empty_like(readings), np.zeros(stamps.size, dtype=np.uint32)
+    uncertainty, flag = np.full_like(readings, np.nan), np.zeros(stamps.size, dtype=np.uint32)
     for part in _intervals_of(table, span):
         inside = slice(*np.searchsorted(stamps, part))
         row = _row_at(table, (part[0] + part[1]) // 2)
         twelve = CalibrationParameters.from_values(row["value"].values)
         covariance = np.asarray(row["covariance"].values)
-        own = field_uncertainty(readings[inside], twelve, covariance)
+        sigma = field_uncertainty(readings[inside], twelve, covariance)
         change = change_outside(row, table, part, row["parameter"].values.tolist())
         if change is not None:
             outside = outside_learnt(row, stamps[inside])
@@ -62,16 +73,17 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
             # Of all parameters together: each by itself, added up.
             each = change[:, None, None] ** 2 * _ONE_EACH
             parts = [field_uncertainty(readings[inside], twelve, one) for one in each]
-            own = np.where(outside[:, None], np.hypot(own, np.sum(parts, axis=0)), own)
+            sigma = np.where(outside[:, None], np.hypot(sigma, np.sum(parts, axis=0)), sigma)
         if not np.all(row["determined"].values[free]):
             flag[inside] |= np.uint32(Flag.PRIOR_PARAMETERS)
-        uncertainty[inside] = own
+        uncertainty[inside] = sigma
     # Nothing was learnt in eclipses.
     eclipses, _ = eclipses_of(cat, mission, model.comparison, job.needs, job.index, day)
     for one in eclipses:
         flag[slice(*np.searchsorted(stamps, [one.start, one.end]))] |= np.uint32(Flag.EXTRAPOLATED)
     product = make_spin_product(bound, corrected, uncertainty, attitude)
     product["flag"] = product["flag"] | flag
+    product, samples = product.isel(time=own), samples.isel(time=own)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {

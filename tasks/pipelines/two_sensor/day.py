@@ -64,6 +64,7 @@ from inflight.tasks.archive import (
     cached_readings,
     load_samples,
     saturation_flags,
+    within_day,
 )
 from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
 from inflight.tasks.pipelines.two_sensor.constant import report_before, without_constant
@@ -127,15 +128,18 @@ def two_sensor_samples(
     day: np.datetime64,
     needs: Sequence[Need],
     index: ArchiveIndex,
+    surroundings: bool = False,
 ) -> xr.Dataset:
-    """Return a day's samples of both sensors, readings that are no measurements flagged.
+    """Return a day's samples of both sensors, readings that are no measurements flagged; see `load_samples`.
 
     Raises
     ------
     SamplesError
         When a sensor's day is not in the archive, or an axis of it reads one and the same value all day.
     """
-    samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+    samples = load_samples(
+        cat, mission, model, day, list(needs), index, geometry=False, surroundings=surroundings
+    )
     values = {role: np.asarray(samples[role].values, dtype=np.float64) for role in _ROLES}
     flag = np.asarray(samples["flag"].values, dtype=np.uint32).copy()
     for role in _ROLES:
@@ -426,12 +430,13 @@ def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dic
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
     mission, model, job = batch.mission, batch.model, batch.job
-    samples = two_sensor_samples(batch.cat, mission, model, day, job.needs, job.index)
+    samples = two_sensor_samples(batch.cat, mission, model, day, job.needs, job.index, surroundings=True)
     readings, flag = readings_of(model, samples)
     correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
     product = dual_level2(readings, correction, flag, model.comparison)
-    product = rounded(without_constant(product, batch.table, day))
+    product = without_constant(product.isel(time=within_day(readings.stamps, day)), batch.table, day)
+    product = rounded(product)
     product.attrs |= {
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
