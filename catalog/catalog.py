@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from inflight.catalog import provenance
+from inflight.catalog import contexts, provenance
 from inflight.catalog.database import Database
 from inflight.catalog.days import (
     current_day,
@@ -26,17 +26,21 @@ from inflight.catalog.days import (
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
+from inflight.catalog.garbage import Garbage, collect_garbage
 from inflight.catalog.location import is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import (
+    CertificationAct,
     ContextRecord,
     Day,
     FileRecord,
     ModelRecord,
+    NamedContext,
     ReleaseRecord,
     RunRecord,
     TableRecord,
+    Validity,
 )
 from inflight.catalog.release import Documents, ReleasePlan, ReleaseRequest, freeze_release, plan_release
 from inflight.catalog.release_folder import MARKER, NoDatabase, ReleaseFolder
@@ -53,16 +57,25 @@ from inflight.catalog.runs import (
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import (
     Repair,
-    collect_garbage,
     dataset_summary,
     find_faults,
     repair,
     summary_of_days,
 )
-from inflight.catalog.validity import approve_table, certify_table, table_records, valid_table
+from inflight.catalog.validity import (
+    Authority,
+    approve_table,
+    certification_acts,
+    certify_table,
+    decertify_table,
+    table_records,
+    valid_table,
+)
 from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
+    import datetime as dt
+
     import xarray as xr
     from sqlalchemy.orm import Session
 
@@ -373,17 +386,60 @@ class Catalog:
         return self._database.read(table_records, name)
 
     def certify(
-        self, table_id: int, start: int, end: int, context: str | None = None, *, supersede: bool = False
+        self,
+        table_id: int,
+        start: int,
+        end: int,
+        context: str | None = None,
+        *,
+        supersede: bool = False,
+        author: str = "",
+        reason: str = "",
     ) -> None:
         """State that a table holds in half-open TT2000 ``[start, end)``, for a context or for any (None).
+
+        Author, reason and time are kept: `certification_acts`.
 
         Raises
         ------
         ValidityError
             When another table of the name holds in part of the span; the message names both. With
-            `supersede` the older validities end instead, in the same transaction.
+            `supersede` the older validities end instead, in the same transaction, but for days that a release
+            has made with them.
         """
-        self._database.write(certify_table, (table_id, start, end, context), supersede=supersede)
+        authority = Authority(author.strip(), reason)
+        self._database.write(certify_table, (table_id, start, end, context), authority, supersede=supersede)
+
+    def decertify(
+        self,
+        table_id: int,
+        start: int | None = None,
+        end: int | None = None,
+        context: str | None = None,
+        *,
+        author: str,
+        reason: str,
+    ) -> None:
+        """State that a table does not hold in half-open TT2000 ``[start, end)`` any more; None is open.
+
+        A validity that is cut in the middle is split. No other table takes its place.
+
+        Raises
+        ------
+        ValidityError
+            When the table does not hold there, or a release has days made with it.
+        """
+        authority = Authority(author.strip(), reason)
+        self._database.write(decertify_table, table_id, start, end, context, authority)
+
+    def certification_acts(
+        self, name: str | None = None, until: dt.datetime | None = None
+    ) -> list[CertificationAct]:
+        """Return what was done to the validities of a table name or of all, oldest first, before an instant.
+
+        `inflight.catalog.validity.validities` tells what they lead to.
+        """
+        return self._database.read(certification_acts, name, until)
 
     def approve(self, table_id: int, person: str, note: str = "") -> None:
         """Record that a person answers for a table: definitive releases take no other.
@@ -431,9 +487,16 @@ class Catalog:
         return self._database.read(provenance.model_records)
 
     def save_context(
-        self, mission_text: str, model_name: str, model_version: int, tables: Mapping[str, int]
+        self,
+        mission_text: str,
+        model_name: str,
+        model_version: int,
+        tables: Mapping[str, Sequence[Validity]],
     ) -> str:
-        """Pin mission YAML, model version and table versions; return the id, the sha256 of these."""
+        """Pin mission YAML, model version and which table is valid when; return the id, the sha256 of these.
+
+        `tables`: name -> (table id, start, end) in half-open TT2000.
+        """
         return self._database.write(
             provenance.save_context, mission_text, (model_name, model_version), tables
         )
@@ -441,6 +504,41 @@ class Catalog:
     def context(self, context: str) -> ContextRecord:
         """Return what a context pins."""
         return self._database.read(provenance.context_record, context)
+
+    def named_contexts(self, name: str | None = None) -> list[NamedContext]:
+        """Return the context of each comparison that a name stands for, or those of all names.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such name.
+        """
+        return self._database.read(contexts.named_contexts, name)
+
+    def name_contexts(self, name: str, named: Iterable[NamedContext]) -> None:
+        """Give contexts, one a comparison, a name; what it stands for does not change.
+
+        Raises
+        ------
+        CatalogError
+            When the name is taken.
+        """
+        self._database.write(contexts.name_contexts, name, list(named))
+
+    def remove_context(self, name: str) -> None:
+        """Forget the name of a context; what was made in it stays.
+
+        Raises
+        ------
+        CatalogError
+            When there is none, or a release holds days that were made in it.
+        """
+        self._database.write(contexts.remove_named_context, name)
+
+    def releases_of_context(self, name: str) -> list[str]:
+        """Return the versions of the releases that hold days made in a named context, oldest first."""
+        ids = [one.context for one in self.named_contexts(name)]
+        return self._database.read(contexts.releases_of, ids)
 
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
         """Record delivered files; `files` shows them once the run has published what was made from them.
@@ -490,9 +588,22 @@ class Catalog:
         """
         return repair(self.workspace, self._database, dry_run=dry_run)
 
-    def gc(self, dry_run: bool = True) -> list[str]:
-        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
-        return collect_garbage(self.workspace, self._database, dry_run=dry_run)
+    def gc(self, dry_run: bool = True, *, past: bool = False) -> list[Garbage]:
+        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to.
+
+        Parameters
+        ----------
+        dry_run : bool
+        past : bool
+            Also past revisions and tables that no release, no named context, no newest version and nothing
+            that these were made from needs. Their records stay.
+
+        Raises
+        ------
+        CatalogError
+            With `past`, when a run is under way.
+        """
+        return collect_garbage(self.workspace, self._database, dry_run=dry_run, past=past)
 
     def releases(self) -> list[ReleaseRecord]:
         """Return all releases, the oldest first."""

@@ -19,7 +19,7 @@ from inflight.catalog.backends import backend_of
 from inflight.errors import CatalogError
 
 #: Newest migration; a test holds it equal to the head of ``migrations/versions``.
-HEAD: Final = "0005"
+HEAD: Final = "0006"
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")

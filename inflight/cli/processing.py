@@ -205,6 +205,15 @@ def reprocess(
             show_default=False,
         ),
     ] = None,
+    named_context: Annotated[
+        str | None,
+        typer.Option(
+            "--context",
+            metavar="NAME",
+            help="Fit nothing: take mission file, model and tables of a named context ('catalog context')",
+            show_default=False,
+        ),
+    ] = None,
     as_of: Annotated[
         str | None,
         typer.Option(
@@ -223,10 +232,10 @@ def reprocess(
     details: DetailsOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
-    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
+    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of, settings_of_context
 
     if as_of is not None:
-        chosen = (table, window_days, min_coverage, batch_days, trend, origin, distribute or None, use_table)
+        chosen = (table, window_days, min_coverage, batch_days, trend, origin, distribute or None, use_table, named_context)
         if any(option is not None for option in chosen):
             raise SettingsError(
                 f"--as-of {as_of} takes model, table and settings of that version",
@@ -244,11 +253,13 @@ def reprocess(
         origin=origin,
         distribute=distribute or None,
         use_table=use_table,
+        context=named_context,
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    checked = ReprocessSettings.model_validate(settings)
-    pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
+    place, checked = command.open_workspace(), ReprocessSettings.model_validate(settings)
+    mission, checked = settings_of_context(command.open_catalog(), place.mission(), checked)
+    pipeline = pipeline_of(mission, checked.comparison, checked)
     there = report.days["done"] + report.days["unchanged"]
     command.finish(report, [*pipeline.remarks(report.extra), *([_NEXT_REPROCESS] if there else [])], details)
 

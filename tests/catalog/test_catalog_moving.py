@@ -43,7 +43,7 @@ def url(postgres_server, template):
 def publish_context(catalog):
     with catalog.run("calibrate") as run:
         made = run.stage_table("offsets-of-context", table(), start=0, end=10)
-    return catalog.save_context("mission", "m", 1, {"offsets-of-context": made})
+    return catalog.save_context("mission", "m", 1, {"offsets-of-context": [(made, 0, 10)]})
 
 
 def view(catalog):

@@ -28,7 +28,7 @@ from .compare_rows import (
     scalar_channels,
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
-from .origins import model_label, table_label
+from .origins import context_label, table_label
 from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_unit
 from .pipeline import Pipeline, Versions
 from .planning import (
@@ -38,8 +38,10 @@ from .planning import (
     ReprocessSettings,
     equations_of,
     plan_days,
+    models_to_use,
     product_needs,
     product_of,
+    settings_of_context,
 )
 from .publication import (
     Reprocessing,
@@ -51,7 +53,7 @@ from .publication import (
     rounded,
 )
 from .reprocessing import product_batch, product_key, report_if_unchanged, residual_of_days, run_plan
-from .stored_table import FITTED, MODEL, find_table
+from .stored_table import FITTED, MODEL, find_table, pinned_name, pinned_tables
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
@@ -86,6 +88,7 @@ __all__ = [
     "blocks_of",
     "channel_means",
     "content_keys",
+    "context_label",
     "daily_residual_figure",
     "day_summary",
     "each_day",
@@ -98,12 +101,14 @@ __all__ = [
     "history_section",
     "iter_digests",
     "make_days",
-    "model_label",
+    "models_to_use",
     "month_edges",
     "newest_record",
     "newest_table",
     "newest_tables",
     "page_sections",
+    "pinned_name",
+    "pinned_tables",
     "plan_days",
     "plumbing_lines",
     "product_batch",
@@ -120,6 +125,7 @@ __all__ = [
     "rows_of_day",
     "run_plan",
     "scalar_channels",
+    "settings_of_context",
     "scatter_html",
     "sizes_html",
     "structures_html",
