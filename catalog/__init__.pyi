@@ -3,7 +3,6 @@ from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
 from .garbage import Garbage
 from .location import CATALOG_VARIABLE
-from .manifest import folder_bytes
 from .moving import Move, move_catalog
 from .provenance import Edge
 from .records import (
@@ -26,7 +25,7 @@ from .release import ReleaseContents, ReleasePlan
 from .release_folder import MissionStatement, ReleaseFolder
 from .runs import Run, failure_cause
 from .segments import write_segment, write_table
-from .validity import validities
+from .validity import after_act, validities
 from .workspace import Workspace, shipped_missions
 
 __all__ = [
@@ -58,9 +57,9 @@ __all__ = [
     "VariableChange",
     "VariableDescription",
     "Workspace",
+    "after_act",
     "components",
     "failure_cause",
-    "folder_bytes",
     "idempotency_key",
     "measured_changes",
     "move_catalog",

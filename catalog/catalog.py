@@ -13,15 +13,10 @@ import numpy.typing as npt
 from inflight.catalog import contexts, provenance
 from inflight.catalog.database import Database
 from inflight.catalog.days import (
-    current_day,
-    day_of_version,
+    DatabaseDays,
     days_by_id,
     maturities,
-    published_days,
-    release_records,
-    released_days,
     revisions_of_days,
-    status_of_days,
     stored_together,
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
@@ -57,10 +52,8 @@ from inflight.catalog.runs import (
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import (
     Repair,
-    dataset_summary,
     find_faults,
     repair,
-    summary_of_days,
 )
 from inflight.catalog.validity import (
     Authority,
@@ -131,13 +124,15 @@ class Catalog:
             raise CatalogError(
                 "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
             )
-        self._release = ReleaseFolder.find(self.workspace)
-        if self._release is not None:
-            self._database: Database = NoDatabase(self._release)
+        release = ReleaseFolder.find(self.workspace)
+        if release is not None:
+            self._days: DatabaseDays | ReleaseFolder = release
+            self._database: Database = NoDatabase(release)
             return
         for folder in _FOLDERS:
             (self.workspace / folder).mkdir(parents=True, exist_ok=True)
         self._database = open_database(self.workspace)
+        self._days = DatabaseDays(self._database)
         with suppress(StorageError):  # a full disk must not keep anyone from reading
             close_dead_runs(self.workspace, self._database)
 
@@ -178,9 +173,7 @@ class Catalog:
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
-        if self._release is not None:
-            return next(iter(self._release.days(name, parse_span(as_date(day)), ("published",))), None)
-        return self._database.read(current_day, name, as_date(day))
+        return self._days.current(name, as_date(day))
 
     def days(
         self,
@@ -204,12 +197,7 @@ class Catalog:
         release : str
             The days that were frozen under this version.
         """
-        if self._release is not None:
-            chosen = states if release is None else ("published",)
-            return self._release.days(name, parse_span(time), chosen, release)
-        if release is not None:
-            return self._database.read(released_days, release, name, parse_span(time))
-        return self._database.read(status_of_days, name, parse_span(time), states)
+        return self._days.days(name, parse_span(time), states, release)
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
         """Return every published revision of each day in a span, past ones too, the oldest first."""
@@ -240,10 +228,7 @@ class Catalog:
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
-        if self._release is not None:
-            span = parse_span(time)
-            return [summary_of_days(name, self._release.days(name, span)) for name in self._release.names()]
-        return self._database.read(dataset_summary, parse_span(time))
+        return self._days.inventory(parse_span(time))
 
     # --- reading -------------------------------------------------------------------------------
 
@@ -283,13 +268,7 @@ class Catalog:
             When dataset, release or variables are unknown, no day lies in the span, or units change in it.
         """
         span = parse_span(time)
-        if self._release is not None and context is None:
-            self._release.require(name)
-            days = self._release.days(name, span, ("published",), release)
-        elif release is not None:
-            days = self.days(name, time, release=release)
-        else:
-            days = self._database.read(published_days, name, span, context)
+        days = self._days.to_read(name, span, release, context)
         if not days:
             raise CatalogError(
                 f"'{name}' has no published days in the span asked for", remedy="see 'inflight catalog list'"
@@ -313,11 +292,10 @@ class Catalog:
             When its store is damaged.
         """
         date = as_date(day)
-        if version is None or self._release is not None:
-            found = self.current(name, day)
-        else:
-            found = self._database.read(day_of_version, name, date, version)
-        if found is None or version not in (None, found.version):
+        found = (
+            self._days.current(name, date) if version is None else self._days.of_version(name, date, version)
+        )
+        if found is None:
             raise CatalogError(
                 f"'{name}' has no {version or 'published revision'}",
                 day=str(date),
@@ -607,9 +585,7 @@ class Catalog:
 
     def releases(self) -> list[ReleaseRecord]:
         """Return all releases, the oldest first."""
-        if self._release is not None:
-            return [self._release.record()]
-        return self._database.read(release_records)
+        return self._days.releases()
 
     def release(
         self,

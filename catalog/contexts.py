@@ -27,7 +27,9 @@ def named_contexts(session: Session, name: str | None = None) -> list[NamedConte
         When there is no such name.
     """
     rows = session.scalars(
-        select(NamedContextRow).order_by(NamedContextRow.created, NamedContextRow.name, NamedContextRow.comparison)
+        select(NamedContextRow).order_by(
+            NamedContextRow.created, NamedContextRow.name, NamedContextRow.comparison
+        )
     ).all()
     found = [
         row.as_record(NamedContext, context=row.context_id, run=row.run_id)
@@ -38,7 +40,9 @@ def named_contexts(session: Session, name: str | None = None) -> list[NamedConte
         known = sorted({row.name for row in rows})
         raise CatalogError(
             f"there is no context {name!r}{did_you_mean(name, known)}",
-            remedy=f"the catalog has {', '.join(known)}" if known else "make one: 'inflight catalog context make'",
+            remedy=f"the catalog has {', '.join(known)}"
+            if known
+            else "make one: 'inflight catalog context make'",
         )
     return found
 

@@ -104,7 +104,9 @@ def _find(session: Session, paths: Iterable[str], past: bool) -> list[Garbage]:
             told = f"{row.day} {version_text(row.baseline or 0, row.revision or 0)}"
             new = (told,) if row.state == "published" else ()
             known[path] = replace(known[path], item=name, revisions=known[path].revisions + new)
-    of_tables = select(StoreRow.path, TableRow.name, TableRow.id).join(TableRow, TableRow.store_id == StoreRow.id)
+    of_tables = select(StoreRow.path, TableRow.name, TableRow.id).join(
+        TableRow, TableRow.store_id == StoreRow.id
+    )
     for path, name, number in session.execute(of_tables):
         if path in known:
             known[path] = replace(known[path], item=f"tables/{name}", tables=(*known[path].tables, number))
@@ -169,7 +171,9 @@ def _needed_stores(session: Session, past: bool) -> set[str]:
 def needed_items(session: Session, days: Collection[int] = ()) -> tuple[set[int], set[int]]:
     """Return the days and tables that something needs, beside `days`, and all that these were made from."""
     contexts = session.execute(
-        select(ContextRow.id, ContextRow.tables).join(NamedContextRow, NamedContextRow.context_id == ContextRow.id)
+        select(ContextRow.id, ContextRow.tables).join(
+            NamedContextRow, NamedContextRow.context_id == ContextRow.id
+        )
     ).all()
     made_in = (
         select(DayRow)
@@ -190,5 +194,8 @@ def needed_items(session: Session, days: Collection[int] = ()) -> tuple[set[int]
     }
     roots = [*(f"day:{number}" for number in rows), *(f"table:{number}" for number in tables)]
     items = {*roots, *(edge.parent for edge in walk(session, roots, up=True))}
-    numbers = {kind: {int(item[len(kind) :]) for item in items if item.startswith(kind)} for kind in ("day:", "table:")}
+    numbers = {
+        kind: {int(item[len(kind) :]) for item in items if item.startswith(kind)}
+        for kind in ("day:", "table:")
+    }
     return numbers["day:"], numbers["table:"]

@@ -114,7 +114,10 @@ def context_record(session: Session, context: str) -> ContextRecord:
     row = session.get(ContextRow, context)
     if row is None:
         raise CatalogError(f"context {context[:12]!r} is not in the catalog", remedy="save it first")
-    pinned = {name: tuple((int(one[0]), int(one[1]), int(one[2])) for one in row.tables[name]) for name in row.tables}
+    pinned = {
+        name: tuple((int(one[0]), int(one[1]), int(one[2])) for one in row.tables[name])
+        for name in row.tables
+    }
     return row.as_record(ContextRecord, tables=pinned)
 
 

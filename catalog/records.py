@@ -20,7 +20,7 @@ from inflight.errors import CatalogError
 if TYPE_CHECKING:
     import xarray as xr
 
-#: The states a day goes through; the last four are ends. A freed revision was published, and nothing needs it.
+#: The states a day goes through; the last four are ends. Nothing needs a revision that was freed.
 DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work", "freed")
 #: Why a day is not there, or, with ``partial``, why not all of it is.
 CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")

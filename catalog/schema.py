@@ -248,7 +248,7 @@ class ModelRow(Base):
 
 
 class ContextRow(Base):
-    """What a context pins; its id is the hash of the rest. `tables`: name -> list of [table id, start, end]."""
+    """What a context pins; its id is the hash of the rest. `tables`: name -> list of [table, start, end]."""
 
     __tablename__ = "context"
     id: Mapped[str] = mapped_column(primary_key=True)

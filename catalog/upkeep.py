@@ -1,7 +1,6 @@
-"""Upkeep of a workspace: what it holds, whether it is whole, and the way back from damage.
+"""Upkeep of a workspace: whether it is whole, and the way back from damage.
 
-`dataset_summary` lists what there is, `find_faults` compares every store with its manifest, `repair` takes
-damaged stores out of use.
+`find_faults` compares every store with its manifest, `repair` takes damaged stores out of use.
 
 Repair: a published key means that there is no work. So the days of a damaged store lose their pointer, and
 its tables their validity; the next ingest and reprocess make them again. What was delivered and what is
@@ -10,21 +9,17 @@ whole is not touched.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
-from inflight.catalog.days import status_of_days
 from inflight.catalog.manifest import manifest_faults
 from inflight.catalog.provenance import unknown_ids
-from inflight.catalog.records import DAMAGED, Day, is_gone
+from inflight.catalog.records import DAMAGED, is_gone
 from inflight.catalog.runs import Run
 from inflight.catalog.schema import (
     CurrentRow,
@@ -34,33 +29,7 @@ from inflight.catalog.schema import (
     StoreRow,
     TableRow,
 )
-from inflight.catalog.spans import Span
 from inflight.catalog.validity import Authority, withdraw_tables
-
-
-def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
-    """Describe each dataset; see `Catalog.inventory`."""
-    names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
-    return [summary_of_days(name, status_of_days(session, name, span, None)) for name in names]
-
-
-def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
-    """Describe the days of one dataset; see `Catalog.inventory`."""
-    states = Counter(day.state for day in days)
-    published = [day for day in days if day.state == "published"]
-    coverages = [day.coverage for day in published if day.coverage is not None]
-    return {
-        "dataset": name,
-        "first": str(published[0].day) if published else "",
-        "last": str(published[-1].day) if published else "",
-        "days": states["published"],
-        "failed": states["failed"],
-        "no_work": states["no_work"],
-        "gaps": [str(day) for day in missing_days(published)],
-        "versions": dict(sorted(Counter(day.version for day in published).items())),
-        "coverage": float(np.mean(coverages)) if coverages else None,
-        "samples": sum(day.count for day in published),
-    }
 
 
 def find_faults(session: Session, workspace: Path, name: str | None) -> list[dict[str, str]]:
@@ -178,11 +147,3 @@ def _withdraw_store(session: Session, run_id: str, damage: Repair) -> None:
         session.add(failed)
     session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
     withdraw_tables(session, damage.tables, Authority(reason=message, run=run_id))
-
-
-def missing_days(published: list[Day]) -> list[np.datetime64]:
-    """Return the days between the first and the last published one that are not published."""
-    if not published:
-        return []
-    there = {day.day for day in published}
-    return [day for day in np.arange(published[0].day, published[-1].day) if day not in there]

@@ -48,7 +48,7 @@ class Authority(NamedTuple):
 
 
 def certify_table(
-    session: Session, certification: Certification, authority: Authority = Authority(), *, supersede: bool
+    session: Session, certification: Certification, authority: Authority, *, supersede: bool
 ) -> None:
     """Give a table a validity; see `Catalog.certify`."""
     table_id, start, end, context = certification
@@ -210,9 +210,7 @@ def certification_acts(
     if name is not None:
         query = query.where(CertificationActRow.name == name)
     return [
-        row.as_record(
-            CertificationAct, table=row.table_id, context=row.context or None, run=row.run_id
-        )
+        row.as_record(CertificationAct, table=row.table_id, context=row.context or None, run=row.run_id)
         for row in session.scalars(query)
         if until is None or dt.datetime.fromisoformat(row.created) < until
     ]
@@ -222,20 +220,24 @@ def validities(acts: Iterable[CertificationAct], context: str | None = None) -> 
     """Return what acts lead to, in order of time: table name -> validities in any context, or in one."""
     found: dict[str, list[Validity]] = defaultdict(list)
     for act in acts:
-        if act.context != context:
-            continue
-        touched = [
-            (table, *part)
-            for table, first, last in found[act.name]
-            for part in (
-                _outside((first, last), act.start, act.end)
-                if act.act == CERTIFY or table == act.table
-                else [(first, last)]
-            )
-        ]
-        new = [(act.table, act.start, act.end)] if act.act == CERTIFY else []
-        found[act.name] = sorted(touched + new, key=lambda one: one[1])
+        if act.context == context:
+            found[act.name] = after_act(found[act.name], act)
     return {name: spans for name, spans in found.items() if spans}
+
+
+def after_act(spans: Iterable[Validity], act: CertificationAct) -> list[Validity]:
+    """Return the validities of a name, in order of time, after something was done to them."""
+    parts = [
+        (table, *part)
+        for table, first, last in spans
+        for part in (
+            _outside((first, last), act.start, act.end)
+            if act.act == CERTIFY or table == act.table
+            else [(first, last)]
+        )
+    ]
+    new = [(act.table, act.start, act.end)] if act.act == CERTIFY else []
+    return sorted(parts + new, key=lambda one: one[1])
 
 
 def valid_table(session: Session, name: str, at: int, context: str | None) -> tuple[TableRow, str]:

@@ -355,7 +355,11 @@ def version_with_gram_blocks(
     if version is None:
         return None
     made_at, measured = versions[version]
-    used = current if made_at == current.version else version_of(cat, mission, current.model.name, made_at, current.model.own)
+    used = (
+        current
+        if made_at == current.version
+        else version_of(cat, mission, current.model.name, made_at, current.model.own)
+    )
     return used, measured
 
 

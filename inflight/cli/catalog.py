@@ -488,8 +488,8 @@ def collect_garbage(
         bool,
         typer.Option(
             "--past",
-            help="Also past revisions and tables that no release, no named context, no newest version and nothing "
-            "these were made from needs.",
+            help="Also past revisions and tables that no release, no named context, no newest version and "
+            "nothing these were made from needs.",
         ),
     ] = False,
 ) -> None:
@@ -515,8 +515,9 @@ def collect_garbage(
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
         console.print(
-            f"{counts['folders']} folders with {counts['revisions']} past revisions of days and {counts['tables']} "
-            f"tables, {counts['bytes'] / 1e6:.1f} MB, {'would be' if dry_run else 'were'} removed",
+            f"{counts['folders']} folders with {counts['revisions']} past revisions of days and "
+            f"{counts['tables']} tables, {counts['bytes'] / 1e6:.1f} MB, "
+            f"{'would be' if dry_run else 'were'} removed",
             soft_wrap=True,
         )
 

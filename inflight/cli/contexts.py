@@ -1,4 +1,4 @@
-"""Verbs of ``catalog`` about what is valid when: ``certify``, ``history``, ``context``, ``affected`` and the rest."""
+"""Verbs of ``catalog`` about what is valid when: ``certify``, ``history``, ``context`` and the rest."""
 
 from __future__ import annotations
 
@@ -129,26 +129,25 @@ def history(
     name: Annotated[str | None, typer.Argument(help="Only tables of this name, such as main-window.")] = None,
 ) -> None:
     """List what was done to the validity of calibration tables: when, by whom and why."""
-    from inflight.catalog import validities
+    from inflight.catalog import after_act
+    from inflight.time import utc_text
 
-    acts = command.open_catalog().certification_acts(name and name.removeprefix("tables/"))
+    valid: dict[tuple[str, str | None], list[Validity]] = {}
     items = []
-    for number, act in enumerate(acts):
-        before, after = (
-            validities(acts[:upto], act.context).get(act.name, []) for upto in (number, number + 1)
-        )
-        others = [] if act.act == "decertify" else _what_became(act.table, act.name, before, after)
-        became = others or (_what_became(None, act.name, before, after) if act.act == "decertify" else [])
+    for act in command.open_catalog().certification_acts(name and name.removeprefix("tables/")):
+        before = valid.get((act.name, act.context), [])
+        after = valid[act.name, act.context] = after_act(before, act)
         items.append(
             {
                 "created": act.created[:19],
                 "act": act.act,
                 "table": f"{act.name}:{act.table}",
-                **{key: value for key, value in _span_fields((0, act.start, act.end)).items() if key != "table"},
+                "start": utc_text(act.start),
+                "end": utc_text(act.end),
                 "context": act.context,
                 "by": act.author or f"run {act.run}",
                 "reason": act.reason,
-                "became": became,
+                "became": _what_became(act.name, before, after),
             }
         )
 
@@ -165,16 +164,13 @@ def history(
     command.emit({"command": "catalog history", "items": items}, show)
 
 
-def _what_became(
-    but: int | None, name: str, before: Sequence[Validity], after: Sequence[Validity]
-) -> list[str]:
+def _what_became(name: str, before: Sequence[Validity], after: Sequence[Validity]) -> list[str]:
     """Tell which validities were there before an act and are not after it: shortened, split or ended."""
     told = []
     for number, start, end in before:
-        if number == but or (number, start, end) in after:
-            continue
         parts = [one for one in after if one[0] == number and start <= one[1] and one[2] <= end]
-        told.append(f"{name}:{number} {('ended', 'shortened', 'split')[min(len(parts), 2)]}")
+        if (number, start, end) not in after:
+            told.append(f"{name}:{number} {('ended', 'shortened', 'split')[min(len(parts), 2)]}")
     return told
 
 
@@ -265,7 +261,9 @@ def _print_states(console: Console, states: Mapping[str, ComparisonState]) -> No
 
     for comparison, state in states.items():
         label = model_label(state.pinned.model_name, state.pinned.model_version)
-        console.print(f"{comparison}: model {label}; products take {state.table}", soft_wrap=True, markup=False)
+        console.print(
+            f"{comparison}: model {label}; products take {state.table}", soft_wrap=True, markup=False
+        )
         rows = [
             [f"{table}:{number}", *list(_span_fields((number, start, end)).values())[1:]]
             for table, spans in state.pinned.tables.items()
@@ -352,7 +350,9 @@ def affected(
             return
         console.print(text_table(("dataset", "first", "last", "days", "why"), _spans(found)[:SHOWN_DAYS]))
         spans = len(_spans(found))
-        more = f"; the first {SHOWN_DAYS} of {spans} spans, --json lists every day" if spans > SHOWN_DAYS else ""
+        more = (
+            f"; the first {SHOWN_DAYS} of {spans} spans, --json lists every day" if spans > SHOWN_DAYS else ""
+        )
         console.print(f"{len(found)} days{more}")
         if after != "now":
             console.print(f"next: inflight reprocess --context {after}", markup=False)

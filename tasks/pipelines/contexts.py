@@ -15,7 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from inflight.catalog import Catalog, ContextRecord, NamedContext, RunRecord, TableRecord, Validity, validities
+from inflight.catalog import (
+    Catalog,
+    ContextRecord,
+    NamedContext,
+    RunRecord,
+    TableRecord,
+    Validity,
+    validities,
+)
 from inflight.errors import CatalogError, SettingsError
 from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base import ReprocessSettings, UsedTable, pinned_name, pinned_tables, product_of
@@ -48,7 +56,9 @@ class ComparisonState:
     def settings(self) -> ReprocessSettings:
         """The choices of the run."""
         stated = self.run.settings
-        return ReprocessSettings(**{key: stated[key] for key in ReprocessSettings.model_fields if key in stated})
+        return ReprocessSettings(
+            **{key: stated[key] for key in ReprocessSettings.model_fields if key in stated}
+        )
 
     @property
     def table(self) -> str:
@@ -103,7 +113,8 @@ def make_context(
     """
     if not _NAME.fullmatch(name) or name == NOW:
         raise SettingsError(
-            f"{name!r} is no name of a context", remedy="write a letter, then letters, digits, '.', '_' or '-'"
+            f"{name!r} is no name of a context",
+            remedy="write a letter, then letters, digits, '.', '_' or '-'",
         )
     if not author.strip():
         raise SettingsError("a context needs an author", remedy="say who: --by NAME")

@@ -287,9 +287,9 @@ class TableContract:
         catalog.release("1.0", datasets=["l2/*"])
         later = day_bounds(DAYS[2])[0]
         who = {"author": "A", "reason": "drift"}
-        with pytest.raises(ValidityError, match="release 1.0 has 2005-12-31"):
+        with pytest.raises(ValidityError, match=r"release 1\.0 has 2005-12-31"):
             catalog.decertify(one, later - 1, None, **who)
-        with pytest.raises(ValidityError, match="release 1.0"):
+        with pytest.raises(ValidityError, match=r"release 1\.0"):
             catalog.certify(two, *span, supersede=True, **who)
         catalog.decertify(one, later, **who)
         catalog.certify(two, later, span[1], **who)
@@ -334,7 +334,9 @@ class RegistryContract:
         with catalog.run("calibrate") as run:
             offsets = run.stage_table("offsets", table(), start=0, end=1)
         one = catalog.save_context("mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)})
-        assert one == catalog.save_context("mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)})
+        assert one == catalog.save_context(
+            "mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)}
+        )
         assert one != catalog.save_context("mission: champ", "champ", version, {})
         record = catalog.context(one)
         assert (record.mission_text, record.model_name, record.tables) == (
@@ -370,7 +372,7 @@ class RegistryContract:
             run.publish()
         catalog.release("1.0", datasets=["l2/*"])
         assert catalog.releases_of_context("flight") == ["1.0"]
-        with pytest.raises(CatalogError, match="release 1.0"):
+        with pytest.raises(CatalogError, match=r"release 1\.0"):
             catalog.remove_context("flight")
         catalog.name_contexts("other", [replace(member, context=catalog.save_context("m", "champ", 1, {}))])
         catalog.remove_context("other")
@@ -464,14 +466,21 @@ class UpkeepContract:
         raw = []
         for seed in range(3):
             with catalog.run("ingest") as run:
-                run.stage(NAME, samples(DAYS[0], seed=seed), day=DAYS[0], parents=[f"model:m@1"])
+                run.stage(NAME, samples(DAYS[0], seed=seed), day=DAYS[0], parents=["model:m@1"])
                 raw += run.publish()
         first, released = product(0, raw[0].id)  # of the first measurements, which a release holds
         catalog.release("1.0", datasets=["l2/*"])
         second, past = product(1, raw[2].id)
         third, named = product(2, raw[2].id, made_in=context)
         member = NamedContext(
-            name="", comparison="main", context=context, run=named.run, author="A", reason="", as_of="", created=""
+            name="",
+            comparison="main",
+            context=context,
+            run=named.run,
+            author="A",
+            reason="",
+            as_of="",
+            created="",
         )
         catalog.name_contexts("flight", [member])
         fourth, newest = product(3, raw[2].id)
@@ -490,7 +499,11 @@ class UpkeepContract:
         assert catalog.verify() == []
         for day in (released, named, newest):
             assert catalog.read(day)["field"].size
-        assert [catalog.table_by_id(number)["value"].values[0, 0] for number in (first, third, fourth)] == [0, 2, 3]
+        assert [catalog.table_by_id(number)["value"].values[0, 0] for number in (first, third, fourth)] == [
+            0,
+            2,
+            3,
+        ]
         assert [one.damaged for one in catalog.tables("offsets")] == [False, True, False, False]
         assert [day.version for day in catalog.revisions("l2/field")] == ["v01.00", "v01.02", "v01.03"]
         with pytest.raises(CatalogError, match="freed"):

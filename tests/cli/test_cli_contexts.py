@@ -1,4 +1,4 @@
-"""Named contexts: made of what was valid when, reprocessed with, compared; validities changed with history."""
+"""Named contexts: made of what was valid when, reprocessed with, compared; validities have a history."""
 
 import shutil
 
@@ -26,7 +26,7 @@ def two_contexts(tmp_path_factory):
     run("reprocess", "--no-prefect", "--window-days", 2)
     run("catalog", "context", "make", "first", "--by", "A. Person", "--reason", "first light")
     run("add", "offset_step@2024-03-03T12:00")
-    run("reprocess", "--no-prefect", "--start", FIRST + 2)
+    run("reprocess", "--no-prefect", "--window-days", 2, "--start", FIRST + 2)
     run("catalog", "context", "make", "second", "--by", "B")
     return root
 
@@ -66,18 +66,26 @@ def test_a_context_is_made_again_with_equal_values_and_products_name_it(inflight
 
 
 def test_affected_tells_the_days_that_come_out_otherwise_and_why(inflight, workspace):
-    told = inflight("catalog", "affected", "-w", workspace, "--from", "first", "--to", "second", "--json").json
+    told = inflight(
+        "catalog", "affected", "-w", workspace, "--from", "first", "--to", "second", "--json"
+    ).json
     days = [item["day"] for item in told["items"]]
     model = [reason for reason in told["reasons"] if reason.startswith("model")]
-    assert model and "version 1 -> tiny-ideal version 2" in model[0]
+    assert ["version 1 -> tiny-ideal version 2" in reason for reason in model] == [True]
     assert days == [str(FIRST + number) for number in range(4)]
     # Nothing was run, and what is in use is the second.
     now = inflight("catalog", "affected", "-w", workspace, "--from", "second", "--json").json
     assert now["days"] == 0
-    # Tables of the model before are none of the second's.
-    shown = inflight("catalog", "context", "show", "second", "-w", workspace, "--json").json["items"][0]
-    spans = shown["comparisons"]["main"]["tables"]["main-window"]
-    assert spans[0]["start"] >= f"{FIRST + 2}"
+    # Tables of the model before, still valid on the first days, are none of the second's.
+    first, second = (
+        inflight("catalog", "context", "show", name, "-w", workspace, "--json").json["items"][0][
+            "comparisons"
+        ]
+        for name in ("first", "second")
+    )
+    (old,), (new,) = (one["main"]["tables"]["main-window"] for one in (first, second))
+    assert old["table"] != new["table"]
+    assert old["start"] < new["start"]
     same = inflight("catalog", "affected", "-w", workspace, "--from", "first", "--to", "first", "--json")
     assert same.code == 2
 

@@ -25,7 +25,7 @@ ORDER BY c.id
 
 
 def upgrade() -> None:
-    """Add the tables, fill in what is known, and give tables that contexts pin the span they were made for."""
+    """Add the tables, fill in what is known, and let contexts pin tables for the span they were made for."""
     op.create_table(
         "certification_act",
         sa.Column("id", _ID, primary_key=True),

@@ -1,7 +1,8 @@
 """Tables that the catalog has, taken by products as they are: nothing is fitted.
 
 In go a reprocessing and a table's name, or the tables that a named context pins; out come the tables to
-publish: the same ones, held over the days that they have no row for. Which samples it was not learnt from is told by `inflight.calibration.extrapolation`.
+publish: the same ones, held over the days that they have no row for. Which samples they were not learnt from
+is told by `inflight.calibration.extrapolation`.
 """
 
 from __future__ import annotations
@@ -112,8 +113,7 @@ def take_pinned_tables(work: Reprocessing) -> TablesToPublish:
     models = {one.number: _model_of_table(work, records[one.number], one.table) for one in used.values()}
     if len({model.sha for model in models.values()}) > 1:
         raise CatalogError(
-            f"tables {', '.join(f'{name}:{number}' for number in models)} were each fitted with a model of their "
-            "own",
+            f"tables {', '.join(f'{name}:{one}' for one in models)} were fitted with different models",
             remedy="take the days of one of them at a time: --start and --end",
         )
     for day in (day for day in plan.days if day not in used):
