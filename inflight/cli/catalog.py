@@ -91,6 +91,7 @@ def show_dataset(
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
         if values is not None:
             _print_values(console, values)
+            console.print(f"\nwho certified it when, and why: inflight catalog history {name}", markup=False)
 
     command.emit({"command": "catalog show", "name": name, "items": items}, show)
 

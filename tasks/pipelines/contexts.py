@@ -165,7 +165,9 @@ def states_at(cat: Catalog, until: dt.datetime | None = None) -> dict[str, Compa
     def sha_of(table: TableRecord) -> str:
         if table.context is None:
             return ""
-        made_in = contexts.setdefault(table.context, cat.context(table.context))
+        if table.context not in contexts:
+            contexts[table.context] = cat.context(table.context)
+        made_in = contexts[table.context]
         return shas[made_in.model_name, made_in.model_version]
 
     found = {}

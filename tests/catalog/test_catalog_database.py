@@ -6,6 +6,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from catalog_cases import table
 from sqlalchemy import inspect, text
 
 from inflight.catalog import Catalog
@@ -48,6 +49,10 @@ def migrate(catalog, verb, revision):
 
 
 def test_every_migration_can_be_undone(catalog):
+    catalog.save_model("m", "text")
+    with catalog.run("calibrate") as run:
+        made = run.stage_table("offsets", table(), start=0, end=10)
+    catalog.save_context("mission", "m", 1, {"offsets": [(made, 0, 10)]})
     migrate(catalog, "downgrade", "base")
     assert inspect(catalog._database.engine).get_table_names() == ["alembic_version"]
     assert Catalog(catalog.workspace).days("l1/fgm") == []
@@ -65,6 +70,12 @@ FIRST_ROWS = (
     "'published', '', '', 'k', '{\"coverage\": NaN}', "
     "1, 0, 1, 0, 5, 157766464184000000, 157852804184000000, 5, 0)",
     "INSERT INTO current (dataset_id, day, day_id) VALUES (1, '2005-01-01', 1)",
+    'INSERT INTO calibration_table (id, name, run_id, store_id, start, "end", key) '
+    "VALUES (7, 'offsets', 'r', 1, 0, 10, 'k')",
+    'INSERT INTO certification (id, table_id, name, context, start, "end") '
+    "VALUES (1, 7, 'offsets', '', 2, 8)",
+    "INSERT INTO context (id, mission_text, model_name, model_version, tables) "
+    "VALUES ('c', 'mission', 'm', 1, '{\"offsets\": 7}')",
 )
 
 
@@ -78,6 +89,10 @@ def test_a_catalog_of_the_first_tables_is_migrated_with_what_is_in_it(catalog):
     assert (day.version, day.rows, day.first_tt2000) == ("v01.00", (0, 5), 157766464184000000)
     assert np.isnan(day.report["coverage"])
     assert [(run.id, run.settings, run.state) for run in reopened.runs()] == [("r", {"batch": 4}, "done")]
+    # Of validities it is known since when; a context pins a table for the span it was made for.
+    (act,) = reopened.certification_acts()
+    assert (act.table, act.start, act.end, act.run, act.created) == (7, 2, 8, "r", "2020-01-01")
+    assert reopened.context("c").tables == {"offsets": ((7, 0, 10),)}
 
 
 def test_a_database_of_a_newer_version_is_refused_and_untouched(catalog):

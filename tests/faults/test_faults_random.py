@@ -88,7 +88,7 @@ def test_kills_at_random_moments_lose_double_and_mix_no_day(stage, workspace):
         version = {"version": f"{next(numbers)}.0"} if verb == "release" else {}
         before = [day.id for name in NAMES for day in Catalog(workspace).days(name)]
         pid = stage.begin(verb, workspace, **options[verb], **version)
-        time.sleep(random.uniform(0, lasts[verb]))
+        time.sleep(random.uniform(0, 1.1 * lasts[verb]))
         killed = stage.kill(pid).code == -signal.SIGKILL
         catalog = reopened(workspace)
         after = [day.id for name in NAMES for day in catalog.days(name)]
