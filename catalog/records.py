@@ -146,7 +146,8 @@ class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 
     A `damaged` one is known by its record only: its store was found not to be as it was written, or was
-    freed. `approved` lists who answers for it and when they said so, with a note.
+    freed. `approved` lists who answers for it and when they said so, with a note. A person took validity of a
+    `decertified` one away: runs do not give it back.
     """
 
     id: int
@@ -160,6 +161,7 @@ class TableRecord:
     certified: tuple[tuple[str | None, int, int], ...] = ()
     damaged: bool = False
     approved: tuple[tuple[str, str, str], ...] = ()
+    decertified: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

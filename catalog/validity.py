@@ -275,6 +275,8 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
     approvals: dict[int, list[tuple[str, str, str]]] = {}
     for one in session.scalars(select(ApprovalRow).order_by(ApprovalRow.id)):
         approvals.setdefault(one.table_id, []).append((one.person, one.created, one.note))
+    by_persons = select(CertificationActRow).where(CertificationActRow.run_id.is_(None))
+    last_act = {one.table_id: one.act for one in session.scalars(by_persons.order_by(CertificationActRow.id))}
     validities: dict[int, list[tuple[str | None, int, int]]] = {}
     for row in session.scalars(select(CertificationRow).order_by(CertificationRow.start)):
         validities.setdefault(row.table_id, []).append((row.context or None, row.start, row.end))
@@ -286,6 +288,7 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
             certified=tuple(validities.get(row.id, ())),
             damaged=is_gone(store.notes),
             approved=tuple(approvals.get(row.id, ())),
+            decertified=last_act.get(row.id) == DECERTIFY,
         )
         for row, store in session.execute(query)
     ]

@@ -111,6 +111,10 @@ def test_affected_by_a_table_alone_is_only_where_its_values_differ(inflight, tmp
     (last,) = inflight("catalog", "history", "main-window", "-w", root, "--json").json["items"][-1:]
     assert (last["act"], last["by"], last["reason"]) == ("decertify", "A", "reset of the sensor")
     assert last["became"] == [f"main-window:{record.id} shortened"]
+    # What a person took away, the next run does not give back.
+    (valid,) = Catalog(root).tables("main-window")[0].certified
+    assert inflight("reprocess", "-w", root, "--no-prefect", "--window-days", 2).code == 0
+    assert Catalog(root).tables("main-window")[0].certified == (valid,)
     when = Catalog(root).certification_acts()[-1].created[:26]
     assert inflight(*make, "again", "--as-of", when).code == 0
     none = inflight("catalog", "affected", "-w", root, "--from", "before", "--to", "again", "--json").json

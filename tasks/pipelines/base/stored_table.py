@@ -141,7 +141,7 @@ def pinned_tables(
         for day in days
     }
     records = {record.id: record for record in cat.tables()}
-    used = {}
+    used: dict[np.datetime64, UsedTable] = {}
     for number in sorted({one for one in number_of.values() if one is not None}):
         own = [day for day, one in number_of.items() if one == number]
         table = cat.table_by_id(number)
