@@ -342,7 +342,7 @@ class Catalog:
         """Return the calibration table that holds at an instant, with its id as attribute ``table_id``.
 
         A table certified for the context goes before one the context pins, and that before one
-        certified for any context.
+        certified for any context; one that pins a name has no other table of it.
 
         Raises
         ------

@@ -243,19 +243,21 @@ def after_act(spans: Iterable[Validity], act: CertificationAct) -> list[Validity
 def valid_table(session: Session, name: str, at: int, context: str | None) -> tuple[TableRow, str]:
     """Return the table of `name` that holds at `at`, and the path of its store.
 
-    The order of preference: certified for the context, pinned by the context, certified for any.
+    The order of preference: certified for the context, pinned by the context, certified for any. A context
+    that pins a name has no other table of it.
 
     Raises
     ------
     CatalogError
         When no table holds then; the message lists those that hold at other times.
     """
-    found = _certified(session, name, at, context) if context else None
+    found, pinned = _certified(session, name, at, context) if context else None, {}
     if found is None and context:
         pinned = session.scalar(select(ContextRow.tables).where(ContextRow.id == context)) or {}
         number = next((one for one, start, end in pinned.get(name, ()) if start <= at < end), None)
         found = None if number is None else session.get(TableRow, number)
-    found = found or _certified(session, name, at, "")
+    if found is None and name not in pinned:
+        found = _certified(session, name, at, "")
     if found is None:
         spans = session.scalars(select(CertificationRow).where(CertificationRow.name == name))
         others = "; ".join(f"table {row.table_id} {_span(row.start, row.end)}" for row in spans) or "none"

@@ -354,6 +354,7 @@ class RegistryContract:
             one, two = (run.stage_table("offsets", table(value), start=0, end=20) for value in (1.0, 2.0))
         pinned = {"offsets": [(one, 0, 10), (two, 10, 20)]}
         made = catalog.save_context("mission: champ", "champ", version, pinned)
+        catalog.certify(one, 10, 30)  # which is not in the context
         assert [catalog.table("offsets", at, made).attrs["table_id"] for at in (9, 10)] == [one, two]
         with pytest.raises(CatalogError, match="no table 'offsets'"):
             catalog.table("offsets", 20, made)
