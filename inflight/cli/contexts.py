@@ -133,7 +133,7 @@ def history(
     from inflight.time import utc_text
 
     valid: dict[tuple[str, str | None], list[Validity]] = {}
-    items = []
+    items: list[dict[str, Any]] = []
     for act in command.open_catalog().certification_acts(name and name.removeprefix("tables/")):
         before = valid.get((act.name, act.context), [])
         after = valid[act.name, act.context] = after_act(before, act)

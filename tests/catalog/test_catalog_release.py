@@ -173,5 +173,5 @@ def test_what_a_killed_release_left_is_collected_after_a_day(catalog):
         folder = catalog.workspace / "releases" / name
         folder.mkdir()
         os.utime(folder, (time.time() - age * 86_400,) * 2)
-    assert catalog.gc(dry_run=False) == ["releases/.1.1-0a1b2c3d"]
+    assert [one.path for one in catalog.gc(dry_run=False)] == ["releases/.1.1-0a1b2c3d"]
     assert {one.name for one in (catalog.workspace / "releases").iterdir()} == {"1.0", ".1.2-0a1b2c3d"}
