@@ -115,6 +115,7 @@ class Revisions(InSqlite):
     def begin(self):
         self.open_catalog()
         self.published = {}  # (day, version) -> seed
+        self.given = set()
         self.current = {}
         self.seed = 0
 
@@ -126,7 +127,8 @@ class Revisions(InSqlite):
                 data = [DayData(DAYS[day], samples(DAYS[day], step_s=21600, seed=self.seed)) for day in days]
                 run.attach(write_segment(self.folder, run.id, "l1/fgm", data))
                 for day in run.publish() if publishes else []:
-                    assert (day.day, day.version) not in self.published, "a version was given out twice"
+                    assert (day.day, day.version) not in self.given, "a version was given out twice"
+                    self.given.add((day.day, day.version))
                     self.published[day.day, day.version] = self.seed
                     self.current[day.day] = self.seed
                 if fails:
@@ -138,9 +140,19 @@ class Revisions(InSqlite):
     def raise_baseline(self):
         self.catalog.set_baseline(self.catalog.baseline + 1)
 
-    @rule()
-    def collect_garbage(self):
-        self.catalog.gc(dry_run=False)
+    @rule(past=st.booleans())
+    def collect_garbage(self, past):
+        listed = self.catalog.gc(past=past)
+        assert self.catalog.gc(dry_run=False, past=past) == listed
+        freed = [one for found in listed for one in found.revisions]
+        old = {
+            place: seed for place, seed in self.published.items() if past and seed != self.current[place[0]]
+        }
+        # A store goes when none of its days is needed.
+        for place in old:
+            if f"{place[0]} {place[1]}" in freed:
+                del self.published[place]
+        assert len(freed) == len(set(freed)) <= len(old)
 
     @invariant()
     def every_revision_ever_published_reads_as_it_was(self):
