@@ -251,7 +251,8 @@ def valid_table(session: Session, name: str, at: int, context: str | None) -> tu
     CatalogError
         When no table holds then; the message lists those that hold at other times.
     """
-    found, pinned = _certified(session, name, at, context) if context else None, {}
+    found = _certified(session, name, at, context) if context else None
+    pinned: Mapping[str, Sequence[Validity]] = {}
     if found is None and context:
         pinned = session.scalar(select(ContextRow.tables).where(ContextRow.id == context)) or {}
         number = next((one for one, start, end in pinned.get(name, ()) if start <= at < end), None)

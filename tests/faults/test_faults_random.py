@@ -68,7 +68,7 @@ def faults_seen(catalog):
 
 @pytest.mark.slow
 def test_kills_at_random_moments_lose_double_and_mix_no_day(stage, workspace):
-    random = np.random.default_rng(21)
+    random = np.random.default_rng([21, MOMENTS])
     options = {"ingest": {"batch_days": BATCH}, "reprocess": {"batch_days": BATCH}, "gc": {}, "release": {}}
     numbers, counts, faults = itertools.count(2), Counter(), Counter()
     lasts = {}
