@@ -516,9 +516,8 @@ def collect_garbage(
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
         console.print(
-            f"{counts['folders']} folders with {counts['revisions']} past revisions of days and "
-            f"{counts['tables']} tables, {counts['bytes'] / 1e6:.1f} MB, "
-            f"{'would be' if dry_run else 'were'} removed",
+            f"{'would be' if dry_run else 'were'} removed: {counts['bytes'] / 1e6:.1f} MB; past revisions of "
+            f"days: {counts['revisions']}, tables: {counts['tables']}, folders: {counts['folders']}",
             soft_wrap=True,
         )
 

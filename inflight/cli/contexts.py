@@ -145,7 +145,8 @@ def history(
                 "start": utc_text(act.start),
                 "end": utc_text(act.end),
                 "context": act.context,
-                "by": act.author or f"run {act.run}",
+                "by": act.author,
+                "run": act.run,
                 "reason": act.reason,
                 "became": _what_became(act.name, before, after),
             }
@@ -155,9 +156,17 @@ def history(
         if not items:
             console.print("no table was certified")
             return
-        rows = [one | {"became": ", ".join(one["became"])} for one in items[-SHOWN_DAYS:]]
-        columns = ("created", "act", "table", "start", "end", "by", "reason", "became")
-        console.print(text_table(columns, [[str(row[key] or "") for key in columns] for row in rows]))
+        rows = [
+            [
+                *(one["created"][:16], one["act"], one["table"], one["start"][:16], one["end"][:16]),
+                # A run's id holds what it did.
+                one["by"] or str(one["run"]).split("-")[1],
+                *(one["reason"], ", ".join(one["became"])),
+            ]
+            for one in items[-SHOWN_DAYS:]
+        ]
+        columns = ("when", "act", "table", "from", "to", "by", "reason", "and so")
+        console.print(text_table(columns, rows))
         if len(items) > SHOWN_DAYS:
             console.print(f"the last {SHOWN_DAYS} of {len(items)}; --json lists all")
 
@@ -353,7 +362,7 @@ def affected(
         more = (
             f"; the first {SHOWN_DAYS} of {spans} spans, --json lists every day" if spans > SHOWN_DAYS else ""
         )
-        console.print(f"{len(found)} days{more}")
+        console.print(f"days: {len(found)}{more}")
         if after != "now":
             console.print(f"next: inflight reprocess --context {after}", markup=False)
 
