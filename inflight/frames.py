@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +25,7 @@ import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import MissionError, SamplesError
+from inflight.main_field import IGRF, MainField
 from inflight.time import SECOND, Int64, to_utc, usual_step
 from inflight.units import factor_and_offset
 
@@ -214,6 +214,39 @@ def itrf_to_nec(field: Floats, position: Floats) -> Floats:
     east = -sin_lon * fx + cos_lon * fy
     centre = -cos_lat * along - sin_lat * fz
     return np.stack([north, east, centre]).T
+
+
+def position_in_itrf(position: Floats, frame: str, tt2000: Int64) -> Floats:
+    """Return positions (time, 3) of a frame, ``itrf`` or ``gcrf``, Earth-fixed; any unit of length."""
+    if frame == "itrf":
+        return position
+    days = days_since_j2000(tt2000)
+    return rotate_with_earth(to_date(position, days), days, -1)
+
+
+def itrf_to_spacecraft(
+    field: Floats, attitude: Floats, frame: str, position: Floats, tt2000: Int64
+) -> Floats:
+    """Turn Earth-fixed vectors into the spacecraft's axes.
+
+    Parameters
+    ----------
+    field : ndarray, shape (time, 3)
+        Vectors, itrf.
+    attitude : ndarray, shape (time, 4)
+        Quaternion x, y, z, w from spacecraft axes to `frame`.
+    frame : str
+        ``itrf``, ``nec`` or ``gcrf``.
+    position : ndarray, shape (time, 3)
+        itrf, any length unit; only needed for ``nec``.
+    tt2000 : ndarray of int64, shape (time,)
+    """
+    if frame == "nec":
+        field = itrf_to_nec(field, position)
+    elif frame == "gcrf":
+        days = days_since_j2000(tt2000)
+        field = from_date(rotate_with_earth(field, days, 1), days)
+    return rotate(field, attitude * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def to_nec(field: Floats, attitude: Floats, position: Floats | None, frame: str) -> Floats:
@@ -505,21 +538,8 @@ def dipole_axis(days: Floats) -> Floats:
     days : ndarray, shape (time,)
         UTC days since J2000.
     """
-    epochs, coefficients = _first_degree()
-    at = [np.interp(days + _J2000, epochs, one) for one in coefficients.T]
-    axis = -np.stack(at, axis=1)
+    axis = -MainField.of(IGRF).dipole_coefficients(days + _J2000)
     return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))
-
-
-@lru_cache(maxsize=1)
-def _first_degree() -> tuple[Floats, Floats]:
-    """Return epochs (days since 1970) and g11, h11, g10 (epoch, 3), nT."""
-    from ppigrf.ppigrf import read_shc
-
-    g, h = read_shc()
-    epochs = g.index.to_numpy().astype("datetime64[ns]").astype(np.float64) / 86_400e9
-    terms = [g[(1, 1)], h[(1, 1)], g[(1, 0)]]
-    return epochs, np.stack([one.to_numpy(np.float64) for one in terms], axis=1)
 
 
 def to_gse(vectors: Floats, tt2000: Int64, frame: str) -> Floats:

@@ -36,6 +36,7 @@ from inflight.instruments import (
     Unit,
     Vector3,
 )
+from inflight.main_field import IGRF
 from inflight.time import utc_text
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "Duration",
     "Event",
     "ExcludedInterval",
+    "FieldModelComparison",
     "Files",
     "Instant",
     "Instrument",
@@ -222,8 +224,31 @@ class PlatformComparison(Strict):
         return {"scalar": self.scalar, "vector": self.vector}
 
 
+class FieldModelComparison(Strict):
+    """A vector sensor minus a model of the Earth's field, in spacecraft axes (three rows a sample, nT).
+
+    Needs positions over the Earth and an attitude.
+    """
+
+    kind: Literal["field_model"]
+    vector: str
+    #: ``igrf``, or a file of coefficients (SHC format, as CHAOS is published) beside the mission YAML. A new
+    #: version of a file needs a new name: what was made with the old one is then made anew.
+    model: str = "igrf"
+    #: What the model lacks and what stays, as the field of the ring current: one sigma along each Earth-fixed
+    #: axis. It enters the errors of the twelve parameters.
+    external: Annotated[float, Field(ge=0)] = 20.0
+    base: str | None = None
+    preflight: str | None = None
+
+    def instruments(self) -> dict[str, str]:
+        """Return role in the comparison -> instrument."""
+        return {"vector": self.vector}
+
+
 Comparison = Annotated[
-    ScalarComparison | DualComparison | SpinComparison | PlatformComparison, Field(discriminator="kind")
+    ScalarComparison | DualComparison | SpinComparison | PlatformComparison | FieldModelComparison,
+    Field(discriminator="kind"),
 ]
 
 
@@ -369,9 +394,11 @@ class Mission(Strict):
 
     @property
     def companions(self) -> list[str]:
-        """Further files the mission names: pre-flight models and effects."""
+        """Further files the mission names: pre-flight models, effects and coefficients of field models."""
         models = [self.preflight, *(comparison.preflight for comparison in self.comparisons.values())]
-        return list(dict.fromkeys([*filter(None, models), *self.effects]))
+        fields = [one.model for one in self.comparisons.values() if one.kind == "field_model"]
+        fields = [name for name in fields if name != IGRF]
+        return list(dict.fromkeys([*filter(None, models), *self.effects, *fields]))
 
     def missing_release_keys(self) -> list[str]:
         """Return the keys that CDF and NetCDF files need and the YAML leaves out."""

@@ -25,6 +25,7 @@ _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
 _FREE: dict[str, tuple[str, tuple[str, ...]]] = {
     "scalar": ("vector_sensor", ("scale_factor", "misalignment", "offset")),
     "spin": ("spinning_sensor", tuple(SpinningSensor.SPIN_RELATED)),
+    "field_model": ("affine", ("matrix", "shift")),
 }
 
 
@@ -102,8 +103,9 @@ def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") ->
 def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSource, ...] = ()) -> Model:
     """Return a model of ideal sensors.
 
-    Against a scalar sensor the vector sensor's nine parameters are free, in a spin comparison the eight
-    that the spin determines, with the effect's own wide priors; else readings are taken as delivered.
+    Against a scalar sensor the vector sensor's nine parameters are free, against a field model matrix and
+    shift, in a spin comparison the eight that the spin determines, with the effect's own wide priors; else
+    readings are taken as delivered.
     """
     name, layout = f"{mission.mission}-ideal", ResidualDefinition.of(mission, comparison)
     if layout.kind not in _FREE:

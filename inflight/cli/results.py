@@ -311,7 +311,8 @@ def chain(
 ) -> None:
     """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, excess scatter.
 
-    Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided.
+    Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided. Of a
+    comparison with a field model: scale factors, angles, mounting and offsets of the sensor.
     """
     from inflight.tasks.pipelines import tables_report
 

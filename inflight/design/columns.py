@@ -38,7 +38,7 @@ from inflight.samples import FIELD_ROLES, PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
-SENSOR_EQUATIONS = (VectorSensor, SpinningSensor)
+SENSOR_EQUATIONS = (VectorSensor, SpinningSensor, Affine)
 
 #: Effects whose correction is a matrix times the reading and a shift, whatever the samples are.
 _AFFINE = (VectorSensor, Affine)

@@ -2,6 +2,7 @@ from .apply import ModelEffect, at_all_sensors, correct_plain, place_variance
 from .diff import changes, parse_tree
 from .model import Model, make_effect, with_dipole
 from .rows import (
+    REFERENCE,
     Band,
     ResidualDefinition,
     ResidualRows,
@@ -15,6 +16,7 @@ from .substitution import EffectSubstitution, SubstitutedSamples, TypicalValue, 
 from .time_dependence import TimeDependence, TimedValue, component_names
 
 __all__ = [
+    "REFERENCE",
     "Band",
     "EffectSubstitution",
     "Model",

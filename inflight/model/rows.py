@@ -8,6 +8,8 @@ dual
     three rows, ``R_in B_in - R_out B_out``, spacecraft axes;
 platform
     one row, F in a band of frequencies; the vector sensor gives the direction only;
+field_model
+    three rows, ``R B_vector`` less a model's field, spacecraft axes;
 spin
     two rows of folded samples (`inflight.samples.spin_folding`), the field along the spin axis and the
     modulus of the field across it, each less its interval's mean: what turns with the spin.
@@ -59,6 +61,10 @@ class BandFilterSettings:
 BAND_FILTER_SETTINGS = BandFilterSettings()
 
 
+#: Name of the model's field in samples: (time, axis) nT, spacecraft axes.
+REFERENCE = "reference"
+
+
 class RowFilter(Protocol):
     """A linear filter of rows in time: residuals and columns must go through the same one."""
 
@@ -85,7 +91,7 @@ class ResidualDefinition:
     Attributes
     ----------
     kind : str
-        ``scalar``, ``dual``, ``platform`` or ``spin``.
+        ``scalar``, ``dual``, ``platform``, ``field_model`` or ``spin``.
     sensors : mapping of str to Sensor
         By role in the comparison.
     band : Band, optional
@@ -308,6 +314,26 @@ def _platform(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows
     )
 
 
+def _field_model(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
+    """Return ``R B_vector`` less the model's field, in spacecraft axes."""
+    if REFERENCE not in corrected:
+        raise SamplesError(
+            "the samples have no field of a model",
+            channel=REFERENCE,
+            remedy="give the mission positions over the Earth and an attitude",
+        )
+    sensor, field = layout.sensor("vector"), _values(corrected, "field")
+    residual = sensor.rotation.apply(field) - _values(corrected, REFERENCE)
+    return ResidualRows(
+        residual=residual,
+        directions={sensor.name: np.broadcast_to(sensor.rotation.as_matrix(), (len(residual), 3, 3))},
+        fields={sensor.name: field},
+        field=field,
+        good=_good(corrected, residual),
+        step_s=_step(corrected),
+    )
+
+
 def _spin(layout: ResidualDefinition, corrected: xr.Dataset) -> ResidualRows:
     """Return what rotates with the spin: along the axis, and of the modulus across it.
 
@@ -363,7 +389,13 @@ def spin_residual(
     return folding.keep(both, np.asarray(folded["tt2000"].values), good), good
 
 
-_KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform, "spin": _spin}
+_KINDS = {
+    "scalar": _scalar,
+    "dual": _dual,
+    "platform": _platform,
+    "field_model": _field_model,
+    "spin": _spin,
+}
 
 
 def folding_of(mission: Mission, comparison: str = "main") -> Folding | None:

@@ -11,7 +11,14 @@ from inflight.plumbing.clocks import Pair, clock_findings, linear_pair, scalar_p
 from inflight.plumbing.coefficients import coefficient_findings
 from inflight.plumbing.fields import axes_findings, unit_findings
 from inflight.plumbing.findings import Finding
-from inflight.plumbing.orbit import Orbit, field_ratios, orbit_axes, orbit_pairs, position_findings
+from inflight.plumbing.orbit import (
+    Orbit,
+    field_ratios,
+    lone_unit_findings,
+    orbit_axes,
+    orbit_pairs,
+    position_findings,
+)
 from inflight.plumbing.records import Survey
 
 
@@ -52,10 +59,15 @@ def find_faults(
 def field_faults(survey: Survey) -> list[Finding]:
     """Return faults that two fields show against each other, or one against the main field."""
     known = sum(bool(np.isfinite(one.values).any()) for one in survey.fields.values())
-    if survey.kind not in ("scalar", "dual", "platform") or known < 2:
+    alone = survey.kind == "field_model"
+    if survey.kind not in ("scalar", "dual", "platform", "field_model") or known < (1 if alone else 2):
         return []
     orbit = Orbit.of(survey)
-    found = position_findings(survey) + unit_findings(survey, field_ratios(survey, orbit) if orbit else None)
+    found = position_findings(survey)
+    if not alone:
+        found += unit_findings(survey, field_ratios(survey, orbit) if orbit else None)
+    elif orbit is not None:
+        found += lone_unit_findings(survey, orbit)
     clocks = clock_findings(survey.mission, pairs_of(survey, orbit))
     found += clocks
     if clocks:
@@ -73,6 +85,8 @@ def pairs_of(survey: Survey, orbit: Orbit | None) -> list[Pair]:
     fields = survey.fields
     if survey.kind == "dual":
         pairs = [linear_pair(fields["inboard"], fields["outboard"])]
+    elif survey.kind == "field_model":
+        pairs = []
     else:
         pairs = [scalar_pair(fields["scalar"], fields["vector"])]
     return pairs + (orbit_pairs(survey, orbit) if orbit is not None else [])

@@ -7,7 +7,6 @@ axes of a vector and conventions of the attitude (`orbit_axes`), and the unit of
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -16,13 +15,10 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.frames import (
     EARTH_RADIUS,
-    days_since_j2000,
-    from_date,
-    itrf_to_nec,
-    rotate,
-    rotate_with_earth,
-    to_date,
+    itrf_to_spacecraft,
+    position_in_itrf,
 )
+from inflight.main_field import IGRF, MainField
 from inflight.plumbing.clocks import Pair, left_by, linear_pair, scalar_pair, with_constant
 from inflight.plumbing.fields import (
     POWERS,
@@ -36,7 +32,7 @@ from inflight.plumbing.fields import (
 from inflight.plumbing.findings import Finding, Remedy
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
 from inflight.samples import continuous_sign
-from inflight.time import SECOND, Int64, to_utc
+from inflight.time import SECOND, Int64
 from inflight.units import factor_and_offset
 
 #: Other conventions of the attitude, in words, and what the archived x, y, z and w of a quaternion then are.
@@ -82,7 +78,7 @@ class Orbit:
             return None
         step = max(_STEP_NS, position.cadence_ns)
         places = replace(position, stamps=stamps, values=fixed, cadence_ns=step)
-        field = replace(places, values=main_field(fixed, stamps), name="main field")
+        field = replace(places, values=MainField.of(IGRF).at(fixed, stamps), name="main field")
         attitude = survey.of_kind("attitude", ("itrf", "nec", "gcrf"))
         return cls(
             position, field, places, attitude and replace(attitude, values=continuous_sign(attitude.values))
@@ -97,39 +93,13 @@ class Orbit:
         """Return the field in the spacecraft's axes, by the attitude read at another time; (row, 3) nT."""
         assert self.attitude is not None
         field, quaternion = self.field.at(stamps), self.attitude.at(stamps + lag_ns)
-        frame = self.attitude.entry.frame
-        if frame == "nec":
-            field = itrf_to_nec(field, self.places.at(stamps))
-        elif frame == "gcrf":
-            days = days_since_j2000(stamps)
-            field = from_date(rotate_with_earth(field, days, 1), days)
         if convention:
             names = _CONVENTIONS[convention][1]
             really = {name.removeprefix("-"): k for k, name in enumerate(names)}
             signs = [-1.0 if names[really[axis]].startswith("-") else 1.0 for axis in "xyzw"]
             quaternion = quaternion[:, [really[axis] for axis in "xyzw"]] * signs
-        return rotate(field, quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))
-
-
-def main_field(position: Floats, stamps: Int64) -> Floats:
-    """Return the IGRF at positions (row, 3), km, itrf; (row, 3) nT, itrf, one model a day."""
-    from ppigrf import igrf_gc
-
-    out = np.full(position.shape, np.nan)
-    radius = np.linalg.norm(position, axis=1)
-    day = to_utc(stamps).astype("datetime64[D]")
-    for one in np.unique(day):
-        rows = np.flatnonzero((day == one) & (radius > 0.9 * EARTH_RADIUS))
-        x, y, z = (position[rows] / radius[rows, None]).T
-        across = np.maximum(np.hypot(x, y), 1e-12)
-        date = dt.datetime.combine(one.astype(dt.date), dt.time())
-        theta, phi = np.degrees(np.arctan2(across, z)), np.degrees(np.arctan2(y, x))
-        up, south, east = (part[0] for part in igrf_gc(radius[rows], theta, phi, date))
-        level = up * across + south * z
-        out[rows] = np.column_stack(
-            [(level * x - east * y) / across, (level * y + east * x) / across, up * z - south * across]
-        )
-    return out
+        frame = self.attitude.entry.frame or ""
+        return itrf_to_spacecraft(field, quaternion, frame, self.places.at(stamps), stamps)
 
 
 def _kilometres(position: Record) -> float:
@@ -138,11 +108,7 @@ def _kilometres(position: Record) -> float:
 
 def _fixed(position: Record, stamps: Int64, factor: float) -> Floats:
     """Return positions in km, itrf."""
-    values = position.at(stamps) * factor
-    if position.entry.frame == "itrf":
-        return values
-    days = days_since_j2000(stamps)
-    return rotate_with_earth(to_date(values, days), days, -1)
+    return position_in_itrf(position.at(stamps) * factor, position.entry.frame or "itrf", stamps)
 
 
 def _is_near(fixed: Floats) -> bool:
@@ -206,6 +172,24 @@ def field_ratios(survey: Survey, orbit: Orbit) -> dict[str, Floats]:
     return out
 
 
+def lone_unit_findings(survey: Survey, orbit: Orbit) -> list[Finding]:
+    """Return whether the only field of a comparison is a power of ten of the main field."""
+    record = next(iter(survey.fields.values()))
+    stamps, strength = orbit.field.stamps, orbit.strength.values
+    size = magnitude(record.at(stamps))
+    trials = {power: typical_squares(size - 10.0**power * strength) for power in POWERS}
+    found = choose(typical_squares(size - strength), trials)
+    if found is None or found.rivals:
+        return []
+    factor = 10.0**found.name
+    words = (
+        f"The field of '{record.instrument}' is {factor:g} times that of the Earth: its unit is not "
+        f"{record.entry.unit}"
+    )
+    remedies = list(unit_remedies(record, 1.0 / factor))
+    return [finding_of("unit", words, record, stamps, found, remedies)]
+
+
 def position_findings(survey: Survey) -> list[Finding]:
     """Return whether the position is in another unit than stated: the main field there is then none."""
     position = survey.of_kind("position", ("itrf", "gcrf"))
@@ -219,7 +203,7 @@ def position_findings(survey: Survey) -> list[Finding]:
     values = record.at(stamps)
     size = magnitude(values)
     trials: Mapping[float, Floats] = {
-        one: typical_squares(size - np.linalg.norm(main_field(fixed, stamps), axis=1))
+        one: typical_squares(size - np.linalg.norm(MainField.of(IGRF).at(fixed, stamps), axis=1))
         for one in (*(10.0**power for power in POWERS), EARTH_RADIUS)
         if _is_near(fixed := _fixed(position, stamps, factor * one))
     }

@@ -27,7 +27,12 @@ from inflight.arrays import Floats
 from inflight.calibration import (
     PARAMETER_GROUPS,
     ParameterPrior,
+    comparison_grams,
     fit_block,
+    fit_twelve,
+    own_equation,
+    prior_of_twelve,
+    readings_of,
     remove_other_effects,
     usable_samples,
 )
@@ -863,6 +868,8 @@ def _linearised(
     if kind == "dual":
         # A matrix and a shift between two vector sensors: what their difference leaves to calibration.
         return model, (_calibration_term(mission, model, "inboard", "affine", ("matrix", "shift")),), (), ()
+    if kind == "field_model":
+        return _linearised_affine(cat, mission, model, needs, index, days, known)
     own = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
     if not own:
         term = _calibration_term(mission, model, "vector", "vector_sensor", PARAMETER_GROUPS)
@@ -893,6 +900,50 @@ def _linearised(
         if not np.any(sigma > 0)
     ]
     effects = tuple(entry if one is own[0] else one for one in model.effects)
+    return replace(model, effects=effects), tuple(base), tuple(fixed), tuple(value.tolist())
+
+
+def _linearised_affine(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+    known: Floats | None,
+) -> tuple[Model, tuple[Term, ...], tuple[Term, ...], tuple[float, ...]]:
+    """Return the model at the matrix and shift that some days give, their terms, and their values."""
+    own, middle = own_equation(model), sum(day_bounds(days[len(days) // 2])) // 2
+    start, sigma = prior_of_twelve(model, middle)
+    value = known
+    if value is None:
+        grams = []
+        for day in days:
+            samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+            reading, reference, good = readings_of(model, samples)
+            nothing = np.zeros((len(reading), 3, 3))
+            grams.append(comparison_grams(reading, reference, nothing, good, (start, sigma)))
+        value = fit_twelve(np.concatenate(grams), start, sigma).value
+    parts = {"matrix": slice(0, 9), "shift": slice(9, 12)}
+    fitted = {
+        part: replace(
+            own.parameters[part],
+            time="constant",
+            value=value[places, None],
+            sigma=own.parameters[part].sigma[:, :1],
+            table=None,
+        )
+        for part, places in parts.items()
+    }
+    entry = replace(own, parameters={**own.parameters, **fitted})
+    terms = [
+        Term(entry.name, entry, (part,), tuple(sigma[places].tolist() if free else [np.inf] * size))
+        for part, places in parts.items()
+        for free, size in [(bool(np.any(sigma[places] > 0)), len(value[places]))]
+    ]
+    base = [term for term, places in zip(terms, parts.values(), strict=True) if np.any(sigma[places] > 0)]
+    fixed = [term for term in terms if term not in base]
+    effects = tuple(entry if one is own else one for one in model.effects)
     return replace(model, effects=effects), tuple(base), tuple(fixed), tuple(value.tolist())
 
 

@@ -9,7 +9,7 @@ from inflight.mission import Mission
 from inflight.model import folding_of
 
 #: Kinds of comparisons that have a residual at every sample.
-SAMPLED_KINDS = ("scalar", "dual", "platform")
+SAMPLED_KINDS = ("scalar", "dual", "platform", "field_model")
 
 
 class DiagnoseSettings(BaseModel):

@@ -189,6 +189,8 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
             f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
             remedy=f"the mission has {', '.join(sorted(known.all))}",
         )
+    if mission.comparisons[model.comparison].kind == "field_model":
+        used |= set(geometry_channels(mission))
     names = used | {name for name in extra if set(known.bases(name)) <= known.all}
     return needs + known.needs(names)
 

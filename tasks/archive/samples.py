@@ -15,6 +15,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -24,10 +25,12 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry
+from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry, itrf_to_spacecraft, position_in_itrf
 from inflight.instruments import Channel
+from inflight.main_field import MainField
 from inflight.mission import Mission
 from inflight.model import (
+    REFERENCE,
     EffectSubstitution,
     Model,
     SubstitutedSamples,
@@ -58,7 +61,7 @@ from inflight.tasks.archive.inputs import (
     position_channel,
 )
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
-from inflight.units import parse_unit
+from inflight.units import factor_and_offset, parse_unit
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -549,6 +552,9 @@ def load_samples(
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
     samples = _name_geometry(mission, samples)
+    entry = mission.comparisons[model.comparison]
+    if entry.kind == "field_model":
+        samples[REFERENCE] = _model_field(cat, mission, entry.model, present, samples)
     for role, name in mission.comparisons[model.comparison].instruments().items():
         if role in samples and samples[role].ndim == 2:
             samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
@@ -579,6 +585,34 @@ def _present(
             f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
         )
     return {name: series for name, series in channels.items() if series is not None}
+
+
+def _model_field(
+    cat: Catalog, mission: Mission, name: str, present: Mapping[str, Series], samples: xr.Dataset
+) -> xr.Variable:
+    """Return a model's field at the samples, nT, spacecraft axes; NaN without a position or an attitude.
+
+    It is summed where the orbit has positions: between these a straight line would leave the orbit by
+    kilometres.
+    """
+    import xarray as xr
+
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    field = np.full((stamps.size, 3), np.nan)
+    channel = position_channel(mission)
+    series = present.get(channel)
+    if series is not None and "attitude" in samples and "position" in samples:
+        attributes = samples["position"].attrs
+        kilometres = factor_and_offset(str(attributes["units"]), "km")[0]
+        frame = str(attributes["frame"])
+        own = series.stamps + int(series.attrs.get("lag_ns", 0))
+        places = position_in_itrf(np.asarray(series.values, dtype=np.float64) * kilometres, frame, own)
+        field = MainField.of(name, Path(cat.workspace)).along_orbit(places, own, stamps)
+        here = position_in_itrf(np.asarray(samples["position"].values, dtype=np.float64), frame, stamps)
+        attitude = np.asarray(samples["attitude"].values, dtype=np.float64)
+        towards = str(samples["attitude"].attrs.get("frame", ""))
+        field = itrf_to_spacecraft(field, attitude, towards, here, stamps)
+    return xr.Variable(("time", "axis"), field, {"units": "nT", "frame": "spacecraft"})
 
 
 def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:

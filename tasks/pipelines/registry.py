@@ -16,6 +16,7 @@ from inflight.tasks.pipelines.base import (
     run_plan,
     settings_of_context,
 )
+from inflight.tasks.pipelines.field_model import FieldModelPipeline
 from inflight.tasks.pipelines.intercalibration import RelationPipeline
 from inflight.tasks.pipelines.mission_fit import MissionPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
@@ -33,6 +34,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ScalarPipeline(),
     MissionPipeline(),
     SpinPipeline(),
+    FieldModelPipeline(),
     RelationPipeline(),
     StatesPipeline(),
 )
@@ -69,7 +71,8 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
     if found is None:
         known = [name for name in mission.comparisons if find_pipeline(mission, name) is not None]
         raise MissionError(
-            f"'{comparison}' is no scalar, spin or dual comparison of mission '{mission.mission}'",
+            f"'{comparison}' is no scalar, spin, dual or field_model comparison of mission"
+            f" '{mission.mission}'",
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )
     return found

@@ -171,5 +171,5 @@ def test_a_comparison_in_which_nothing_is_calibrated_has_no_pipeline():
     mission = Mission.parse(shipped_missions()["conrad"].read_text(encoding="utf-8"))
     for comparison in [*mission.comparisons, "nothing"]:
         if find_pipeline(mission, comparison) is None:
-            with pytest.raises(MissionError, match="is no scalar, spin or dual comparison"):
+            with pytest.raises(MissionError, match="is no scalar, spin, dual or field_model comparison"):
                 pipeline_of(mission, comparison)

@@ -1,0 +1,3 @@
+from .pipeline import FieldModelPipeline
+
+__all__ = ["FieldModelPipeline"]
