@@ -93,8 +93,8 @@ class Backend:
     def number_on(self, session: Session, table: str) -> None:
         """Let new rows of a table be numbered behind those that were copied into it with their numbers."""
 
-    def refusal(self, error: DBAPIError, place: str) -> CatalogError:
-        """Return the error of the catalog for one of the driver."""
+    def refusal(self, error: DBAPIError, place: str, waited_s: float) -> CatalogError:
+        """Return the error of the catalog for one of the driver, after having tried for so long."""
         raise NotImplementedError
 
 
@@ -128,8 +128,9 @@ class Sqlite(Backend):
         event.listen(engine, "begin", _begin_sqlite)
         return engine
 
-    def refusal(self, error: DBAPIError, place: str) -> CatalogError:
+    def refusal(self, error: DBAPIError, place: str, waited_s: float) -> CatalogError:
         """Tell a full or locked disk from a database that is damaged."""
+        del waited_s
         reason = str(error.orig)
         if isinstance(error, OperationalError) and any(
             word in reason for word in ("locked", "full", "disk", "readonly", "unable to open")
@@ -292,7 +293,7 @@ class Postgres(Backend):
             {"name": f'"{table}"'},
         )
 
-    def refusal(self, error: DBAPIError, place: str) -> CatalogError:
+    def refusal(self, error: DBAPIError, place: str, waited_s: float) -> CatalogError:
         """Tell what can pass from what the administrator has to mend."""
         reason = " ".join(str(error.orig).split())
         state = getattr(error.orig, "sqlstate", None) or ""
@@ -315,11 +316,12 @@ class Postgres(Backend):
                 remedy="ask its administrator: the user must own the database, which needs btree_gist",
             )
         if state.startswith("53") or self.may_pass(error):
+            since = f"has not answered for {waited_s:.0f} s" if waited_s >= 1 else "cannot be used"
             return StorageError(
-                f"the catalog's database cannot be used: {reason}",
+                f"the catalog's database {since}: {reason}",
                 file=place,
                 remedy="see that the server runs, and that host, user and password (PGPASSWORD or ~/.pgpass) "
-                "are right; then run again",
+                "are right; then run again: what is published is unchanged, what was finished is taken over",
             )
         return CatalogError(
             f"the catalog's database failed: {reason}", file=place, remedy="ask its administrator"

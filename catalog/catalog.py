@@ -10,33 +10,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from inflight.catalog import provenance
+from inflight.catalog import contexts, provenance
 from inflight.catalog.database import Database
 from inflight.catalog.days import (
-    current_day,
-    day_of_version,
+    DatabaseDays,
     days_by_id,
     maturities,
-    published_days,
-    release_records,
-    released_days,
     revisions_of_days,
-    status_of_days,
     stored_together,
 )
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
+from inflight.catalog.garbage import Garbage, collect_garbage
 from inflight.catalog.location import is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import (
+    CertificationAct,
     ContextRecord,
     Day,
     FileRecord,
     ModelRecord,
+    NamedContext,
     ReleaseRecord,
     RunRecord,
     TableRecord,
+    Validity,
 )
 from inflight.catalog.release import Documents, ReleasePlan, ReleaseRequest, freeze_release, plan_release
 from inflight.catalog.release_folder import MARKER, NoDatabase, ReleaseFolder
@@ -53,16 +52,23 @@ from inflight.catalog.runs import (
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.upkeep import (
     Repair,
-    collect_garbage,
-    dataset_summary,
     find_faults,
     repair,
-    summary_of_days,
 )
-from inflight.catalog.validity import approve_table, certify_table, table_records, valid_table
+from inflight.catalog.validity import (
+    Authority,
+    approve_table,
+    certification_acts,
+    certify_table,
+    decertify_table,
+    table_records,
+    valid_table,
+)
 from inflight.errors import CatalogError, StorageError
 
 if TYPE_CHECKING:
+    import datetime as dt
+
     import xarray as xr
     from sqlalchemy.orm import Session
 
@@ -118,13 +124,15 @@ class Catalog:
             raise CatalogError(
                 "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
             )
-        self._release = ReleaseFolder.find(self.workspace)
-        if self._release is not None:
-            self._database: Database = NoDatabase(self._release)
+        release = ReleaseFolder.find(self.workspace)
+        if release is not None:
+            self._days: DatabaseDays | ReleaseFolder = release
+            self._database: Database = NoDatabase(release)
             return
         for folder in _FOLDERS:
             (self.workspace / folder).mkdir(parents=True, exist_ok=True)
         self._database = open_database(self.workspace)
+        self._days = DatabaseDays(self._database)
         with suppress(StorageError):  # a full disk must not keep anyone from reading
             close_dead_runs(self.workspace, self._database)
 
@@ -165,9 +173,7 @@ class Catalog:
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
-        if self._release is not None:
-            return next(iter(self._release.days(name, parse_span(as_date(day)), ("published",))), None)
-        return self._database.read(current_day, name, as_date(day))
+        return self._days.current(name, as_date(day))
 
     def days(
         self,
@@ -191,12 +197,7 @@ class Catalog:
         release : str
             The days that were frozen under this version.
         """
-        if self._release is not None:
-            chosen = states if release is None else ("published",)
-            return self._release.days(name, parse_span(time), chosen, release)
-        if release is not None:
-            return self._database.read(released_days, release, name, parse_span(time))
-        return self._database.read(status_of_days, name, parse_span(time), states)
+        return self._days.days(name, parse_span(time), states, release)
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
         """Return every published revision of each day in a span, past ones too, the oldest first."""
@@ -227,10 +228,7 @@ class Catalog:
 
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
-        if self._release is not None:
-            span = parse_span(time)
-            return [summary_of_days(name, self._release.days(name, span)) for name in self._release.names()]
-        return self._database.read(dataset_summary, parse_span(time))
+        return self._days.inventory(parse_span(time))
 
     # --- reading -------------------------------------------------------------------------------
 
@@ -270,13 +268,7 @@ class Catalog:
             When dataset, release or variables are unknown, no day lies in the span, or units change in it.
         """
         span = parse_span(time)
-        if self._release is not None and context is None:
-            self._release.require(name)
-            days = self._release.days(name, span, ("published",), release)
-        elif release is not None:
-            days = self.days(name, time, release=release)
-        else:
-            days = self._database.read(published_days, name, span, context)
+        days = self._days.to_read(name, span, release, context)
         if not days:
             raise CatalogError(
                 f"'{name}' has no published days in the span asked for", remedy="see 'inflight catalog list'"
@@ -300,11 +292,10 @@ class Catalog:
             When its store is damaged.
         """
         date = as_date(day)
-        if version is None or self._release is not None:
-            found = self.current(name, day)
-        else:
-            found = self._database.read(day_of_version, name, date, version)
-        if found is None or version not in (None, found.version):
+        found = (
+            self._days.current(name, date) if version is None else self._days.of_version(name, date, version)
+        )
+        if found is None:
             raise CatalogError(
                 f"'{name}' has no {version or 'published revision'}",
                 day=str(date),
@@ -351,7 +342,7 @@ class Catalog:
         """Return the calibration table that holds at an instant, with its id as attribute ``table_id``.
 
         A table certified for the context goes before one the context pins, and that before one
-        certified for any context.
+        certified for any context; one that pins a name has no other table of it.
 
         Raises
         ------
@@ -373,17 +364,60 @@ class Catalog:
         return self._database.read(table_records, name)
 
     def certify(
-        self, table_id: int, start: int, end: int, context: str | None = None, *, supersede: bool = False
+        self,
+        table_id: int,
+        start: int,
+        end: int,
+        context: str | None = None,
+        *,
+        supersede: bool = False,
+        author: str = "",
+        reason: str = "",
     ) -> None:
         """State that a table holds in half-open TT2000 ``[start, end)``, for a context or for any (None).
+
+        Author, reason and time are kept: `certification_acts`.
 
         Raises
         ------
         ValidityError
             When another table of the name holds in part of the span; the message names both. With
-            `supersede` the older validities end instead, in the same transaction.
+            `supersede` the older validities end instead, in the same transaction, but for days that a release
+            has made with them.
         """
-        self._database.write(certify_table, (table_id, start, end, context), supersede=supersede)
+        authority = Authority(author.strip(), reason)
+        self._database.write(certify_table, (table_id, start, end, context), authority, supersede=supersede)
+
+    def decertify(
+        self,
+        table_id: int,
+        start: int | None = None,
+        end: int | None = None,
+        context: str | None = None,
+        *,
+        author: str,
+        reason: str,
+    ) -> None:
+        """State that a table does not hold in half-open TT2000 ``[start, end)`` any more; None is open.
+
+        A validity that is cut in the middle is split. No other table takes its place.
+
+        Raises
+        ------
+        ValidityError
+            When the table does not hold there, or a release has days made with it.
+        """
+        authority = Authority(author.strip(), reason)
+        self._database.write(decertify_table, table_id, start, end, context, authority)
+
+    def certification_acts(
+        self, name: str | None = None, until: dt.datetime | None = None
+    ) -> list[CertificationAct]:
+        """Return what was done to the validities of a table name or of all, oldest first, before an instant.
+
+        `inflight.catalog.validity.validities` tells what they lead to.
+        """
+        return self._database.read(certification_acts, name, until)
 
     def approve(self, table_id: int, person: str, note: str = "") -> None:
         """Record that a person answers for a table: definitive releases take no other.
@@ -431,9 +465,16 @@ class Catalog:
         return self._database.read(provenance.model_records)
 
     def save_context(
-        self, mission_text: str, model_name: str, model_version: int, tables: Mapping[str, int]
+        self,
+        mission_text: str,
+        model_name: str,
+        model_version: int,
+        tables: Mapping[str, Sequence[Validity]],
     ) -> str:
-        """Pin mission YAML, model version and table versions; return the id, the sha256 of these."""
+        """Pin mission YAML, model version and which table is valid when; return the id, the sha256 of these.
+
+        `tables`: name -> (table id, start, end) in half-open TT2000.
+        """
         return self._database.write(
             provenance.save_context, mission_text, (model_name, model_version), tables
         )
@@ -441,6 +482,41 @@ class Catalog:
     def context(self, context: str) -> ContextRecord:
         """Return what a context pins."""
         return self._database.read(provenance.context_record, context)
+
+    def named_contexts(self, name: str | None = None) -> list[NamedContext]:
+        """Return the context of each comparison that a name stands for, or those of all names.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such name.
+        """
+        return self._database.read(contexts.named_contexts, name)
+
+    def name_contexts(self, name: str, named: Iterable[NamedContext]) -> None:
+        """Give contexts, one a comparison, a name; what it stands for does not change.
+
+        Raises
+        ------
+        CatalogError
+            When the name is taken.
+        """
+        self._database.write(contexts.name_contexts, name, list(named))
+
+    def remove_context(self, name: str) -> None:
+        """Forget the name of a context; what was made in it stays.
+
+        Raises
+        ------
+        CatalogError
+            When there is none, or a release holds days that were made in it.
+        """
+        self._database.write(contexts.remove_named_context, name)
+
+    def releases_of_context(self, name: str) -> list[str]:
+        """Return the versions of the releases that hold days made in a named context, oldest first."""
+        ids = [one.context for one in self.named_contexts(name)]
+        return self._database.read(contexts.releases_of, ids)
 
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
         """Record delivered files; `files` shows them once the run has published what was made from them.
@@ -490,15 +566,26 @@ class Catalog:
         """
         return repair(self.workspace, self._database, dry_run=dry_run)
 
-    def gc(self, dry_run: bool = True) -> list[str]:
-        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
-        return collect_garbage(self.workspace, self._database, dry_run=dry_run)
+    def gc(self, dry_run: bool = True, *, past: bool = False) -> list[Garbage]:
+        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to.
+
+        Parameters
+        ----------
+        dry_run : bool
+        past : bool
+            Also past revisions and tables that no release, no named context, no newest version and nothing
+            that these were made from needs. Their records stay.
+
+        Raises
+        ------
+        CatalogError
+            With `past`, when a run is under way.
+        """
+        return collect_garbage(self.workspace, self._database, dry_run=dry_run, past=past)
 
     def releases(self) -> list[ReleaseRecord]:
         """Return all releases, the oldest first."""
-        if self._release is not None:
-            return [self._release.record()]
-        return self._database.read(release_records)
+        return self._days.releases()
 
     def release(
         self,

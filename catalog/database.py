@@ -19,7 +19,7 @@ from inflight.catalog.backends import backend_of
 from inflight.errors import CatalogError
 
 #: Newest migration; a test holds it equal to the head of ``migrations/versions``.
-HEAD: Final = "0005"
+HEAD: Final = "0006"
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
@@ -143,7 +143,7 @@ class Database:
 
     def _until_answered(self, attempt: Callable[[], Answer]) -> Answer:
         """Try again while the failure may pass; turn what the driver raises into a `CatalogError`."""
-        pauses = self.backend.pauses()
+        pauses, begun = self.backend.pauses(), time.monotonic()
         while True:
             try:
                 answer = attempt()
@@ -152,7 +152,8 @@ class Database:
                 if pause is None:
                     # Waited for in vain once, it is asked only once from now on, until it answers.
                     self._is_patient = self._is_patient and not self.backend.may_pass(error)
-                    raise self.backend.refusal(error, self.place) from error
+                    waited_s = time.monotonic() - begun
+                    raise self.backend.refusal(error, self.place, waited_s) from error
                 time.sleep(pause)
             else:
                 self._is_patient = True

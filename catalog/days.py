@@ -6,14 +6,16 @@ Each takes a database session and the name of a dataset, and returns `Day` recor
 from __future__ import annotations
 
 import datetime as dt
-from collections import defaultdict
-from collections.abc import Iterable
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
+from inflight.catalog.database import Database
 from inflight.catalog.records import DAY_STATES, Day, ReleaseRecord, parse_version, utc_day, version_text
 from inflight.catalog.schema import (
     CurrentRow,
@@ -267,6 +269,74 @@ def stored_together(session: Session, path: str) -> tuple[str, list[Day]]:
     # A run that was killed has left rows of the same days that another one took over.
     by_day = {day.day: day for day in sorted(days_by_id(session, rows), key=lambda day: int(day.id[4:]))}
     return sha256, [by_day[day] for day in sorted(by_day)]
+
+
+def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
+    """Describe each dataset; see `Catalog.inventory`."""
+    names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
+    return [summary_of_days(name, status_of_days(session, name, span, None)) for name in names]
+
+
+def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
+    """Describe the days of one dataset; see `Catalog.inventory`."""
+    states = Counter(day.state for day in days)
+    published = [day for day in days if day.state == "published"]
+    coverages = [day.coverage for day in published if day.coverage is not None]
+    return {
+        "dataset": name,
+        "first": str(published[0].day) if published else "",
+        "last": str(published[-1].day) if published else "",
+        "days": states["published"],
+        "failed": states["failed"],
+        "no_work": states["no_work"],
+        "gaps": [str(day) for day in missing_days(published)],
+        "versions": dict(sorted(Counter(day.version for day in published).items())),
+        "coverage": float(np.mean(coverages)) if coverages else None,
+        "samples": sum(day.count for day in published),
+    }
+
+
+def missing_days(published: list[Day]) -> list[np.datetime64]:
+    """Return the days between the first and the last published one that are not published."""
+    if not published:
+        return []
+    there = {day.day for day in published}
+    return [day for day in np.arange(published[0].day, published[-1].day) if day not in there]
+
+
+class DatabaseDays:
+    """The days that a catalog's database knows; `ReleaseFolder` answers the same of a folder without one."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def current(self, name: str, day: dt.date) -> Day | None:
+        """Return the published revision of a day; None without one."""
+        return self._database.read(current_day, name, day)
+
+    def of_version(self, name: str, day: dt.date, version: str) -> Day | None:
+        """Return a published revision of a day, past or present."""
+        return self._database.read(day_of_version, name, day, version)
+
+    def days(self, name: str, span: Span, states: Iterable[str] | None, release: str | None) -> list[Day]:
+        """Return one record a day; see `Catalog.days`."""
+        if release is not None:
+            return self._database.read(released_days, release, name, span)
+        return self._database.read(status_of_days, name, span, states)
+
+    def to_read(self, name: str, span: Span, release: str | None, context: str | None) -> list[Day]:
+        """Return the days that opening a span reads; see `Catalog.open`."""
+        if release is not None:
+            return self.days(name, span, None, release)
+        return self._database.read(published_days, name, span, context)
+
+    def inventory(self, span: Span) -> list[dict[str, Any]]:
+        """Describe each dataset; see `Catalog.inventory`."""
+        return self._database.read(dataset_summary, span)
+
+    def releases(self) -> list[ReleaseRecord]:
+        """Return all releases, the oldest first."""
+        return self._database.read(release_records)
 
 
 def _with_store() -> Select[Any]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import datetime as dt
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
-from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, sha256_text
+from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, Validity, sha256_text
 from inflight.catalog.schema import ContextRow, DatasetRow, DayRow, EdgeRow, FileRow, ModelRow, TableRow
 from inflight.catalog.validity import require_tables
 from inflight.errors import CatalogError
@@ -85,13 +85,15 @@ def model_records(session: Session) -> list[ModelRecord]:
 
 
 def save_context(
-    session: Session, mission_text: str, model: tuple[str, int], tables: Mapping[str, int]
+    session: Session, mission_text: str, model: tuple[str, int], tables: Mapping[str, Sequence[Validity]]
 ) -> str:
     """Save a context and its lineage; see `Catalog.save_context`."""
     name, version = model
     model_text(session, name, version)
-    require_tables(session, list(tables.values()))
-    context = sha256_text(json.dumps([mission_text, name, version, sorted(tables.items())]))
+    pinned = {table: [list(one) for one in spans] for table, spans in tables.items()}
+    numbers = sorted({number for spans in pinned.values() for number, _, _ in spans})
+    require_tables(session, numbers)
+    context = sha256_text(json.dumps([mission_text, name, version, sorted(pinned.items())]))
     if session.get(ContextRow, context) is None:
         session.add(
             ContextRow(
@@ -99,10 +101,10 @@ def save_context(
                 mission_text=mission_text,
                 model_name=name,
                 model_version=version,
-                tables=dict(tables),
+                tables=pinned,
             )
         )
-        made_from = [f"model:{name}@{version}", *(f"table:{table}" for table in tables.values())]
+        made_from = [f"model:{name}@{version}", *(f"table:{number}" for number in numbers)]
         add_edges(session, (Edge(parent, f"context:{context}") for parent in made_from))
     return context
 
@@ -112,7 +114,11 @@ def context_record(session: Session, context: str) -> ContextRecord:
     row = session.get(ContextRow, context)
     if row is None:
         raise CatalogError(f"context {context[:12]!r} is not in the catalog", remedy="save it first")
-    return row.as_record(ContextRecord)
+    pinned = {
+        name: tuple((int(one[0]), int(one[1]), int(one[2])) for one in row.tables[name])
+        for name in row.tables
+    }
+    return row.as_record(ContextRecord, tables=pinned)
 
 
 def record_files(session: Session, run_id: str, records: Iterable[FileRecord]) -> None:

@@ -20,21 +20,22 @@ from inflight.errors import CatalogError
 if TYPE_CHECKING:
     import xarray as xr
 
-#: The states a day goes through; the last three are ends.
-DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work")
+#: The states a day goes through; the last four are ends. Nothing needs a revision that was freed.
+DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work", "freed")
 #: Why a day is not there, or, with ``partial``, why not all of it is.
 CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")
 
 #: How far a product is checked. What no release holds is quick-look; definitive needs approved tables.
 MATURITIES: Final = ("quick-look", "preliminary", "definitive")
 
-#: Begins the note of a store that was found damaged and is not to be used any more.
+#: Begin the note of a store that is not to be used any more: it was found damaged, or its place was freed.
 DAMAGED: Final = "damaged: "
+FREED: Final = "freed: "
 
 
-def is_damaged(notes: Sequence[str]) -> bool:
-    """Return True when a store's notes state that it was found damaged."""
-    return any(note.startswith(DAMAGED) for note in notes)
+def is_gone(notes: Sequence[str]) -> bool:
+    """Return True when a store's notes state that it was found damaged, or was freed."""
+    return any(note.startswith((DAMAGED, FREED)) for note in notes)
 
 
 @dataclass(frozen=True)
@@ -144,8 +145,9 @@ class ReleaseRecord:
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 
-    A `damaged` one is known by its record only: its store was found not to be as it was written. `approved`
-    lists who answers for it and when they said so, with a note.
+    A `damaged` one is known by its record only: its store was found not to be as it was written, or was
+    freed. `approved` lists who answers for it and when they said so, with a note. A person took validity of a
+    `decertified` one away: runs do not give it back.
     """
 
     id: int
@@ -159,6 +161,7 @@ class TableRecord:
     certified: tuple[tuple[str | None, int, int], ...] = ()
     damaged: bool = False
     approved: tuple[tuple[str, str, str], ...] = ()
+    decertified: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,15 +193,56 @@ class RunRecord:
     ended: str | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class CertificationAct:
+    """What was done to the validity of a table in ``[start, end)``, TT2000: by whom, when and why.
+
+    `act` is ``certify``, which ends what other tables of the name had there, or ``decertify``. `run` is the
+    run that did it, None for a person. `context` is None for validities in any context.
+    """
+
+    table: int
+    name: str
+    context: str | None
+    act: str
+    start: int
+    end: int
+    author: str
+    reason: str
+    created: str
+    run: str | None
+
+
+#: A table is valid in half-open TT2000: (table id, start, end).
+Validity = tuple[int, int, int]
+
+
 @dataclass(frozen=True)
 class ContextRecord:
-    """What a context pins: the mission YAML, one model version and the calibration tables by name."""
+    """What a context pins: the mission YAML, one model version, and which table of a name is valid when."""
 
     id: str
     mission_text: str
     model_name: str
     model_version: int
-    tables: Mapping[str, int]
+    tables: Mapping[str, Sequence[Validity]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedContext:
+    """The context of one comparison that a name stands for.
+
+    `run` is the reprocessing whose choices go with it, `as_of` up to when it knows what was done.
+    """
+
+    name: str
+    comparison: str
+    context: str
+    run: str
+    author: str
+    reason: str
+    as_of: str
+    created: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,13 @@ from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
 from inflight.catalog.day_files import DayHeader, file_version, logical_file_id, write_cdf, write_netcdf
-from inflight.catalog.days import dataset_names, published_days, released_days, status_of_days
+from inflight.catalog.days import (
+    dataset_names,
+    missing_days,
+    published_days,
+    released_days,
+    status_of_days,
+)
 from inflight.catalog.differences import changed_days
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
@@ -43,7 +49,6 @@ from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import Span
 from inflight.catalog.stores import open_store
 from inflight.catalog.table_files import write_table_cdf, write_table_csv
-from inflight.catalog.upkeep import missing_days
 from inflight.catalog.validity import table_records
 from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
 from inflight.mission import Mission
@@ -389,7 +394,7 @@ def _collect(session: Session, request: ReleaseRequest) -> ReleaseContents:
         ]
         previous = PreviousRelease(version=last.version, days=tuple(before))
     pinned = context_record(session, context) if context else None
-    pinned_ids = set(pinned.tables.values()) if pinned else set()
+    pinned_ids = {one[0] for spans in pinned.tables.values() for one in spans} if pinned else set()
     tables = [
         table
         for table in table_records(session, None)

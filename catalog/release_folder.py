@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, NoReturn
 
 from inflight.catalog.database import Database
+from inflight.catalog.days import summary_of_days
 from inflight.catalog.records import Day, ReleaseRecord, parse_version, utc_day
-from inflight.catalog.spans import Span, as_date
+from inflight.catalog.spans import Span, as_date, parse_span
 from inflight.catalog.stores import open_store
 from inflight.errors import CatalogError, IntegrityError
 from inflight.mission import Mission, ReleaseHeader
@@ -121,37 +122,64 @@ class ReleaseFolder:
         is_release = (folder / MARKER).is_file() and not (folder / "catalog.db").exists()
         return cls(folder) if is_release else None
 
-    def record(self) -> ReleaseRecord:
-        """Return the release as a catalog lists it; it was made when the folder was written."""
+    def releases(self) -> list[ReleaseRecord]:
+        """Return the one release, as a catalog lists it; it was made when the folder was written."""
         written = dt.datetime.fromtimestamp((self.folder / MARKER).stat().st_mtime, dt.UTC)
         days = {
             name: [as_date(day.day) for day in listed if day.state == "published"]
             for name, listed in self._listed.items()
         }
-        return ReleaseRecord(
+        record = ReleaseRecord(
             version=self.version,
             created=written.isoformat(timespec="seconds"),
             datasets={name: (dates[0], dates[-1]) for name, dates in days.items() if dates},
             maturity=self.maturity,
         )
+        return [record]
 
-    def names(self) -> list[str]:
-        """Return the datasets of the release."""
-        return list(self._listed)
+    def inventory(self, span: Span) -> list[dict[str, Any]]:
+        """Describe each dataset; see `Catalog.inventory`."""
+        return [summary_of_days(name, self.days(name, span)) for name in self._listed]
 
-    def require(self, name: str) -> None:
-        """Refuse a dataset that is not in the release.
+    def current(self, name: str, day: dt.date) -> Day | None:
+        """Return the published revision of a day; None without one."""
+        return next(iter(self.days(name, parse_span(day), ("published",))), None)
+
+    def of_version(self, name: str, day: dt.date, version: str) -> Day | None:
+        """Return that revision, if it is the one that was released."""
+        found = self.current(name, day)
+        return found if found is not None and found.version == version else None
+
+    def to_read(self, name: str, span: Span, release: str | None, context: str | None) -> list[Day]:
+        """Return the days that opening a span reads.
 
         Raises
         ------
         CatalogError
-            The message names those there are.
+            When the dataset is not in the release, or a context is asked for.
         """
+        if context is not None and release is None:
+            self.refuse()
         if name not in self._listed:
             raise CatalogError(
                 f"release {self.version} has no dataset '{name}'; it has: {', '.join(self._listed)}",
                 remedy="check the name",
             )
+        return self.days(name, span, ("published",), release)
+
+    def refuse(self) -> NoReturn:
+        """Refuse what only a database tells.
+
+        Raises
+        ------
+        CatalogError
+            Always.
+        """
+        raise CatalogError(
+            f"this folder is release {self.version}: it holds days, but no runs, models or lineage",
+            file=str(self.folder),
+            remedy="ask the workspace it was made in",
+        )
 
     def days(
         self, name: str, span: Span, states: Iterable[str] | None = None, release: str | None = None
@@ -169,7 +197,8 @@ class ReleaseFolder:
         """
         if release not in (None, self.version):
             raise CatalogError(f"this folder is release {self.version}", remedy="ask for that, or for none")
-        first, last, accepted = span.first_day(), span.last_day(), None if states is None else set(states)
+        first, last = span.first_day(), span.last_day()
+        accepted = {"published"} if release is not None else None if states is None else set(states)
         found = [
             day
             for day in self._listed.get(name, ())
@@ -253,11 +282,7 @@ class NoDatabase(Database):
         CatalogError
             Always.
         """
-        raise CatalogError(
-            f"this folder is release {self._release.version}: it holds days, but no runs, models or lineage",
-            file=str(self._release.folder),
-            remedy="ask the workspace it was made in",
-        )
+        self._release.refuse()
 
     write = write_to = write_beside = read
 

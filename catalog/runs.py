@@ -60,7 +60,7 @@ from inflight.catalog.schema import (
 )
 from inflight.catalog.segments import flush_segment, write_segment, write_table
 from inflight.catalog.spans import as_date
-from inflight.catalog.validity import Certification, certify_table
+from inflight.catalog.validity import Authority, Certification, certify_table
 from inflight.errors import CatalogError, InflightError, IntegrityError, StorageError
 
 if TYPE_CHECKING:
@@ -371,8 +371,9 @@ class Run:
                     "the manifest is not the one that was verified", file=path, remedy="run again"
                 )
         published = _move_pointers(session, self.id, [row for row, _, _ in rows])
+        authority = Authority(reason=str(self.settings.get("reason", "")), run=self.id)
         for certification in certify:
-            certify_table(session, certification, supersede=supersede)
+            certify_table(session, certification, authority, supersede=supersede)
         # A delivered file counts as taken in only with the days that were made from it.
         session.execute(update(FileRow).where(FileRow.run_id == self.id).values(taken=True))
         session.flush()

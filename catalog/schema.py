@@ -201,6 +201,24 @@ class CertificationRow(Base):
     end: Mapped[int]
 
 
+class CertificationActRow(Base):
+    """What was done to validities, in order: replayed up to a time, it tells what was valid by then."""
+
+    __tablename__ = "certification_act"
+    __table_args__ = (Index("certification_act_by_name", "name", "context"),)
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    table_id: Mapped[int] = mapped_column(ForeignKey("calibration_table.id"))
+    name: Mapped[str]
+    context: Mapped[str]
+    act: Mapped[str]
+    start: Mapped[int]
+    end: Mapped[int]
+    author: Mapped[str]
+    reason: Mapped[str] = mapped_column(_Message)
+    created: Mapped[str]
+    run_id: Mapped[str | None] = mapped_column(ForeignKey("run.id"))
+
+
 class ApprovalRow(Base):
     """A person answers for a table: definitive releases need one of each table that products took."""
 
@@ -230,7 +248,7 @@ class ModelRow(Base):
 
 
 class ContextRow(Base):
-    """What a context pins; its id is the hash of the rest."""
+    """What a context pins; its id is the hash of the rest. `tables`: name -> list of [table, start, end]."""
 
     __tablename__ = "context"
     id: Mapped[str] = mapped_column(primary_key=True)
@@ -238,6 +256,21 @@ class ContextRow(Base):
     model_name: Mapped[str]
     model_version: Mapped[int]
     tables: Mapped[dict[str, Any]]
+
+
+class NamedContextRow(Base):
+    """The context of each comparison that a name stands for, and the run whose choices go with it."""
+
+    __tablename__ = "named_context"
+    name: Mapped[str] = mapped_column(primary_key=True)
+    comparison: Mapped[str] = mapped_column(primary_key=True)
+    context_id: Mapped[str] = mapped_column(ForeignKey("context.id"))
+    run_id: Mapped[str] = mapped_column(ForeignKey("run.id"))
+    author: Mapped[str]
+    reason: Mapped[str] = mapped_column(_Message)
+    #: Up to when it knows what was done, ISO 8601.
+    as_of: Mapped[str]
+    created: Mapped[str]
 
 
 class FileRow(Base):

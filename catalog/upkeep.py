@@ -1,7 +1,6 @@
-"""Upkeep of a workspace: what it holds, whether it is whole, the way back from damage, and garbage.
+"""Upkeep of a workspace: whether it is whole, and the way back from damage.
 
-`dataset_summary` lists what there is, `find_faults` compares every store with its manifest, `repair` takes
-damaged stores out of use, `collect_garbage` removes stores that nothing refers to.
+`find_faults` compares every store with its manifest, `repair` takes damaged stores out of use.
 
 Repair: a published key means that there is no work. So the days of a damaged store lose their pointer, and
 its tables their validity; the next ingest and reprocess make them again. What was delivered and what is
@@ -10,63 +9,27 @@ whole is not touched.
 
 from __future__ import annotations
 
-import shutil
-import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
-from inflight.catalog.days import status_of_days
 from inflight.catalog.manifest import manifest_faults
 from inflight.catalog.provenance import unknown_ids
-from inflight.catalog.records import DAMAGED, Day, is_damaged
+from inflight.catalog.records import DAMAGED, is_gone
 from inflight.catalog.runs import Run
 from inflight.catalog.schema import (
-    CertificationRow,
     CurrentRow,
     DatasetRow,
     DayRow,
     EdgeRow,
-    RunRow,
     StoreRow,
     TableRow,
 )
-from inflight.catalog.spans import Span
-
-#: After which a release that nothing was written to any more is taken for killed, s; assumed.
-_ABANDONED_S = 86_400.0
-
-
-def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
-    """Describe each dataset; see `Catalog.inventory`."""
-    names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name)).all()
-    return [summary_of_days(name, status_of_days(session, name, span, None)) for name in names]
-
-
-def summary_of_days(name: str, days: Sequence[Day]) -> dict[str, Any]:
-    """Describe the days of one dataset; see `Catalog.inventory`."""
-    states = Counter(day.state for day in days)
-    published = [day for day in days if day.state == "published"]
-    coverages = [day.coverage for day in published if day.coverage is not None]
-    return {
-        "dataset": name,
-        "first": str(published[0].day) if published else "",
-        "last": str(published[-1].day) if published else "",
-        "days": states["published"],
-        "failed": states["failed"],
-        "no_work": states["no_work"],
-        "gaps": [str(day) for day in missing_days(published)],
-        "versions": dict(sorted(Counter(day.version for day in published).items())),
-        "coverage": float(np.mean(coverages)) if coverages else None,
-        "samples": sum(day.count for day in published),
-    }
+from inflight.catalog.validity import Authority, withdraw_tables
 
 
 def find_faults(session: Session, workspace: Path, name: str | None) -> list[dict[str, str]]:
@@ -105,7 +68,7 @@ def damaged_stores(
     in_use = {store.path: (store, dataset) for store, dataset in session.execute(of_days)}
     in_use |= {store.path: (store, f"tables/{table}") for store, table in session.execute(of_tables)}
     for store, item in in_use.values():
-        if name not in {None, item} or is_damaged(store.notes):
+        if name not in {None, item} or is_gone(store.notes):
             continue
         if found := manifest_faults(workspace / store.path, store.sha256):
             yield store, item, found
@@ -183,88 +146,4 @@ def _withdraw_store(session: Session, run_id: str, damage: Repair) -> None:
         failed.state, failed.cause, failed.message = "failed", "transient", message
         session.add(failed)
     session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
-    session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))
-
-
-def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:
-    """Remove stores and staging folders that nothing refers to; see `Catalog.gc`."""
-    # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
-    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").glob("*"))
-    alive, needed = database.read(_in_use)
-    garbage = []
-    for folder in present:
-        path = folder.relative_to(workspace).as_posix()
-        run_id = path.split("/")[1]
-        if run_id not in alive and path not in needed:
-            garbage.append(path)
-    abandoned = _abandoned_releases(workspace)
-    if dry_run:
-        return garbage + abandoned
-    for path in abandoned:
-        shutil.rmtree(workspace / path, ignore_errors=True)
-    for path in database.write(_forget_stores, garbage):
-        shutil.rmtree(workspace / path, ignore_errors=True)
-        if not any((workspace / path).parent.iterdir()) and path.startswith("stores/"):
-            (workspace / path).parent.rmdir()
-    return garbage + abandoned
-
-
-def _in_use(session: Session) -> tuple[set[str], set[str]]:
-    """Return the runs that are alive and the paths of the stores that are needed."""
-    alive = set(session.scalars(select(RunRow.id).where(RunRow.state == "running")))
-    return alive, _needed_stores(session)
-
-
-def _forget_stores(session: Session, paths: Sequence[str]) -> list[str]:
-    """Take stores out of the database; return the paths that can go."""
-    # Asked again under the write lock: a run may have adopted a store meanwhile.
-    needed = _needed_stores(session)
-    removed = [path for path in paths if path not in needed]
-    stores = session.scalars(select(StoreRow).where(StoreRow.path.in_(removed))).all()
-    session.execute(
-        update(DayRow)
-        .where(DayRow.store_id.in_([store.id for store in stores]))
-        .values(store_id=None, state="failed", cause="no_work")
-    )
-    for store in stores:
-        session.delete(store)
-    return removed
-
-
-def _abandoned_releases(workspace: Path) -> list[str]:
-    """Return folders of releases that were killed before they were whole: hidden, and a day old."""
-    before = time.time() - _ABANDONED_S
-    folders = (workspace / "releases").glob(".*-*") if (workspace / "releases").is_dir() else ()
-    old = (one for one in folders if one.is_dir() and one.stat().st_mtime < before)
-    return sorted(one.relative_to(workspace).as_posix() for one in old)
-
-
-def _needed_stores(session: Session) -> set[str]:
-    """Return the paths of stores of published days, of tables and of days that may still be adopted."""
-    published = (
-        select(StoreRow.path).join(DayRow, DayRow.store_id == StoreRow.id).where(DayRow.state == "published")
-    )
-    tables = select(StoreRow.path).join(TableRow, TableRow.store_id == StoreRow.id)
-    newer = (
-        select(CurrentRow.day_id)
-        .where(
-            CurrentRow.dataset_id == DayRow.dataset_id,
-            CurrentRow.day == DayRow.day,
-            CurrentRow.day_id > DayRow.id,
-        )
-        .exists()
-    )
-    adoptable = (
-        select(StoreRow.path)
-        .join(DayRow, DayRow.store_id == StoreRow.id)
-        .where(DayRow.state == "verified", ~newer)
-    )
-    return {path for query in (published, tables, adoptable) for path in session.scalars(query)}
-
-
-def missing_days(published: list[Day]) -> list[np.datetime64]:
-    """Return the days between the first and the last published one that are not published."""
-    if not published:
-        return []
-    there = {day.day for day in published}
-    return [day for day in np.arange(published[0].day, published[-1].day) if day not in there]
+    withdraw_tables(session, damage.tables, Authority(reason=message, run=run_id))

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from multiprocessing import forkserver
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -57,6 +57,10 @@ _IMPORTED = [
 _MESSAGES_KEPT = 16
 
 
+#: Tells workers how far they stand behind others on this machine, as ``nice`` counts it.
+_NICENESS: Final = "INFLIGHT_NICENESS"
+
+
 def dask_setup(worker: Any) -> None:
     """Let a worker ignore Ctrl-C, which is for the command: it ends the workers. Dask calls this in each.
 
@@ -69,6 +73,7 @@ def dask_setup(worker: Any) -> None:
     del worker
     logging.getLogger("distributed.worker").setLevel(logging.CRITICAL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(int(os.environ.get(_NICENESS, "0")))
     gc.freeze()
 
 
@@ -78,7 +83,7 @@ def available_cores() -> int:
 
 
 @contextmanager
-def dask_client(workers: int | None = None) -> Iterator[Client]:
+def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Client]:
     """Yield one client for the whole run.
 
     Parameters
@@ -87,6 +92,8 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         Processes to start; the cores of this machine when absent. Each has one thread and one BLAS
         thread, so that results do not depend on how many there are. The environment variable
         ``INFLIGHT_DASK_SCHEDULER`` names a running scheduler instead.
+    niceness : int
+        How far the processes stand behind others of this machine.
     """
     import dask
     from distributed import Client, LocalCluster
@@ -94,7 +101,7 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
     settings = {
         "distributed.worker.multiprocessing-method": "forkserver",
         # The fork server's environment is that of its start.
-        "distributed.nanny.environ": {**os.environ, **_ONE_THREAD},
+        "distributed.nanny.environ": {**os.environ, **_ONE_THREAD, _NICENESS: str(niceness)},
         "distributed.worker.memory.spill": False,
         "distributed.worker.preload": [__name__],
         "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
@@ -139,8 +146,8 @@ def _end_fork_server() -> None:
 class _LazyClient:
     """Stands for a client that is started when the first work is given to it."""
 
-    def __init__(self, workers: int | None) -> None:
-        self._workers, self._stack = workers, ExitStack()
+    def __init__(self, workers: int | None, niceness: int) -> None:
+        self._settings, self._stack = (workers, niceness), ExitStack()
         self._client: Client | None = None
         # Prefect's tasks run in threads, several of which may bring the first work.
         self._starting = threading.Lock()
@@ -149,7 +156,7 @@ class _LazyClient:
         """Give work to the client: see `distributed.Client.submit`."""
         with self._starting:
             if self._client is None:
-                self._client = self._stack.enter_context(dask_client(self._workers))
+                self._client = self._stack.enter_context(dask_client(*self._settings))
         return self._client.submit(*work, **options)
 
     def end_processes(self) -> None:
@@ -160,15 +167,15 @@ class _LazyClient:
 
 
 @contextmanager
-def lazy_client(workers: int | None = None) -> Iterator[Any]:
+def lazy_client(workers: int | None = None, niceness: int = 0) -> Iterator[Any]:
     """Yield what work can be submitted to; no process starts before the first does.
 
     Parameters
     ----------
-    workers : int, optional
+    workers, niceness : int
         As of `dask_client`.
     """
-    client = _LazyClient(workers)
+    client = _LazyClient(workers, niceness)
     try:
         yield client
     finally:

@@ -39,6 +39,8 @@ DEFAULT_SETTINGS = ReprocessSettings()
 #: Each day's own parameters with the month's offset along the spin axis.
 MONTHLY_SETTINGS = ReprocessSettings(table="daily")
 DIAGNOSE_SETTINGS = DiagnoseSettings()
+#: Of the processes of a backfill, as ``nice`` counts it by itself.
+BACKFILL_NICENESS = 10
 
 
 def ingest(
@@ -330,9 +332,12 @@ def _ingest_and_reprocess(
     workers: int | None,
     reason: str = "",
 ) -> dict[str, Any]:
-    """Take in the first span and reprocess the second one; `command` names the report."""
+    """Take in the first span and reprocess the second one; `command` names the report.
+
+    Live days go before a backfill: its processes leave them the cores of this machine.
+    """
     place, (delivered, reprocessed) = Workspace.open(workspace), spans
-    with lazy_client(workers) as client:
+    with lazy_client(workers, BACKFILL_NICENESS if command == "backfill" else 0) as client:
         ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
         report = _reprocess_span(place, reprocessed, settings, client, reason)
     return ingested.followed_by(report, command).as_json()

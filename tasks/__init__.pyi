@@ -8,7 +8,15 @@ from .analysis import (
 )
 from .archive import ingest, simulate
 from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
-from .models import ModelHistory, comparison_of, current_model, find_model, find_table, preflight_model
+from .models import (
+    ModelHistory,
+    comparison_of,
+    current_model,
+    find_model,
+    find_table,
+    model_label,
+    preflight_model,
+)
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release, plan_release
 from .report import (
@@ -46,6 +54,7 @@ __all__ = [
     "ingest",
     "location_of",
     "make_release",
+    "model_label",
     "plan_release",
     "preflight_model",
     "print_report",

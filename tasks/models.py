@@ -42,6 +42,11 @@ class VersionedModel:
     text: str
 
 
+def model_label(name: str, version: int) -> str:
+    """Return how a person and a product's header name a version of a model."""
+    return f"{name} version {version}" if version else f"{name}, not used yet"
+
+
 def effect_sources(cat: Catalog, mission: Mission) -> tuple[EffectSource, ...]:
     """Return the files with effects that the mission names, read from the workspace.
 
@@ -207,7 +212,7 @@ def find_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Vers
         if follows:
             newest = record.version
     unsaved = VersionedModel(start, 0, start.text)
-    return version_of(cat, mission, unsaved, newest) if newest else unsaved
+    return version_of(cat, mission, start.name, newest, start.own) if newest else unsaved
 
 
 def comparison_of(mission: Mission, named: str | None) -> str:
@@ -245,7 +250,7 @@ class HistoryEntry:
     @property
     def label(self) -> str:
         """Name and version in words."""
-        return f"{self.name} version {self.version}" if self.version else f"{self.name}, not used yet"
+        return model_label(self.name, self.version)
 
 
 class ModelHistory:
@@ -254,7 +259,7 @@ class ModelHistory:
     def __init__(self, cat: Catalog, mission: Mission, comparison: str = "main") -> None:
         self._cat, self._mission = cat, mission
         used = find_model(cat, mission, comparison)
-        self._own = used.model.own
+        self._used = used.model
         self._records = {(record.name, record.version): record for record in self._cat.models()}
         self.used = self._version(used.model.name, used.version, used.text)
 
@@ -287,7 +292,9 @@ class ModelHistory:
 
     def model(self, entry: HistoryEntry) -> Model:
         """Return the model of a version, with the effects' files as they are now."""
-        return parse_model(self._cat, entry.text, self._mission, entry.label, self._own)
+        if not entry.version:
+            return self._used
+        return version_of(self._cat, self._mission, entry.name, entry.version, self._used.own).model
 
     def same(self, one: int | None, other: int | None) -> bool:
         """Return True for two versions of the model in use with one text: an undo has an older one's."""
@@ -346,13 +353,38 @@ SET = "set"
 TAKE = "take"
 
 
-def version_of(cat: Catalog, mission: Mission, like: VersionedModel, version: int) -> VersionedModel:
-    """Return another version of a model, made with the effects' files as they are now."""
-    name = like.model.name
+def version_of(
+    cat: Catalog, mission: Mission, name: str, version: int, own: tuple[EffectSource, ...]
+) -> VersionedModel:
+    """Return a version of a model, made with some files' effects: those as they are now, usually."""
     text = cat.model_text(name, version)[2]
-    return VersionedModel(
-        parse_model(cat, text, mission, f"{name} version {version}", like.model.own), version, text
-    )
+    return VersionedModel(parse_model(cat, text, mission, model_label(name, version), own), version, text)
+
+
+def version_as_it_was(cat: Catalog, mission: Mission, name: str, version: int) -> VersionedModel:
+    """Return a version of a model; its own effects' files must not have changed since.
+
+    Raises
+    ------
+    CatalogError
+        When they have.
+    """
+    found = version_of(cat, mission, name, version, effect_sources(cat, mission))
+    record = next(one for one in cat.models() if (one.name, one.version) == (name, version))
+    if found.model.sha != record.sha256:
+        raise CatalogError(
+            f"{model_label(name, version)} cannot be read as it was: a file with effects changed since",
+            remedy=f"put back the old text of {', '.join(mission.effects) or 'its effects'}",
+        )
+    return found
+
+
+def preflight_of(cat: Catalog, mission: Mission, name: str, version: int) -> Model:
+    """Return the model that the history of a version began with: that from before flight."""
+    parents = {one.version: one.parent for one in cat.models() if one.name == name}
+    while (before := parents[version]) is not None:
+        version = before
+    return version_as_it_was(cat, mission, name, version).model
 
 
 def version_with_gram_blocks(
@@ -383,7 +415,11 @@ def version_with_gram_blocks(
     if version is None:
         return None
     made_at, measured = versions[version]
-    used = current if made_at == current.version else version_of(cat, mission, current, made_at)
+    used = (
+        current
+        if made_at == current.version
+        else version_of(cat, mission, current.model.name, made_at, current.model.own)
+    )
     return used, measured
 
 
@@ -402,7 +438,7 @@ def version_before_change(cat: Catalog, mission: Mission, current: VersionedMode
             f"version {current.version} of model '{current.model.name}' is where it began",
             remedy="'inflight model history' lists the versions; there is nothing to take back",
         )
-    return version_of(cat, mission, current, parent)
+    return version_of(cat, mission, current.model.name, parent, current.model.own)
 
 
 def _without_undo(records: dict[int, ModelRecord], version: int) -> int:

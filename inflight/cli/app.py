@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from inflight import __version__
-from inflight.cli import catalog, diagnose, figures, models, processing, results, start
+from inflight.cli import catalog, contexts, diagnose, figures, models, processing, results, start
 from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, WorkspaceOption, verb
 
 #: New objects after which Python looks for dead cycles. Its own 700 cost a tenth of a command's time: imports
@@ -78,6 +78,7 @@ for panel, verbs in VERBS.items():
     for function, examples in verbs.items():
         verb(app, function.__name__.rstrip("_"), panel, examples)(function)
 app.add_typer(models.group, name="model", rich_help_panel="Look")
+catalog.group.add_typer(contexts.group, name="context")
 app.add_typer(catalog.group, name="catalog", rich_help_panel="Look")
 
 

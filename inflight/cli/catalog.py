@@ -103,6 +103,7 @@ def show_dataset(
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
         if values is not None:
             _print_values(console, values)
+            console.print(f"\nwho certified it when, and why: inflight catalog history {name}", markup=False)
 
     command.emit({"command": "catalog show", "name": name, "items": items}, show)
 
@@ -211,7 +212,10 @@ def _items_of(catalog: Catalog, name: str, span: slice) -> tuple[tuple[str, ...]
     from inflight.errors import CatalogError
 
     if ":" in name:
-        edges = [_plain_fields(edge) for edge in catalog.lineage(name)]
+        names = {f"context:{one.context}": one.name for one in catalog.named_contexts()}
+        ids = [key for key, known in names.items() if known == name.removeprefix("context:")]
+        found = dict.fromkeys(edge for one in ids or [name] for edge in catalog.lineage(one))
+        edges = [_plain_fields(edge) | {"named": names.get(edge.parent, "")} for edge in found]
         # A file, a model and a context are where lineage begins; days and tables are made from something.
         if not edges and name.partition(":")[0] not in ("file", "model", "context"):
             raise CatalogError(
@@ -501,27 +505,43 @@ def collect_garbage(
     command: Command,
     *,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be removed.")] = False,
+    past: Annotated[
+        bool,
+        typer.Option(
+            "--past",
+            help="Also past revisions and tables that no release, no named context, no newest version and "
+            "nothing these were made from needs.",
+        ),
+    ] = False,
 ) -> None:
     """Remove what nothing refers to: stores of runs that failed, releases that were killed.
 
-    What is or ever was published, and what a release holds, stays.
+    What is or ever was published, and what a release holds, stays; with --past only what is needed does.
     """
-    from inflight.catalog import folder_bytes
-
-    catalog = command.open_catalog()
-    sizes = {path: folder_bytes(catalog.workspace / path) / 1e6 for path in catalog.gc(dry_run=True)}
-    items: list[dict[str, Any]] = [{"path": path, "MB": size} for path, size in sizes.items()]
-    if not dry_run:
-        catalog.gc(dry_run=False)
+    found = command.open_catalog().gc(dry_run=dry_run, past=past)
+    items = [_plain_fields(one) | {"MB": one.bytes / 1e6} for one in found]
+    counts = {
+        "folders": len(found),
+        "revisions": sum(len(one.revisions) for one in found),
+        "tables": sum(len(one.tables) for one in found),
+        "bytes": sum(one.bytes for one in found),
+    }
 
     def show(console: Console) -> None:
         if not items:
             console.print("everything that is stored is in use")
             return
-        console.print(_table(("path", "MB"), items))
-        console.print(f"{sum(sizes.values()):.1f} MB {'would be removed' if dry_run else 'were removed'}")
+        rows = [one | {key: len(one[key]) for key in ("revisions", "tables")} for one in items[:SHOWN_DAYS]]
+        console.print(_table(("path", "item", "revisions", "tables", "MB"), rows))
+        if len(items) > SHOWN_DAYS:
+            console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
+        console.print(
+            f"{'would be' if dry_run else 'were'} removed: {counts['bytes'] / 1e6:.1f} MB; past revisions of "
+            f"days: {counts['revisions']}, tables: {counts['tables']}, folders: {counts['folders']}",
+            soft_wrap=True,
+        )
 
-    command.emit({"command": "catalog gc", "dry_run": dry_run, "items": items}, show)
+    command.emit({"command": "catalog gc", "dry_run": dry_run, "counts": counts, "items": items}, show)
 
 
 @verb(group, "move")

@@ -6,7 +6,8 @@ Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_U
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -205,6 +206,15 @@ def reprocess(
             show_default=False,
         ),
     ] = None,
+    named_context: Annotated[
+        str | None,
+        typer.Option(
+            "--context",
+            metavar="NAME",
+            help="Fit nothing: take mission file, model and tables of a named context ('catalog context')",
+            show_default=False,
+        ),
+    ] = None,
     as_of: Annotated[
         str | None,
         typer.Option(
@@ -223,10 +233,20 @@ def reprocess(
     details: DetailsOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
-    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
+    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of, settings_of_context
 
     if as_of is not None:
-        chosen = (table, window_days, min_coverage, batch_days, trend, origin, distribute or None, use_table)
+        chosen = (
+            table,
+            window_days,
+            min_coverage,
+            batch_days,
+            trend,
+            origin,
+            distribute or None,
+            use_table,
+            named_context,
+        )
         if any(option is not None for option in chosen):
             raise SettingsError(
                 f"--as-of {as_of} takes model, table and settings of that version",
@@ -244,11 +264,13 @@ def reprocess(
         origin=origin,
         distribute=distribute or None,
         use_table=use_table,
+        context=named_context,
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    checked = ReprocessSettings.model_validate(settings)
-    pipeline = pipeline_of(command.open_workspace().mission(), checked.comparison, checked)
+    place, checked = command.open_workspace(), ReprocessSettings.model_validate(settings)
+    mission, checked = settings_of_context(command.open_catalog(), place.mission(), checked)
+    pipeline = pipeline_of(mission, checked.comparison, checked)
     there = report.days["done"] + report.days["unchanged"]
     command.finish(report, [*pipeline.remarks(report.extra), *([_NEXT_REPROCESS] if there else [])], details)
 
@@ -291,30 +313,49 @@ def backfill(
     details: DetailsOption = False,
 ) -> None:
     """Take in and reprocess a past span: planned first, then only what is needed."""
+    from inflight.errors import CatalogError
+    from inflight.flows import plan_span
+
     settings = _given(comparison=comparison, batch_days=batch_days)
+    try:
+        fields = plan_span(command.open_workspace(), start, end, settings)
+    except CatalogError:
+        if dry_run:
+            raise
+        fields = None  # what is to be taken in may be all there is of the span
+
+    def show_plan(console: Console) -> None:
+        for line in _plan_lines(start, end, fields) if fields else ():
+            console.print(line, soft_wrap=True, markup=False)
+
     if not dry_run:
+        if not command.json:
+            show_plan(command.console)
         parameters = {"start": start, "end": end, "settings": settings, **_given(reason=reason or None)}
         report = run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect)
         there = report.days["done"] + report.days["unchanged"]
+        report = replace(report, extra={**report.extra, "plan": fields})
         command.finish(report, [_NEXT_REPROCESS] if there else [], details)
         return
-    from inflight.flows import plan_span
-
-    fields = plan_span(command.open_workspace(), start, end, settings)
+    assert fields is not None
 
     def show(console: Console) -> None:
-        days = fields["days"]
-        console.print(
-            f"backfill {start} to {end}: {days['planned']} days to do in {len(fields['batches'])} batches, "
-            f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
-        )
-        if (cost := fields["cost"]) and days["planned"]:
-            console.print(
-                f"  some {cost['seconds']:.0f} s and {cost['bytes'] / 1e6:.0f} MB, at the rate of run "
-                f"{cost['run']}; files that have to be taken in first are not counted",
-                soft_wrap=True,
-            )
+        show_plan(console)
         for first, last, count in fields["batches"]:
             console.print(f"  {first} to {last}  ({count} days)")
 
     command.emit({"command": "backfill", "dry_run": True, **fields}, show)
+
+
+def _plan_lines(start: str, end: str, fields: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a backfill has to do, and what that costs at a measured rate."""
+    days, cost = fields["days"], fields["cost"]
+    yield (
+        f"backfill {start} to {end}: {days['planned']} days to do in {len(fields['batches'])} batches, "
+        f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
+    )
+    if cost and days["planned"]:
+        yield (
+            f"  some {cost['seconds']:.0f} s and {cost['bytes'] / 1e6:.0f} MB, at the rate of run "
+            f"{cost['run']}; files that have to be taken in first are not counted"
+        )

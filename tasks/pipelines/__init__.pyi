@@ -22,9 +22,11 @@ from .base import (
     register_outcome,
     residual_of_days,
     reuse_interrupted_days,
+    settings_of_context,
     window_edges,
 )
 from .conformance import check_pipeline
+from .contexts import AffectedDay, ComparisonState, affected_days, make_context, states_of
 from .mission_fit import trend_of_products
 from .registry import (
     PIPELINES,
@@ -42,8 +44,10 @@ from .scalar import load_equations
 
 __all__ = [
     "PIPELINES",
+    "AffectedDay",
     "Batch",
     "CompareResult",
+    "ComparisonState",
     "EarlierProducts",
     "Job",
     "Outcome",
@@ -56,12 +60,14 @@ __all__ = [
     "TablesToPublish",
     "TextLine",
     "Versions",
+    "affected_days",
     "blocks_of",
     "check_pipeline",
     "earlier_products",
     "find_pipeline",
     "learns_states",
     "load_equations",
+    "make_context",
     "make_days",
     "newest_table",
     "pipeline_of",
@@ -73,7 +79,9 @@ __all__ = [
     "reprocess_if_unchanged",
     "residual_of_days",
     "reuse_interrupted_days",
+    "settings_of_context",
     "spacecraft_units_of",
+    "states_of",
     "table_sections",
     "tables_report",
     "trend_of_products",

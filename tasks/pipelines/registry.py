@@ -9,7 +9,13 @@ from inflight.catalog import Catalog
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
-from inflight.tasks.pipelines.base import Pipeline, ReprocessSettings, report_if_unchanged, run_plan
+from inflight.tasks.pipelines.base import (
+    Pipeline,
+    ReprocessSettings,
+    report_if_unchanged,
+    run_plan,
+    settings_of_context,
+)
 from inflight.tasks.pipelines.field_model import FieldModelPipeline
 from inflight.tasks.pipelines.intercalibration import RelationPipeline
 from inflight.tasks.pipelines.mission_fit import MissionPipeline
@@ -117,7 +123,7 @@ def reprocess(
     MissionError, ModelError, CatalogError
         When there is nothing to work on or the model does not fit the mission.
     """
-    settings = settings or ReprocessSettings()
+    mission, settings = settings_of_context(cat, mission, settings or ReprocessSettings())
     pipeline = pipeline_of(mission, settings.comparison, settings)
     planned = pipeline.make_plan(cat, mission, settings, (start, end))
     unchanged = report_if_unchanged(pipeline, cat, planned)
@@ -135,7 +141,7 @@ def reprocess_if_unchanged(
 
     Parameters and errors are those of `reprocess`.
     """
-    settings = settings or ReprocessSettings()
+    mission, settings = settings_of_context(cat, mission, settings or ReprocessSettings())
     pipeline = pipeline_of(mission, settings.comparison, settings)
     return report_if_unchanged(pipeline, cat, pipeline.make_plan(cat, mission, settings, (start, end)))
 

@@ -9,27 +9,24 @@ mission and model, the settings of its run. Nothing is published.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from inflight.calibration import LEARNT, held_table
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
-from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.batches import Mapper
-from inflight.tasks.models import effect_sources, parse_model
+from inflight.tasks.models import model_label, preflight_of, version_as_it_was
 from inflight.tasks.pipelines.base import (
     Failure,
     Job,
     Pipeline,
     ProductBatch,
     ReprocessSettings,
-    model_label,
+    context_label,
     product_batch,
     product_needs,
     product_of,
@@ -116,7 +113,7 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
     )
     context = cat.context(str(days[0].context))
     mission = Mission.parse(context.mission_text)
-    base = _model(cat, mission, context.model_name, context.model_version)
+    base = version_as_it_was(cat, mission, context.model_name, context.model_version).model
     own = edges[days[0].id]
     numbers = (int(item[6:]) for item in own if item.startswith("table:"))
     number = next((one for one in numbers if one not in base.taken_tables), None)
@@ -130,11 +127,12 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
         if item.startswith("model:"):
             name, _, text = item.removeprefix("model:").rpartition("@")
             version = int(text)
-            model = replace(_model(cat, mission, name, version), version=version)
-    preflight = _preflight(cat, mission, context.model_name, context.model_version)
+            model = replace(version_as_it_was(cat, mission, name, version).model, version=version)
+    preflight = preflight_of(cat, mission, context.model_name, context.model_version)
     record = next(one for one in cat.tables() if one.id == number)
     table = cat.table_by_id(number)
-    if settings.use_table is not None and set(LEARNT) <= set(table.variables):
+    is_held = settings.use_table is not None or settings.context is not None
+    if is_held and set(LEARNT) <= set(table.variables):
         table = held_table(table, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1])
     pipeline = pipeline_of(mission, settings.comparison, settings)
     channels = pipeline.extra_channels(mission, settings.comparison)
@@ -164,26 +162,6 @@ def _batch(cat: Catalog, days: list[Day]) -> tuple[Pipeline, ProductBatch]:
         preflight=preflight,
         table_name=table_label(record),
         model_name=model_label(model.name, version),
+        context_name=context_label(settings.context, context.id) if settings.context else "",
     )
     return pipeline, batch
-
-
-def _model(cat: Catalog, mission: Mission, name: str, version: int) -> Model:
-    """Return a version of a model as it was; its own effects' files must not have changed since."""
-    _, _, text = cat.model_text(name, version)
-    model = parse_model(cat, text, mission, model_label(name, version), effect_sources(cat, mission))
-    record = next(one for one in cat.models() if (one.name, one.version) == (name, version))
-    if model.sha != record.sha256:
-        raise CatalogError(
-            f"{model_label(name, version)} cannot be read as it was: a file with effects changed since",
-            remedy=f"put back the old text of {', '.join(mission.effects) or 'its effects'}",
-        )
-    return model
-
-
-def _preflight(cat: Catalog, mission: Mission, name: str, version: int) -> Model:
-    """Return the model that a history began with: that from before flight."""
-    parents: Mapping[int, Any] = {one.version: one.parent for one in cat.models() if one.name == name}
-    while parents[version] is not None:
-        version = parents[version]
-    return _model(cat, mission, name, version)

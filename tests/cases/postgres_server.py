@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 
+import pytest
+
 #: Set where the absence of a server is a failure and no reason to skip.
 NEEDED = "INFLIGHT_NEEDS_POSTGRES"
 PASSWORD = "correct horse"
@@ -123,6 +125,20 @@ class PostgresServer:
             user=self._user,
             cwd=self._folder,
         )
+
+
+def running_server() -> Iterator[PostgresServer]:
+    """Start a server for a session of tests; skip them, or fail where it is needed, when there is none."""
+    programs = server_programs()
+    if programs is None:
+        if os.environ.get(NEEDED):
+            pytest.fail(f"{NEEDED} is set, and there is no PostgreSQL server program")
+        pytest.skip("there is no PostgreSQL server program (Debian: apt-get install postgresql)")
+    if not os.environ.get(NEEDED):
+        pytest.importorskip("psycopg", reason="psycopg is not installed")
+    server = PostgresServer(programs)
+    yield server
+    server.remove()
 
 
 def server_programs() -> Path | None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 from catalog_cases import days_from, delivered, publish, samples, table
 from catalog_contract_reading import ReadingContract
 
-from inflight.catalog import Catalog, DayData, idempotency_key, write_segment
+from inflight.catalog import Catalog, DayData, NamedContext, idempotency_key, validities, write_segment
 from inflight.errors import CatalogError, ContentError, IntegrityError, ValidityError
 from inflight.time import day_bounds
 
@@ -236,13 +239,63 @@ class TableContract:
     def test_contexts_have_validities_of_their_own_and_go_first(self, catalog):
         one, two, three = self.staged(catalog, 1.0, 2.0, 3.0)
         version = catalog.save_model("m", "effects: []")
-        context = catalog.save_context("mission", "m", version, {"offsets": two})
+        context = catalog.save_context("mission", "m", version, {"offsets": [(two, 0, 100)]})
         catalog.certify(one, 0, 100)
         assert self.value_at(catalog, 5) == 1.0
         assert self.value_at(catalog, 5, context) == 2.0
         catalog.certify(three, 0, 50, context)
         assert self.value_at(catalog, 5, context) == 3.0
         assert self.value_at(catalog, 5) == 1.0
+
+    def test_what_is_done_to_validities_is_kept_and_tells_what_held_when(self, catalog):
+        one, two = self.staged(catalog, 1.0, 2.0)
+        catalog.certify(one, 0, 100, author="A. Person", reason="first light")
+        (first,) = catalog.certification_acts("offsets")
+        assert (first.author, first.reason, first.run) == ("A. Person", "first light", None)
+        catalog.certify(two, 20, 40, supersede=True, author="B", reason="torquer")
+        catalog.decertify(one, 60, 70, author="B", reason="eclipse")
+        by_name = {record.id: record.certified for record in catalog.tables("offsets")}
+        assert by_name == {one: ((None, 0, 20), (None, 40, 60), (None, 70, 100)), two: ((None, 20, 40),)}
+        with pytest.raises(CatalogError, match="no table 'offsets'"):
+            catalog.table("offsets", 65)
+        acts = catalog.certification_acts()
+        assert [(act.act, act.table, act.start, act.end, act.reason) for act in acts] == [
+            ("certify", one, 0, 100, "first light"),
+            ("certify", two, 20, 40, "torquer"),
+            ("decertify", one, 60, 70, "eclipse"),
+        ]
+        assert validities(acts) == {"offsets": [(one, 0, 20), (two, 20, 40), (one, 40, 60), (one, 70, 100)]}
+        later = dt.datetime.fromisoformat(acts[1].created)
+        assert validities(catalog.certification_acts(until=later)) == {"offsets": [(one, 0, 100)]}
+        with pytest.raises(ValidityError, match="not valid"):
+            catalog.decertify(two, 60, 70, author="B", reason="mistaken")
+
+    def test_what_a_run_certifies_is_kept_with_the_run_and_its_reason(self, catalog):
+        with catalog.run("calibrate", {"reason": "new attitude"}) as run:
+            made = run.stage_table("offsets", table(), start=0, end=10)
+            run.publish(certify=[(made, 0, 10, None)])
+        (act,) = catalog.certification_acts()
+        assert (act.run, act.reason, act.author) == (run.id, "new attitude", "")
+
+    def test_a_person_takes_no_validity_from_days_of_a_release(self, catalog):
+        span = day_bounds(DAYS[0])[0], day_bounds(DAYS[3])[1]
+        with catalog.run("reprocess") as run:
+            one, two = (run.stage_table("offsets", table(value), start=0, end=1) for value in (1.0, 2.0))
+            for day in DAYS[:2]:
+                run.stage("l2/field", samples(day), day=day, parents=[f"table:{one}"])
+            run.publish(certify=[(one, *span, None)])
+        catalog.release("1.0", datasets=["l2/*"])
+        later = day_bounds(DAYS[2])[0]
+        who = {"author": "A", "reason": "drift"}
+        with pytest.raises(ValidityError, match=r"release 1\.0 has 2005-12-31"):
+            catalog.decertify(one, later - 1, None, **who)
+        with pytest.raises(ValidityError, match=r"release 1\.0"):
+            catalog.certify(two, *span, supersede=True, **who)
+        catalog.decertify(one, later, **who)
+        catalog.certify(two, later, span[1], **who)
+        with catalog.run("reprocess") as run:  # what the next release is made with
+            run.publish(certify=[(two, *span, None)], supersede=True)
+        assert catalog.table("offsets", span[0]).attrs["table_id"] == two
 
     def test_a_table_is_read_by_time_or_by_id(self, catalog):
         (one,) = self.staged(catalog, 1.5)
@@ -280,18 +333,51 @@ class RegistryContract:
         version = catalog.save_model("champ", "a: 1")
         with catalog.run("calibrate") as run:
             offsets = run.stage_table("offsets", table(), start=0, end=1)
-        one = catalog.save_context("mission: champ", "champ", version, {"offsets": offsets})
-        assert one == catalog.save_context("mission: champ", "champ", version, {"offsets": offsets})
+        one = catalog.save_context("mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)})
+        assert one == catalog.save_context(
+            "mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)}
+        )
         assert one != catalog.save_context("mission: champ", "champ", version, {})
         record = catalog.context(one)
         assert (record.mission_text, record.model_name, record.tables) == (
             "mission: champ",
             "champ",
-            {"offsets": offsets},
+            {"offsets": ((offsets, 0, 1),)},
         )
-        for name, pinned in (("none", {}), ("champ", {"offsets": 99})):
+        for name, pinned in (("none", {}), ("champ", {"offsets": [(99, 0, 1)]})):
             with pytest.raises(CatalogError):
                 catalog.save_context("mission", name, version, pinned)
+
+    def test_a_context_pins_tables_by_time_and_has_a_name(self, catalog):
+        version = catalog.save_model("champ", "a: 1")
+        with catalog.run("calibrate") as run:
+            one, two = (run.stage_table("offsets", table(value), start=0, end=20) for value in (1.0, 2.0))
+        pinned = {"offsets": [(one, 0, 10), (two, 10, 20)]}
+        made = catalog.save_context("mission: champ", "champ", version, pinned)
+        catalog.certify(one, 10, 30)  # which is not in the context
+        assert [catalog.table("offsets", at, made).attrs["table_id"] for at in (9, 10)] == [one, two]
+        with pytest.raises(CatalogError, match="no table 'offsets'"):
+            catalog.table("offsets", 20, made)
+        member = NamedContext(
+            name="", comparison="main", context=made, run=run.id, author="A", reason="r", as_of="", created=""
+        )
+        catalog.name_contexts("flight", [member])
+        with pytest.raises(CatalogError, match="there already"):
+            catalog.name_contexts("flight", [member])
+        (named,) = catalog.named_contexts("flight")
+        assert (named.name, named.context, named.run, named.author) == ("flight", made, run.id, "A")
+        with pytest.raises(CatalogError, match="did you mean 'flight'"):
+            catalog.named_contexts("fligt")
+        with catalog.run("reprocess", {}, made) as run:
+            run.stage("l2/field", samples(DAYS[0]), day=DAYS[0])
+            run.publish()
+        catalog.release("1.0", datasets=["l2/*"])
+        assert catalog.releases_of_context("flight") == ["1.0"]
+        with pytest.raises(CatalogError, match=r"release 1\.0"):
+            catalog.remove_context("flight")
+        catalog.name_contexts("other", [replace(member, context=catalog.save_context("m", "champ", 1, {}))])
+        catalog.remove_context("other")
+        assert [one.name for one in catalog.named_contexts()] == ["flight"]
 
     def test_delivered_files_count_once_their_days_are_published(self, catalog):
         def take(sha256, *, publishing):
@@ -358,13 +444,72 @@ class UpkeepContract:
         orphan = write_segment(catalog.workspace, "nobody", NAME, [DayData(DAYS[0], samples(DAYS[0]))])
         (catalog.workspace / "staging" / "nobody" / "half").mkdir()
         expected = sorted([superseded.segment, orphan.path, "staging/nobody"])
-        assert sorted(catalog.gc()) == expected
+        assert sorted(one.path for one in catalog.gc()) == expected
         assert (catalog.workspace / orphan.path).exists()
-        assert sorted(catalog.gc(dry_run=False)) == expected
+        assert sorted(one.path for one in catalog.gc(dry_run=False)) == expected
         assert not any((catalog.workspace / path).exists() for path in expected)
         assert (catalog.workspace / waiting.segment).exists()
         assert catalog.gc() == []
         catalog.read_day(NAME, DAYS[0], version="v01.00")
+
+    def test_past_revisions_go_unless_a_release_a_context_or_lineage_needs_them(self, catalog):
+        catalog.save_model("m", "a: 1")
+        context = catalog.save_context("mission", "m", 1, {})
+
+        def product(seed, *parents, made_in=None):
+            with catalog.run("reprocess", {}, made_in) as run:
+                made = run.stage_table("offsets", table(seed), start=0, end=10, parents=parents)
+                parts = [f"table:{made}", *parents]
+                run.stage("l2/field", samples(DAYS[0], seed=seed), day=DAYS[0], parents=parts)
+                (day,) = run.publish(certify=[(made, 0, 10, None)], supersede=True)
+            return made, day
+
+        raw = []
+        for seed in range(3):
+            with catalog.run("ingest") as run:
+                run.stage(NAME, samples(DAYS[0], seed=seed), day=DAYS[0], parents=["model:m@1"])
+                raw += run.publish()
+        first, released = product(0, raw[0].id)  # of the first measurements, which a release holds
+        catalog.release("1.0", datasets=["l2/*"])
+        second, past = product(1, raw[2].id)
+        third, named = product(2, raw[2].id, made_in=context)
+        member = NamedContext(
+            name="",
+            comparison="main",
+            context=context,
+            run=named.run,
+            author="A",
+            reason="",
+            as_of="",
+            created="",
+        )
+        catalog.name_contexts("flight", [member])
+        fourth, newest = product(3, raw[2].id)
+        assert catalog.gc() == []
+        (tables,) = [[one for one in catalog.tables() if one.id == second]]
+        expected = {raw[1].segment: NAME, past.segment: "l2/field", tables[0].segment: "tables/offsets"}
+        listed = catalog.gc(past=True)
+        assert {one.path: one.item for one in listed} == expected
+        assert all(one.bytes > 0 for one in listed)
+        assert [one.revisions for one in listed if one.item == NAME] == [("2005-12-30 v01.01",)]
+        with catalog.run("reprocess"), pytest.raises(CatalogError, match="under way"):
+            catalog.gc(dry_run=False, past=True)
+        assert catalog.gc(dry_run=False, past=True) == listed
+        assert not any((catalog.workspace / path).exists() for path in expected)
+        assert catalog.gc(past=True) == []
+        assert catalog.verify() == []
+        for day in (released, named, newest):
+            assert catalog.read(day)["field"].size
+        assert [catalog.table_by_id(number)["value"].values[0, 0] for number in (first, third, fourth)] == [
+            0,
+            2,
+            3,
+        ]
+        assert [one.damaged for one in catalog.tables("offsets")] == [False, True, False, False]
+        assert [day.version for day in catalog.revisions("l2/field")] == ["v01.00", "v01.02", "v01.03"]
+        with pytest.raises(CatalogError, match="freed"):
+            catalog.read_day("l2/field", DAYS[0], version=past.version)
+        assert product(4, raw[2].id)[1].version == "v01.04"  # a version is never given out twice
 
     def test_what_a_live_run_writes_is_no_garbage(self, catalog):
         with catalog.run("ingest") as run:

@@ -1,25 +1,10 @@
-import os
-
 import pytest
 from catalog_cases import end_leases, state_url
-from postgres_server import NEEDED, PostgresServer, server_programs
+from postgres_server import running_server
 
 from inflight.catalog import Catalog
 
-
-@pytest.fixture(scope="session")
-def postgres_server():
-    """A PostgreSQL server with a database ``template_catalog`` that has all tables."""
-    programs = server_programs()
-    if programs is None:
-        if os.environ.get(NEEDED):
-            pytest.fail(f"{NEEDED} is set, and there is no PostgreSQL server program")
-        pytest.skip("there is no PostgreSQL server program (Debian: apt-get install postgresql)")
-    if not os.environ.get(NEEDED):
-        pytest.importorskip("psycopg", reason="psycopg is not installed")
-    server = PostgresServer(programs)
-    yield server
-    server.remove()
+postgres_server = pytest.fixture(scope="session")(running_server)
 
 
 @pytest.fixture(scope="session")

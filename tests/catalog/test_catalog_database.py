@@ -65,6 +65,12 @@ FIRST_ROWS = (
     "'published', '', '', 'k', '{\"coverage\": NaN}', "
     "1, 0, 1, 0, 5, 157766464184000000, 157852804184000000, 5, 0)",
     "INSERT INTO current (dataset_id, day, day_id) VALUES (1, '2005-01-01', 1)",
+    'INSERT INTO calibration_table (id, name, run_id, store_id, start, "end", key) '
+    "VALUES (7, 'offsets', 'r', 1, 0, 10, 'k')",
+    'INSERT INTO certification (id, table_id, name, context, start, "end") '
+    "VALUES (1, 7, 'offsets', '', 2, 8)",
+    "INSERT INTO context (id, mission_text, model_name, model_version, tables) "
+    "VALUES ('c', 'mission', 'm', 1, '{\"offsets\": 7}')",
 )
 
 
@@ -78,6 +84,13 @@ def test_a_catalog_of_the_first_tables_is_migrated_with_what_is_in_it(catalog):
     assert (day.version, day.rows, day.first_tt2000) == ("v01.00", (0, 5), 157766464184000000)
     assert np.isnan(day.report["coverage"])
     assert [(run.id, run.settings, run.state) for run in reopened.runs()] == [("r", {"batch": 4}, "done")]
+    # Of validities it is known since when; a context pins a table for the span it was made for.
+    (act,) = reopened.certification_acts()
+    assert (act.table, act.start, act.end, act.run, act.created) == (7, 2, 8, "r", "2020-01-01")
+    assert reopened.context("c").tables == {"offsets": ((7, 0, 10),)}
+    migrate(reopened, "downgrade", "0005")
+    with catalog._database.engine.connect() as connection:
+        assert connection.execute(text("SELECT tables FROM context")).scalar() == '{"offsets": 7}'
 
 
 def test_a_database_of_a_newer_version_is_refused_and_untouched(catalog):

@@ -8,7 +8,7 @@ import pytest
 from catalog_cases import days_from, delivered, publish, publish_seed, state_url, table
 from postgres_server import PASSWORD
 
-from inflight.catalog import Catalog, move_catalog
+from inflight.catalog import Catalog, NamedContext, move_catalog
 from inflight.catalog.location import MOVED_SETTING
 from inflight.catalog.schema import SettingRow
 from inflight.errors import CatalogError, IntegrityError
@@ -43,7 +43,10 @@ def url(postgres_server, template):
 def publish_context(catalog):
     with catalog.run("calibrate") as run:
         made = run.stage_table("offsets-of-context", table(), start=0, end=10)
-    return catalog.save_context("mission", "m", 1, {"offsets-of-context": made})
+    context = catalog.save_context("mission", "m", 1, {"offsets-of-context": [(made, 0, 10)]})
+    named = {"name": "flight", "comparison": "main", "context": context, "run": run.id}
+    catalog.name_contexts("flight", [NamedContext(**named, author="A", reason="r", as_of="", created="")])
+    return context
 
 
 def view(catalog):
@@ -54,6 +57,8 @@ def view(catalog):
         repr(days),
         catalog.inventory(),
         catalog.tables(),
+        catalog.certification_acts(),
+        catalog.named_contexts(),
         catalog.models(),
         catalog.runs(),
         repr(catalog.files("fgm")),

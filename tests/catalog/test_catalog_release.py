@@ -76,7 +76,7 @@ def test_a_release_with_a_context_holds_its_days_tables_model_and_mission(catalo
     with catalog.run("calibrate") as run:
         offsets = run.stage_table("offsets", table(3.0), start=0, end=100, parents=[raw])
     version = catalog.save_model("champ", "model: champ")
-    context = catalog.save_context("mission: champ", "champ", version, {"offsets": offsets})
+    context = catalog.save_context("mission: champ", "champ", version, {"offsets": ((offsets, 0, 1),)})
     other = catalog.save_context("mission: other", "champ", version, {})
     ingest(catalog, DAYS[:1], name="l2/field", parents=[raw], context=context, seed=1)
     ingest(catalog, DAYS[:1], name="l2/field", parents=[raw], context=other, seed=2)
@@ -173,5 +173,5 @@ def test_what_a_killed_release_left_is_collected_after_a_day(catalog):
         folder = catalog.workspace / "releases" / name
         folder.mkdir()
         os.utime(folder, (time.time() - age * 86_400,) * 2)
-    assert catalog.gc(dry_run=False) == ["releases/.1.1-0a1b2c3d"]
+    assert [one.path for one in catalog.gc(dry_run=False)] == ["releases/.1.1-0a1b2c3d"]
     assert {one.name for one in (catalog.workspace / "releases").iterdir()} == {"1.0", ".1.2-0a1b2c3d"}

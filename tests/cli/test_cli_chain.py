@@ -111,6 +111,7 @@ def test_the_plan_of_a_backfill_is_printed_and_nothing_is_done(inflight, copied)
     assert [one["kind"] for one in listed if one["reason"] == "late attitude"] == ["reprocess"]
     assert "late attitude" in inflight("catalog", "runs", "reprocess", "-w", copied).out
     assert done.json["days"]["done"] >= 1
+    assert done.json["plan"]["cost"]["run"] == rate["run"]
     assert len(inflight("catalog", "show", "l2/field", "--json", "-w", copied).json["items"]) >= 3
 
 

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 from fault_cases import BATCH, COUNT, copied, deliver, view
 from fault_stage import Stage
+from postgres_server import running_server
 from tiny_mission import make_tiny_workspace
+
+postgres_server = pytest.fixture(scope="session")(running_server)
 
 
 @pytest.fixture(scope="session")

@@ -8,9 +8,11 @@ import gc
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import traceback
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +58,12 @@ class Stage:
         told = json.loads(outcome.read_text()) if outcome.exists() else {}
         return Ended(code, told.get("report", {}), told.get("error", {}))
 
+    def kill(self, pid):
+        """Kill a process that was begun, unless it has ended; return how it ended."""
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        return self.ended(pid)
+
     def run(self, work, workspace, **options):
         """Begin and wait."""
         return self.ended(self.begin(work, workspace, **options))
@@ -95,6 +103,25 @@ def _reprocess(workspace, scheduler=None, **settings):
     return reprocess(Catalog(workspace), mission, settings=chosen, client=_client(scheduler))
 
 
+def _release(workspace, version):
+    from inflight.catalog import Catalog
+
+    return Report({"path": str(Catalog(workspace).release(version))})
+
+
+def _collect_garbage(workspace):
+    from inflight.catalog import Catalog
+
+    return Report({"removed": len(Catalog(workspace).gc(dry_run=False, past=True))})
+
+
+class Report(dict):
+    """What work without a report of its own says."""
+
+    def as_json(self):
+        return dict(self)
+
+
 #: What is imported before anything is forked: all that the work below needs, at its first use too.
 IMPORTED = (
     "alembic.command",
@@ -112,7 +139,7 @@ IMPORTED = (
     "zarr",
 )
 #: What a process can be told to do.
-WORK = {"ingest": _ingest, "reprocess": _reprocess}
+WORK = {"ingest": _ingest, "reprocess": _reprocess, "release": _release, "gc": _collect_garbage}
 
 
 def _carry_out(told):

@@ -28,7 +28,7 @@ from .compare_rows import (
     scalar_channels,
 )
 from .job import Batch, Failure, Job, Outcome, ProductBatch, failure_of, make_days
-from .origins import KEY_DIGITS, model_label, table_label
+from .origins import KEY_DIGITS, context_label, table_label
 from .parts import Part, TablesReport, TextLine, page_sections, plumbing_lines, with_unit
 from .pipeline import Pipeline, Versions
 from .planning import (
@@ -37,21 +37,24 @@ from .planning import (
     Plan,
     ReprocessSettings,
     equations_of,
+    models_to_use,
     plan_days,
     product_needs,
     product_of,
+    settings_of_context,
 )
 from .publication import (
     Reprocessing,
     TablesToPublish,
     UsedTable,
+    is_certified,
     record_failure,
     register_outcome,
     reuse_interrupted_days,
     rounded,
 )
 from .reprocessing import product_batch, product_key, report_if_unchanged, residual_of_days, run_plan
-from .stored_table import FITTED, MODEL
+from .stored_table import FITTED, MODEL, pinned_name, pinned_tables
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
@@ -87,6 +90,7 @@ __all__ = [
     "blocks_of",
     "channel_means",
     "content_keys",
+    "context_label",
     "daily_residual_figure",
     "day_summary",
     "each_day",
@@ -96,14 +100,17 @@ __all__ = [
     "fall_figure_of",
     "geometry_means",
     "history_section",
+    "is_certified",
     "iter_digests",
     "make_days",
-    "model_label",
+    "models_to_use",
     "month_edges",
     "newest_record",
     "newest_table",
     "newest_tables",
     "page_sections",
+    "pinned_name",
+    "pinned_tables",
     "plan_days",
     "plumbing_lines",
     "product_batch",
@@ -121,6 +128,7 @@ __all__ = [
     "run_plan",
     "scalar_channels",
     "scatter_html",
+    "settings_of_context",
     "sizes_html",
     "structures_html",
     "table_label",

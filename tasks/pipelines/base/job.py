@@ -89,14 +89,15 @@ class ProductBatch(Batch):
         The calibration table whose values the model takes.
     preflight : Model
         What the residual before calibration is made with.
-    table_name, model_name : str
-        What of both the product's header says.
+    table_name, model_name, context_name : str
+        What of them the product's header says; no context unless one was named.
     """
 
     table: xr.Dataset
     preflight: Model
     table_name: str = ""
     model_name: str = ""
+    context_name: str = ""
 
 
 @dataclass

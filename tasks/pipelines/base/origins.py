@@ -19,7 +19,7 @@ from inflight.tasks.pipelines.base.job import ProductBatch
 from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.time import day_bounds, utc_text
 
-#: Digits of a key that name a table.
+#: Digits of a key that name a table, or a context.
 KEY_DIGITS = 12
 
 
@@ -28,9 +28,9 @@ def table_label(record: TableRecord) -> str:
     return f"{record.name}:{record.key[:KEY_DIGITS]}"
 
 
-def model_label(name: str, version: int) -> str:
-    """Return how a header names a model."""
-    return f"{name} version {version}"
+def context_label(name: str, context: str) -> str:
+    """Return how a header names the context that a product was made in."""
+    return f"{name}:{context[:KEY_DIGITS]}"
 
 
 def origin_attributes(
@@ -43,8 +43,8 @@ def origin_attributes(
     dict
         ``calibration_method`` (pipeline, versions of its algorithms), ``calibration_model``,
         ``calibration_table`` (name:key, and what taught the row that holds), ``calibration_coefficients`` (a
-        list: value at noon and where it is from), ``exclusions`` that touch the day, and ``typical_values``
-        where channels were missing.
+        list: value at noon and where it is from), ``calibration_context`` where one was named (name:id),
+        ``exclusions`` that touch the day, and ``typical_values`` where channels were missing.
     """
     start, end = day_bounds(day)
     middle = (start + end) // 2
@@ -56,6 +56,8 @@ def origin_attributes(
         "calibration_model": batch.model_name,
         "calibration_table": f"{batch.table_name}{_taught(row, (start, end))}",
     }
+    if batch.context_name:
+        attributes["calibration_context"] = batch.context_name
     coefficients = [
         f"{name} = {value:.10g} {parameter.parameter.unit}: {origin}"
         for entry in batch.model.effects

@@ -140,9 +140,17 @@ class Pipeline(ABC):
         )
 
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
-        """Return the days that a run would make, and those that are up to date."""
-        del cat
-        return [day for batch in plan.batches for day in batch], plan.unchanged
+        """Return the days that a run would make, and those that are up to date.
+
+        Whether a new table changes the products of other days is known when it is solved.
+        """
+        products = {day.day: day for day in cat.days(plan.product, states=("published",))}
+        same = [
+            day
+            for day in plan.unchanged
+            if not self.has_products or (day in products and products[day].context == plan.context)
+        ]
+        return [day for day in plan.days if day not in set(same)], same
 
     # --- a day ------------------------------------------------------------------------------------------
 

@@ -15,7 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.catalog import Catalog, Day, NamedContext, idempotency_key
+from inflight.errors import CatalogError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.samples import PLAY_VERSION
@@ -30,7 +31,13 @@ from inflight.tasks.archive import (
     require_days,
     with_surroundings,
 )
-from inflight.tasks.models import VersionedModel, current_model, preflight_model
+from inflight.tasks.models import (
+    VersionedModel,
+    current_model,
+    preflight_model,
+    preflight_of,
+    version_as_it_was,
+)
 from inflight.time import DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
@@ -65,6 +72,9 @@ class ReprocessSettings(BaseModel):
     use_table : str, optional
         A table that the catalog has, ``main-span`` (the newest) or ``main-span:12``: products take it as it
         is, and nothing is fitted. Days that it was not learnt from are flagged, with a wider uncertainty.
+    context : str, optional
+        A named context of the catalog: products take its mission file, model and tables, and what is not
+        stated here as the run had it that it was made from; nothing is fitted.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -79,6 +89,7 @@ class ReprocessSettings(BaseModel):
     mean_days: float = Field(260.0, gt=0.0)
     distribute: bool = False
     use_table: str | None = None
+    context: str | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -86,6 +97,8 @@ class ReprocessSettings(BaseModel):
         """Take the kind of table from the name of the one to use: ``main-span`` is the span's."""
         if not isinstance(given, Mapping) or not given.get("use_table"):
             return given
+        if given.get("context"):
+            raise ValueError(f"context {given['context']!r} has tables of its own: leave out use_table")
         comparison = given.get("comparison", "main")
         kind = str(given["use_table"]).partition(":")[0].removeprefix(f"{comparison}-")
         if given.get("table", kind) != kind:
@@ -215,7 +228,10 @@ def plan_days(
     inputs : sequence of str
         What else the statistics depend on.
     """
-    context = cat.save_context(mission.text, used.model.name, used.version, {})
+    if settings.context is None:
+        context = cat.save_context(mission.text, used.model.name, used.version, {})
+    else:
+        context = member_of_context(cat, settings).context
     return Plan(
         settings=settings,
         used=used,
@@ -231,6 +247,56 @@ def plan_days(
         published={day.day: day for day in cat.days(equations, states=("published",))},
         recorded=settings.model_dump(),
     )
+
+
+def member_of_context(cat: Catalog, settings: ReprocessSettings) -> NamedContext:
+    """Return what the named context of some settings stands for in their comparison.
+
+    Raises
+    ------
+    CatalogError
+        When there is none.
+    """
+    named = cat.named_contexts(str(settings.context))
+    for one in named:
+        if one.comparison == settings.comparison:
+            return one
+    known = ", ".join(one.comparison for one in named)
+    raise CatalogError(
+        f"context {settings.context!r} has nothing of comparison '{settings.comparison}'",
+        remedy=f"choose {known}, or make another context",
+    )
+
+
+def settings_of_context(
+    cat: Catalog, mission: Mission, settings: ReprocessSettings
+) -> tuple[Mission, ReprocessSettings]:
+    """Return the mission and the settings to work with: those given, unless they name a context.
+
+    Raises
+    ------
+    CatalogError
+        When there is no such context.
+    """
+    if settings.context is None:
+        return mission, settings
+    member = member_of_context(cat, settings)
+    run = next(run for run in cat.runs("reprocess") if run.id == member.run)
+    fields = {name: run.settings[name] for name in ReprocessSettings.model_fields if name in run.settings}
+    chosen = {**fields, "use_table": None, **settings.model_dump(exclude_unset=True)}
+    return Mission.parse(cat.context(member.context).mission_text), ReprocessSettings(**chosen)
+
+
+def models_to_use(
+    cat: Catalog, mission: Mission, settings: ReprocessSettings
+) -> tuple[VersionedModel, Model]:
+    """Return the model and the one from before flight: those in use, or those of the named context."""
+    if settings.context is None:
+        comparison = settings.comparison
+        return current_model(cat, mission, comparison), preflight_model(cat, mission, comparison)
+    pinned = cat.context(member_of_context(cat, settings).context)
+    name, version = pinned.model_name, pinned.model_version
+    return version_as_it_was(cat, mission, name, version), preflight_of(cat, mission, name, version)
 
 
 def product_needs(
@@ -279,8 +345,7 @@ def plan_archive_days(
         When the archive has no day in the span.
     """
     start, end = span
-    used = current_model(cat, mission, settings.comparison)
-    preflight = preflight_model(cat, mission, settings.comparison)
+    used, preflight = models_to_use(cat, mission, settings)
     needs = product_needs(mission, used.model, preflight, channels, reach_s)
     # A day is also made from days around it; the farthest have typical values for a missing channel.
     after = INPUT_SETTINGS.typical_value_days if any(need.replaceable for need in needs) else 1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from inflight.calibration import CHANGE, LEARNT, outside_learnt
-from inflight.catalog import Catalog, Day, Run
+from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
@@ -149,7 +149,7 @@ class TableStager:
                 called, table, start=start, end=end, parents=list(self.days.values()), key=key
             )
         bounds = self._bounds(table)
-        if not known or (None, *bounds) not in known[-1].certified:
+        if not known or not is_certified(known[-1], bounds):
             self.certify.append((self.ids[name], *bounds, None))
         self.tables[name] = table
         return table
@@ -194,6 +194,11 @@ class TableStager:
         if "start" in table and table["start"].dims == ("interval",):
             return int(table["start"].values[0]), int(table["end"].values[-1])
         return day_bounds(min(self.days))[0], day_bounds(max(self.days))[1]
+
+
+def is_certified(record: TableRecord, bounds: tuple[int, int]) -> bool:
+    """Return True for a table that a run leaves as certified as it is: a person may have decertified it."""
+    return record.decertified or (None, *bounds) in record.certified
 
 
 def table_row_hash(table: xr.Dataset, tt2000: int) -> str:

@@ -22,11 +22,11 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
-from inflight.tasks.models import preflight_model
+from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
-from inflight.tasks.pipelines.base.origins import model_label, origin_attributes, table_label
+from inflight.tasks.pipelines.base.origins import context_label, origin_attributes, table_label
 from inflight.tasks.pipelines.base.pipeline import Pipeline
-from inflight.tasks.pipelines.base.planning import Plan
+from inflight.tasks.pipelines.base.planning import Plan, models_to_use
 from inflight.tasks.pipelines.base.publication import (
     Reprocessing,
     TablesToPublish,
@@ -34,7 +34,7 @@ from inflight.tasks.pipelines.base.publication import (
     register_outcome,
     reuse_interrupted_days,
 )
-from inflight.tasks.pipelines.base.stored_table import take_stored_table
+from inflight.tasks.pipelines.base.stored_table import take_pinned_tables, take_stored_table
 from inflight.tasks.report import RunReport, no_work_problems
 
 if TYPE_CHECKING:
@@ -55,7 +55,10 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     with cat.run("reprocess", plan.recorded, context=plan.context) as run:
         work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
         run.record_no_work(plan.product, plan.no_work)
-        if plan.settings.use_table is not None:
+        is_fitted = plan.settings.use_table is None and plan.settings.context is None
+        if plan.settings.context is not None:
+            statistics, solved = _Statistics(), take_pinned_tables(work)
+        elif plan.settings.use_table is not None:
             statistics, solved = _Statistics(), take_stored_table(work, plan.settings.use_table)
         else:
             statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
@@ -67,7 +70,7 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
             if pipeline.has_products
             else _Products(statistics.fresh, plan.unchanged)
         )
-        if plan.settings.use_table is None:
+        if is_fitted:
             pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
         report = _report(pipeline, work, solved, made)
@@ -238,7 +241,8 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     todo = [day for day in keys if day not in set(unchanged)]
     adopted = reuse_interrupted_days(work.run, plan.product, keys, todo)
     todo = [day for day in todo if day not in adopted]
-    preflight = preflight_model(cat, work.mission, plan.settings.comparison)
+    _, preflight = models_to_use(cat, work.mission, plan.settings)
+    context = plan.settings.context and context_label(plan.settings.context, plan.context)
     # The days of a batch have one table in common.
     names = {record.id: table_label(record) for record in cat.tables()}
     # A model that was fitted is one more thing that products are made from.
@@ -261,6 +265,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
                 preflight=preflight,
                 table_name=names[number],
                 model_name=model_label(solved.model.name, version),
+                context_name=context or "",
             )
             arguments.append((pipeline, batch))
     done, reports = set(adopted), dict[np.datetime64, Mapping[str, Any]]()

@@ -37,7 +37,7 @@ from inflight.mission_fit import (
     torquer_lines,
 )
 from inflight.model import Model
-from inflight.tasks.models import parse_model, preflight_model
+from inflight.tasks.models import model_label, preflight_model, version_of
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     FITTED,
@@ -436,8 +436,7 @@ def _models_of_fit(cat: Catalog, mission: Mission, comparison: str, day: Day) ->
     start, records = preflight_model(cat, mission, comparison), cat.models()
 
     def parse(name: str, version: int) -> Model:
-        label = f"{name} version {version}"
-        return parse_model(cat, cat.model_text(name, version)[2], mission, label, start.own)
+        return version_of(cat, mission, name, version, start.own).model
 
     sha = cat.read(day).attrs.get("model", "")
     used = next((record for record in records if record.sha256 == sha), None)
@@ -446,4 +445,4 @@ def _models_of_fit(cat: Catalog, mission: Mission, comparison: str, day: Day) ->
     versions = [record.version for record in records if record.name == name]
     if not versions:
         raise CatalogError(f"the fitted model {name!r} is not in the catalog", remedy=_REMEDY)
-    return model, parse(name, versions[-1]), f"{name} version {versions[-1]}"
+    return model, parse(name, versions[-1]), model_label(name, versions[-1])

@@ -25,6 +25,7 @@ from inflight.tasks.pipelines.base import (
     ReprocessSettings,
     TablesToPublish,
     UsedTable,
+    is_certified,
     record_failure,
     window_edges,
 )
@@ -130,7 +131,7 @@ def solve_windows(work: Reprocessing, version: int) -> TablesToPublish:
             number = work.run.stage_table(
                 name, table, start=bounds[0], end=bounds[1], parents=parents, key=key
             )
-        if same is None or (None, *bounds) not in same.certified:
+        if same is None or not is_certified(same, bounds):
             solved.certify.append((number, *bounds, None))
         used |= dict.fromkeys(group, UsedTable(number, (key,), table))
         before.add(key, table)

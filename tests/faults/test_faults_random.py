@@ -1,0 +1,110 @@
+"""kill -9 at random moments of the verbs that write, on both databases; what readers see is counted."""
+
+import itertools
+import os
+import signal
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from fault_cases import ARCHIVE, BATCH, DAYS, deliver
+from sqlalchemy import update
+
+from inflight.catalog import Catalog, move_catalog
+from inflight.catalog.schema import RunRow
+
+#: Moments a database; the hundred of the reference: INFLIGHT_KILLS=100.
+MOMENTS = int(os.environ.get("INFLIGHT_KILLS", "8"))
+NAMES = (*ARCHIVE, "l2/field")
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def workspace(request, fresh):
+    """The redelivered mission, its catalog in either database."""
+    folder = fresh("redelivered")
+    if request.param == "sqlite":
+        yield folder
+        return
+    server = request.getfixturevalue("postgres_server")
+    with server.database() as name:
+        move_catalog(folder, server.url(name))
+        yield folder
+
+
+def reopened(workspace):
+    """Open the catalog as after the time in which a killed process would have given a sign of life."""
+    catalog = Catalog(workspace)
+    catalog._database.write(lambda session: session.execute(update(RunRow).values(lease=0.0 * RunRow.lease)))
+    return Catalog(workspace)
+
+
+def faults_seen(catalog):
+    """Count days that are lost, doubled, or of several generations among those that a reader sees."""
+    found = Counter()
+    parents = {}
+    for name in NAMES:
+        days = catalog.days(name, states=["published"])
+        found["lost"] += len(set(DAYS) - {str(day.day) for day in days})
+        found["mixed"] += len({day.version for day in days}) > 1
+        revisions = catalog.revisions(name)
+        found["doubled"] += len(revisions) - len({(day.day, day.version) for day in revisions})
+        found["doubled"] += len(days) - len({day.day for day in days})
+        for day in days:
+            parents[day.id] = {edge.parent for edge in catalog.lineage(day) if edge.child == day.id}
+    # A product's day is made of the archive of one generation.
+    archive = {one.id: one.version for name in ARCHIVE for one in catalog.revisions(name)}
+    made_of = {
+        archive.get(p) for day in catalog.days("l2/field") for p in parents[day.id] if p.startswith("day:")
+    }
+    found["mixed"] += len(made_of - {None}) > 1
+    found["damaged"] += len(catalog.verify())
+    found["running"] += sum(run.state == "running" for run in catalog.runs())
+    for release in catalog.releases():
+        folder = catalog.workspace / "releases" / release.version
+        found["lost"] += not (folder / "MANIFEST.sha256").is_file()
+    return +found
+
+
+@pytest.mark.slow
+def test_kills_at_random_moments_lose_double_and_mix_no_day(stage, workspace):
+    random = np.random.default_rng([21, MOMENTS])
+    options = {"ingest": {"batch_days": BATCH}, "reprocess": {"batch_days": BATCH}, "gc": {}, "release": {}}
+    numbers, counts, faults = itertools.count(2), Counter(), Counter()
+    lasts = {}
+
+    def complete(verb, **more):
+        begun = time.monotonic()
+        done = stage.run(verb, workspace, **options[verb], **more)
+        assert done.code == 0, done.error
+        lasts[verb] = time.monotonic() - begun
+
+    order = ["ingest", "reprocess", "release", "gc"]
+    for verb in order:  # once undisturbed, to know how long each takes
+        complete(verb, **({"version": "1.0"} if verb == "release" else {}))
+    deliver(workspace, seed=2)
+    for number in range(MOMENTS):
+        verb = order[number % len(order)]
+        version = {"version": f"{next(numbers)}.0"} if verb == "release" else {}
+        before = [day.id for name in NAMES for day in Catalog(workspace).days(name)]
+        pid = stage.begin(verb, workspace, **options[verb], **version)
+        time.sleep(random.uniform(0, 1.1 * lasts[verb]))
+        killed = stage.kill(pid).code == -signal.SIGKILL
+        catalog = reopened(workspace)
+        after = [day.id for name in NAMES for day in catalog.days(name)]
+        counts[verb, "killed" if killed else "ended before", "new" if after != before else "as before"] += 1
+        faults += faults_seen(catalog)
+        if not killed:
+            continue
+        complete(verb, **({"version": f"{next(numbers)}.0"} if verb == "release" else {}))
+        faults += faults_seen(reopened(workspace))
+        if verb == "gc":
+            deliver(workspace, seed=3 + number)
+    for (verb, how, what), count in sorted(counts.items()):
+        print(f"{verb:<10} {how:<13} readers see {what:<10} {count}")
+    print(
+        f"{sum(counts.values())} moments: {faults['lost']} days lost, {faults['doubled']} doubled, "
+        f"{faults['mixed']} mixed; {faults['damaged']} stores damaged"
+    )
+    assert sum(count for (_, how, _), count in counts.items() if how == "killed") > MOMENTS / 3
+    assert faults == Counter()
