@@ -46,7 +46,7 @@ from .scoring import (
     score,
     sign_flip_ratios,
 )
-from .search import VISIBILITY_SETTINGS, Option, Rules, Search, row_variance
+from .search import VISIBILITY_SETTINGS, Option, Rules, Search, prior_precision, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
 from .stepwise import Estimate, estimate
@@ -128,6 +128,7 @@ __all__ = [
     "pack_blocks",
     "periods_of",
     "plain_json",
+    "prior_precision",
     "project_out",
     "quantity",
     "require_known",

@@ -3,13 +3,20 @@
 import shutil
 
 import pytest
-from heated_mission import make_heated_workspace
+from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.flows import launch, run_with_prefect
 from inflight.tasks import ingest, reprocess
-from inflight.tasks.analysis import DiagnoseSettings, Workbench, diagnose_if_unchanged, diagnose_span
+from inflight.tasks.analysis import (
+    DiagnoseSettings,
+    Workbench,
+    diagnose_if_unchanged,
+    diagnose_span,
+    later_days,
+    revise,
+)
 from inflight.tasks.archive import ingest_if_unchanged
 from inflight.tasks.pipelines import ReprocessSettings
 
@@ -127,3 +134,37 @@ def test_other_settings_another_span_and_another_model_are_work(diagnosed):
     assert diagnose_if_unchanged(workspace, "2024-03-01", None, DiagnoseSettings()) is None
     Workbench(Catalog(workspace.root), workspace.mission()).add(found["effects"][0]["name"])
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+def with_later_day(workspace, hidden, monkeypatch):
+    """Take in a fifth day, which four are enough to be compared with."""
+    settings = later_days.LaterDaysSettings(share=0.3, compared=4)
+    monkeypatch.setattr(later_days, "LATER_DAYS_SETTINGS", settings)
+    deliver_heated_day(workspace.data, "2024-03-05", hidden)
+    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
+
+
+def test_a_later_day_like_those_searched_is_held_against_their_verdict(diagnosed, monkeypatch):
+    workspace, found = diagnosed
+    with_later_day(workspace, heater_field, monkeypatch)
+    monkeypatch.setattr(revise, "Workbench", lambda *given, **named: pytest.fail("it was searched"))
+    again = diagnose_span(workspace)
+    later = again["later_days"]
+    assert (later["stands"], later["days"], later["searched"]) == (True, 1, "2024-03-04")
+    # The model found leaves of it what it leaves of the others: it holds the heater, which they need.
+    assert later["residual_nT"]["2024-03-05"] == pytest.approx(later["usual_nT"][1], rel=0.1)
+    assert later["residual_nT"]["2024-03-05"] < 0.5 * found["residual"]["before_nT"]
+    assert again["effects"] == [dict(one) for one in found["effects"]]
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["later_days"] == later
+
+
+@pytest.mark.parametrize("part", [0.0, 1.5])
+def test_a_later_day_that_contradicts_the_verdict_asks_for_a_search(diagnosed, monkeypatch, part):
+    workspace, _ = diagnosed
+    with_later_day(workspace, lambda day, reading: part * heater_field(day, reading), monkeypatch)
+    later = later_days.check_later_days(
+        workspace, None, None, DiagnoseSettings(), lambda stage, done, total: None
+    )["later_days"]
+    assert not later["stands"]
+    assert "2024-03-05" in later["reasons"][0]
+    assert "nT are left of it" in later["reasons"][0]
