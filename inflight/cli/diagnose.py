@@ -367,11 +367,12 @@ def _later_days(fields: Fields) -> Iterator[str]:
     sizes = [pick(later["residual_nT"].values()) for pick in (min, max)]
     left = " to ".join(dict.fromkeys(_number(one, 3) for one in sizes))
     yield (
-        f"the verdict of the days up to {later['searched']} stands for {span}: it leaves {left} nT, and of the "
-        f"days before {low} to {high} nT"
+        f"the verdict of the days up to {later['searched']} stands for {span}: it leaves {left} nT, "
+        f"and of the days before {low} to {high} nT"
     )
     yield (
-        "no candidate was tried on later days, and no value fitted to them: 'inflight diagnose --search' does both"
+        "no candidate was tried on later days, and no value fitted to them: "
+        "'inflight diagnose --search' does both"
     )
 
 

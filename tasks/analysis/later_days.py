@@ -1,11 +1,11 @@
 """Days that came after a search, held against its verdict: a new day costs a day, not another search.
 
-Takes the last diagnosis of a workspace and what the archive has gained since; says whether that verdict stands
-for the new days (`check_later_days`). The model with all that the search took, at its values, is calibrated on
-each of them, and what is left is compared with what it leaves of the last days searched; the day's own nine
-parameters with those of the days before it. A day that differs, more new days than a small part of those
-searched, or anything else that changed asks for a search. Candidates are not tried on the new days, and values
-are not fitted to them: whoever prints the result has to say so.
+Takes the last diagnosis of a workspace and what the archive has gained since; says whether that verdict
+stands for the new days (`check_later_days`). The model with all that the search took, at its values, is
+calibrated on each of them, and what is left is compared with what it leaves of the last days searched; the
+day's own nine parameters with those of the days before it. A day that differs, more new days than a small
+part of those searched, or anything else that changed asks for a search. Candidates are not tried on the new
+days, and values are not fitted to them: whoever prints the result has to say so.
 """
 
 from __future__ import annotations
@@ -108,9 +108,10 @@ def check_later_days(
     Returns
     -------
     dict or None
-        The last diagnosis, with ``later_days``: ``stands``, ``reasons`` (why a search is due), ``days``, ``start``
-        and ``end`` of the new days, ``residual_nT`` of each, the range ``usual_nT`` of the days searched that
-        they were compared with, and ``searched``, the last day of the search. None where only a search can tell.
+        The last diagnosis, with ``later_days``: ``stands``, ``reasons`` (why a search is due), ``days``,
+        ``start`` and ``end`` of the new days, ``residual_nT`` of each, the range ``usual_nT`` of the days
+        searched that they were compared with, and ``searched``, the last day of the search. None where only a
+        search can tell.
     """
     found = last_diagnosis(workspace, settings.comparison)
     if found is None or end is not None or not asked_alike(found["asked"], start, end, settings):

@@ -1,8 +1,10 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
+import xarray as xr
 from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
@@ -19,6 +21,7 @@ from inflight.tasks.analysis import (
 )
 from inflight.tasks.archive import ingest_if_unchanged
 from inflight.tasks.pipelines import ReprocessSettings
+from inflight.tasks.pipelines.scalar import tables
 
 
 def copied(workspace, folder):
@@ -70,6 +73,31 @@ def test_a_new_day_is_work(done):
     assert report is not None
     assert report.days["unchanged"] == 6
     assert reprocess(cat, place.mission()).days["done"] >= 1
+
+
+def test_equations_kept_together_are_those_of_their_days(done, monkeypatch):
+    place, _ = done
+    monkeypatch.setattr(tables, "JOINED_DAYS", 2)
+    deliver_tiny_day(place.data, "2024-03-03")
+    cat = Catalog(place.root)
+    ingest(cat, place.mission(), place.data)
+    reprocess(cat, place.mission())
+    # On a fixed grid of dates: the first day waits for one that never was.
+    (joined,) = cat.days("equations/main/base-joined", states=("published",))
+    assert str(joined.day) == "2024-03-02"
+    days, read = cat.days("equations/main/base", states=("published",)), Catalog.read
+    asked = []
+    monkeypatch.setattr(Catalog, "read", lambda *given: asked.append(given[1].dataset) or read(*given))
+    together = tables.load_equations(cat, days).dataset
+    assert asked.count("equations/main/base-joined") == 1
+    monkeypatch.setattr(tables, "JOINED_DAYS", 99)
+    xr.testing.assert_identical(together, tables.load_equations(cat, days).dataset)
+    # Other revisions of a day are not what was kept.
+    monkeypatch.setattr(tables, "JOINED_DAYS", 2)
+    other = [replace(day, key="another") if str(day.day) == "2024-03-03" else day for day in days]
+    asked.clear()
+    tables.load_equations(cat, other)
+    assert "equations/main/base-joined" not in asked
 
 
 def test_a_span_of_its_own_is_work_of_its_own(done):
