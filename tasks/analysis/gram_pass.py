@@ -420,14 +420,12 @@ def gram_batch(cat: Catalog, mission: Mission, plan: PassPlan, job: Job) -> Outc
     )
     days_of = {block[0]: block for block in plan.blocks}
 
-    def make(day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
-        made = block_grams(cat, mission, plan, index, derived, days_of[day])
-        if plan.estimates:
-            # Days at the native cadence are large, and the search is held in memory beside them.
-            give_back_memory()
-        return made
-
-    return make_days(cat, job, make)
+    outcome = make_days(cat, job, lambda day: block_grams(cat, mission, plan, index, derived, days_of[day]))
+    if plan.estimates:
+        # Days at the native cadence are large, and the search is held in memory beside them. From one to the
+        # next the memory is used again: fetching it anew each time costs a sixth of all the work.
+        give_back_memory()
+    return outcome
 
 
 def block_grams(
