@@ -2,13 +2,16 @@
 
 import shutil
 from dataclasses import replace
+from io import StringIO
 
 import pytest
 import xarray as xr
 from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
+from rich.console import Console
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
+from inflight.cli.diagnose import print_diagnosis
 from inflight.flows import launch, run_with_prefect
 from inflight.tasks import ingest, reprocess
 from inflight.tasks.analysis import (
@@ -184,6 +187,10 @@ def test_a_later_day_like_those_searched_is_held_against_their_verdict(diagnosed
     assert later["residual_nT"]["2024-03-05"] < 0.5 * found["residual"]["before_nT"]
     assert again["effects"] == [dict(one) for one in found["effects"]]
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["later_days"] == later
+    text = StringIO()
+    print_diagnosis(Console(file=text, width=200), again)
+    assert "the verdict of the days up to 2024-03-04 stands for 2024-03-05" in text.getvalue()
+    assert "no candidate was tried on later days" in text.getvalue()
 
 
 @pytest.mark.parametrize("part", [0.0, 1.5])
