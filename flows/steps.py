@@ -128,6 +128,7 @@ def diagnose(
     end: DateOrNone = None,
     settings: DiagnoseSettings = DIAGNOSE_SETTINGS,
     save: bool = False,
+    search: bool = False,
     workers: int | None = None,
 ) -> dict[str, Any]:
     """Find which effect is missing from the model; days that were read before cost nothing.
@@ -136,18 +137,19 @@ def diagnose(
     ----------
     save : bool
         Save a version of the model for every effect that was found.
+    search : bool
+        Search though the last verdict may stand for the days since.
     """
     from inflight.tasks.analysis import diagnose_span
 
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
 
-    def search(client: Client) -> dict[str, Any]:
-        return diagnose_span(
-            place, *span.as_text(), settings, save=save, client=client, progress=runner().progress
-        )
+    def find(client: Client) -> dict[str, Any]:
+        how: Any = {"save": save, "search": search, "client": client, "progress": runner().progress}
+        return diagnose_span(place, *span.as_text(), settings, **how)
 
     with lazy_client(workers) as client:
-        return runner().run("search", search, client)
+        return runner().run("search", find, client)
 
 
 def release(
@@ -261,6 +263,7 @@ def _diagnose_if_idle(
     end: DateOrNone = None,
     settings: DiagnoseSettings = DIAGNOSE_SETTINGS,
     save: bool = False,
+    search: bool = False,
     workers: int | None = None,
 ) -> RunReport | None:
     """Return the last diagnosis while nothing has changed; raise what a span without days would."""
@@ -273,7 +276,7 @@ def _diagnose_if_idle(
     cat, mission = Catalog(place.root), place.mission()
     needs = needs_of(mission, current_model(cat, mission, settings.comparison).model)
     require_days(ArchiveIndex.of(cat, needs), needs, *span.as_text())
-    found = None if save else diagnose_if_unchanged(place, *span.as_text(), settings)
+    found = None if save or search else diagnose_if_unchanged(place, *span.as_text(), settings)
     return None if found is None else RunReport.from_json(found)
 
 

@@ -97,13 +97,17 @@ def diagnose(
     comparison: ComparisonOption = None,
     rounds: RoundsOption = None,
     cadence: CadenceOption = None,
+    search: Annotated[
+        bool, typer.Option("--search", help="Search anew, though the last verdict may stand for later days.")
+    ] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
 ) -> None:
     """Find which physical effect is missing from the model."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(command, options, save=False, workers=workers, prefect=not no_prefect, details=details)
+    how = {"search": True} if search else {}
+    _search(command, options, how, save=False, workers=workers, prefect=not no_prefect, details=details)
 
 
 def auto(
@@ -120,12 +124,13 @@ def auto(
 ) -> None:
     """Find what is missing and add it, until nothing more is justified; a version for each effect."""
     options = {"start": start, "end": end, "comparison": comparison, "rounds": rounds, "cadence_s": cadence}
-    _search(command, options, save=True, workers=workers, prefect=not no_prefect, details=details)
+    _search(command, options, {}, save=True, workers=workers, prefect=not no_prefect, details=details)
 
 
 def _search(
     command: Command,
     options: Mapping[str, Any],
+    how: Mapping[str, Any],
     *,
     save: bool,
     workers: int | None,
@@ -136,7 +141,7 @@ def _search(
     given = {name: value for name, value in options.items() if value is not None}
     given["comparison"] = _comparison(command, given.get("comparison"))
     span: dict[str, Any] = {name: given.pop(name) for name in ("start", "end") if name in given}
-    parameters: dict[str, Any] = {**span, "settings": given, "save": save}
+    parameters: dict[str, Any] = {**span, **how, "settings": given, "save": save}
     report = run_flow(command, "diagnose", parameters, workers=workers, prefect=prefect)
     fields = {"command": report.command, "run": report.run, "context": report.context, **report.extra}
     command.emit(fields, lambda console: print_diagnosis(console, fields, details))
@@ -300,6 +305,8 @@ def print_diagnosis(console: Console, fields: Fields, details: bool = False) -> 
     console.print(Panel(sentence, title=title, title_align="left", border_style=colour))
     if fields.get("unchanged"):
         line("data, model, settings and software are those of the last diagnosis: this is its answer")
+    for text in _later_days(fields):
+        line(text)
     if fields.get("entries"):
         _print_entries(console, fields["entries"])
     units = (unit["sentence"] for unit in fields.get("units", ()))
@@ -377,6 +384,28 @@ def _sizes_text(residual: Fields) -> str:
     return (
         f"residual {held_out} nT on days not used in the fit ({every} nT on all days); noise floor "
         f"{size['noise_floor']} nT ({size['noise_floor_low']} to {size['noise_floor_high']})"
+    )
+
+
+def _later_days(fields: Fields) -> Iterator[str]:
+    """Yield what days that came after a search did to its verdict, and what was not done for them."""
+    later = fields.get("later_days")
+    if later is None:
+        return
+    span = later["start"] if later["days"] == 1 else f"{later['start']} to {later['end']}"
+    if not later["stands"]:
+        yield f"searched anew: {'; '.join(later['reasons'])}"
+        return
+    low, high = (_number(one, 3) for one in later["usual_nT"])
+    sizes = [pick(later["residual_nT"].values()) for pick in (min, max)]
+    left = " to ".join(dict.fromkeys(_number(one, 3) for one in sizes))
+    yield (
+        f"the verdict of the days up to {later['searched']} stands for {span}: it leaves {left} nT, "
+        f"and of the days before {low} to {high} nT"
+    )
+    yield (
+        "no candidate was tried on later days, and no value fitted to them: "
+        "'inflight diagnose --search' does both"
     )
 
 

@@ -55,7 +55,7 @@ from .scoring import (
     score,
     sign_flip_ratios,
 )
-from .search import VISIBILITY_SETTINGS, Option, Rules, Search, row_variance
+from .search import VISIBILITY_SETTINGS, Option, Rules, Search, prior_precision, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
 from .stepwise import Estimate, estimate
@@ -140,6 +140,7 @@ __all__ = [
     "parse_entry",
     "periods_of",
     "plain_json",
+    "prior_precision",
     "project_out",
     "quantity",
     "require_known",

@@ -515,10 +515,14 @@ class _Columns:
             # A missing reading is stored as 0: its rate would be enormous.
             there = np.where((series["weight"] > 0)[:, None], series[_FIELD], np.nan)
             field = xr.Variable(("time", "axis"), there + added, {"units": "nT"})
-            return self._made(series, {_FIELD: field}) - plain
-        values = series.values.copy(order="K")
-        values[:, series.features.place(source)] += added.astype(values.dtype)
-        return self._made(replace(series, values=values)) - plain
+            made = self._made(series, {_FIELD: field})
+        else:
+            values = series.values.copy(order="K")
+            values[:, series.features.place(source)] += added.astype(values.dtype)
+            made = self._made(replace(series, values=values))
+        # In place: of a long record each such array is hundreds of megabytes.
+        made -= plain
+        return made
 
     def noise(self, source: str, size: float, series: Series) -> Floats:
         """Return noise of a source; straight between the readings of a slow channel."""
@@ -559,7 +563,9 @@ class _Columns:
     def of_noise(self, source: str, series: Series | None = None) -> Floats:
         """Return columns of noise of unit variance of a source; (row, column)."""
         series, size = series or self.data.series, np.sqrt(max(self.bound(source), 1e-300))
-        return np.asarray(self._with(source, self.noise(source, size, series), series) / size)
+        found = self._with(source, self.noise(source, size, series), series)
+        found /= size
+        return found
 
     @property
     def _row_weight(self) -> Floats:

@@ -448,6 +448,11 @@ class GramArrays:
         )
 
     @property
+    def bare(self) -> Self:
+        """The blocks without further variables, which cost more to select than all the rest."""
+        return self if self.more is None else self._with(more=None)
+
+    @property
     def filled(self) -> Self:
         """The blocks that have rows: days without their housekeeping leave empty ones."""
         full = np.flatnonzero(self.count > 0)

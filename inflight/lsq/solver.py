@@ -384,20 +384,21 @@ def solve(
     Solution
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    value, variance = prior, _variance(gram, prior, count)
+    value, variance, information = prior, _variance(gram, prior, count), _information(matrix, prior_sigma)
     for _ in range(SOLVER_SETTINGS.variance_passes):
-        found = _directions(matrix, scatter, variance, prior_sigma, least)
+        found = _directions(information, scatter, variance, prior_sigma, least)
         value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
         before, variance = variance, _variance(gram, value, count)
         # A prior that is far off makes the residual look noisy and hides directions; less at each pass.
         if abs(before - variance) <= 1e-6 * variance:
             break
-    alone = _directions(matrix, scatter, variance, prior_sigma * SOLVER_SETTINGS.wide, least)
+    wide = prior_sigma * SOLVER_SETTINGS.wide
+    alone = _directions(_information(matrix, wide), scatter, variance, wide, least)
     return Solution(
         value,
         found.covariance(prior_sigma),
         determined=(
-            np.sqrt(np.clip(np.diag(alone.covariance(prior_sigma * SOLVER_SETTINGS.wide)), 0, None))
+            np.sqrt(np.clip(np.diag(alone.covariance(wide)), 0, None))
             <= SOLVER_SETTINGS.determined * prior_sigma
         )
         & (prior_sigma > 0),
@@ -444,11 +445,11 @@ class _Directions:
 
 
 def _directions(
-    matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats, least: float
+    information: tuple[Floats, Floats], scatter: Floats, variance: float, prior_sigma: Floats, least: float
 ) -> _Directions:
-    """Return the directions of the information `matrix`, with the noise of the scores' scatter along them."""
+    """Return the directions of `_information`, with the noise of the scores' scatter along them."""
     unit = np.outer(prior_sigma, prior_sigma)
-    white, vectors = _information(matrix, prior_sigma)
+    white, vectors = information
     white = white / variance
     noise = vectors.T @ (scatter * unit) @ vectors / variance**2
     # Few sub-blocks can show less scatter than uncorrelated residuals have; that is chance.

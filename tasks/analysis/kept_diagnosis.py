@@ -10,11 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
@@ -79,25 +81,55 @@ def diagnose_if_unchanged(
     """
     found = last_diagnosis(workspace, settings.comparison)
     asked = (found or {}).pop("asked", None) or {}
-    same = {"start": start, "end": end, "settings": settings.model_dump()}
-    if found is None or {name: asked.get(name) for name in same} != json.loads(to_json(same)):
+    if found is None or not asked_alike(asked, start, end, settings):
         return None
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
-    if asked.get("made_from") != made_from(Catalog(workspace.root), mission, settings):
+    cat = Catalog(workspace.root)
+    if asked.get("made_from") != made_from(cat, mission, settings, archive_of(cat, mission, settings)):
         return None
     return {**found, "unchanged": True}
 
 
-def made_from(cat: Catalog, mission: Mission, settings: DiagnoseSettings) -> str:
-    """Return a hash of all that a diagnosis is made from but the span: archive, tables, model, software."""
+def asked_alike(
+    asked: Mapping[str, Any], start: str | None, end: str | None, settings: DiagnoseSettings
+) -> bool:
+    """Return True when a kept diagnosis is of the same span and settings."""
+    same = {"start": start, "end": end, "settings": settings.model_dump()}
+    return {name: asked.get(name) for name in same} == json.loads(to_json(same))
+
+
+def archive_of(cat: Catalog, mission: Mission, settings: DiagnoseSettings) -> list[list[Any]]:
+    """Return dataset, day, id and key of every day of the archive that a diagnosis may read."""
     used = current_model(cat, mission, settings.comparison)
     index = ArchiveIndex.of(cat, [*needs_of(mission, used.model), *channel_needs(mission)])
-    archive = sorted([name, str(day), record.id, record.key] for (name, day), record in index.days.items())
+    return sorted([name, str(day), record.id, record.key] for (name, day), record in index.days.items())
+
+
+def made_from(
+    cat: Catalog,
+    mission: Mission,
+    settings: DiagnoseSettings,
+    archive: Sequence[Sequence[Any]],
+    through: np.datetime64 | None = None,
+) -> str:
+    """Return a hash of all that a diagnosis is made from but the span: archive, tables, model, software.
+
+    Parameters
+    ----------
+    archive : list of list
+        Of `archive_of`.
+    through : datetime64[D], optional
+        Of the days up to this one, and of no tables: a day's calibration makes others.
+    """
+    used = current_model(cat, mission, settings.comparison)
     tables = [
-        [one.id, one.key, one.certified] for one in cat.tables() if one.name.startswith(settings.comparison)
+        [one.id, one.key, one.certified]
+        for one in (cat.tables() if through is None else ())
+        if one.name.startswith(settings.comparison)
     ]
-    parts = [mission.text, used.model.name, used.version, used.text, settings.model_dump(), archive, tables]
+    there = [one for one in archive if through is None or one[1] <= str(through)]
+    parts = [mission.text, used.model.name, used.version, used.text, settings.model_dump(), there, tables]
     return hashlib.sha256(json.dumps([*parts, _software()], default=str).encode()).hexdigest()
 
 

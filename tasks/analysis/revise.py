@@ -63,7 +63,8 @@ from inflight.tasks.analysis.diagnosis import (
     native_estimator,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
-from inflight.tasks.analysis.kept_diagnosis import last_diagnosis, made_from, save_diagnosis
+from inflight.tasks.analysis.kept_diagnosis import archive_of, last_diagnosis, made_from, save_diagnosis
+from inflight.tasks.analysis.later_days import check_later_days, standing_of
 from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.analysis.stored_effects import pinned_table, stored_entry
@@ -293,6 +294,8 @@ class Workbench:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], PassResult] | None = None
         self._refitted = False
+        #: What the last search keeps of its model for later days (`standing_of`).
+        self.standing: dict[str, Any] | None = None
         #: The fit of the present model is needed again with the next change.
         self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
@@ -338,14 +341,16 @@ class Workbench:
     @property
     def maker(self) -> AdditionMaker:
         """What makes additions, with names that are free now."""
+        return self._maker_of(self.made)
+
+    def _maker_of(self, made: PassResult) -> AdditionMaker:
         names = {one.name for model in (self.root.model, self.current.model) for one in model.effects}
-        plan = self.made.plan
         return AdditionMaker(
             mission=self.mission,
-            model=plan.model,
-            library=plan.library,
-            time_variable=time_variable_columns(plan.library),
-            raw=self.made.loaded.raw,
+            model=made.plan.model,
+            library=made.plan.library,
+            time_variable=time_variable_columns(made.plan.library),
+            raw=made.loaded.raw,
             names=frozenset(names),
         )
 
@@ -781,11 +786,34 @@ class Workbench:
 
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its Gram blocks are made when there are none."""
-        found, _ = self._searched()
+        found, search = self._searched()
+        model = self._model_found(search)
+        if model is not None:
+            plan, variance = self.made.plan, search.variance
+            self.standing = standing_of(self.cat, self.mission, plan, model, variance, self.settings)
         # The next search lets its own columns join: what this one added would only be carried along.
         for grams in (self.made.loaded.raw, self.made.loaded.white):
             grams.forget_later_columns()
         return found
+
+    def _model_found(self, search: Search) -> Model | None:
+        """Return the model with all that a search took, fitted; None where no entries of a model are that."""
+        if any(option.number for option in search.accepted):
+            return None
+        loaded = replace(self.made.loaded, raw=search.raw)
+        made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
+        maker, additions = self._maker_of(made), list[Addition]()
+        for option in search.accepted:
+            try:
+                additions.append(addition_of(maker, option))
+            except ModelError:
+                return None
+            more = {entry.name for entry in additions[-1].entries}
+            maker = replace(maker, names=maker.names | more)
+        setup = _fit_setup_of(made, self.settings)
+        columns = [column for one in additions for column in one.columns]
+        fitted = setup.fit(columns, {}, interleaved=any(one.interleaved for one in additions))
+        return self._model(setup, additions, [], fitted)
 
     def _searched(self) -> tuple[Diagnosis, Search]:
         if self.root.version != self.current.version or self.additions or self.dropped:
@@ -919,10 +947,14 @@ def diagnose_span(
     settings: DiagnoseSettings | None = None,
     *,
     save: bool = False,
+    search: bool = False,
     client: Any = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Diagnose a span, and keep the result in the workspace's reports.
+
+    Where only few days came after the last search of the same, and its verdict stands for them, they are held
+    against it and nothing is searched (`inflight.tasks.analysis.later_days.check_later_days`).
 
     Parameters
     ----------
@@ -930,12 +962,15 @@ def diagnose_span(
         Half-open span of days; the whole archive when absent.
     save : bool
         Save one version of the model for every effect that was found, in the order they were taken.
+    search : bool
+        Search though the last verdict may stand for the days since.
 
     Returns
     -------
     dict
         `Diagnosis.as_json`; when versions are saved, ``command`` is ``auto`` and ``versions`` has what
-        `Revision.as_json` gives of each.
+        `Revision.as_json` gives of each. With ``later_days`` where days were held against a verdict: the last
+        one, which stands, or one searched anew because it did not.
 
     Raises
     ------
@@ -947,6 +982,12 @@ def diagnose_span(
     settings = settings or DiagnoseSettings()
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
+    listener = progress or (lambda stage, done, total: None)
+    stands = None if save or search else check_later_days(workspace, start, end, settings, listener)
+    if stands is not None and stands["later_days"]["stands"]:
+        asked = stands.pop("asked")
+        save_diagnosis(workspace, stands, asked)
+        return stands
     bench = Workbench(
         Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
     )
@@ -958,9 +999,12 @@ def diagnose_span(
     units = spacecraft_units_of(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
-    asked = {"start": start, "end": end, "settings": settings.model_dump()}
+    asked: dict[str, Any] = {"start": start, "end": end, "settings": settings.model_dump()}
     if not save:
-        asked["made_from"] = made_from(bench.cat, mission, settings)
+        archive = archive_of(bench.cat, mission, settings)
+        asked |= {"made_from": made_from(bench.cat, mission, settings, archive), "standing": bench.standing}
+    if stands is not None:
+        fields["later_days"] = stands["later_days"]
     save_diagnosis(workspace, fields, asked)
     return fields
 

@@ -78,9 +78,9 @@ def channel_series(
         return None
     around = _around(cat, need, day, index) if margins else [(today, None)]
     stamps = _joined_stamps(cat, around)
-    values = _joined(cat, around, need.channel)
-    if need.smooth_ns:
-        values = _smoothed(values, stamps, need.smooth_ns)
+    values = (
+        _smoothed_channel(cat, around, need, stamps) if need.smooth_ns else _joined(cat, around, need.channel)
+    )
     flag = _joined(cat, around, "flag") if need.name in FIELD_ROLES else None
     # The mission's lag and cadence hold, not those of the day the files were taken in.
     attrs = {**_read(cat, today, need.channel)[1], "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
@@ -125,6 +125,16 @@ def _joined_stamps(cat: Catalog, parts: Sequence[_Part]) -> Int64:
     """Return the stamps of the parts; inside `cached_readings` channels of one instrument get one array."""
     key = ("tt2000", *((day.segment, day.rows, rows) for day, rows in parts))
     return _CACHE.get(key, lambda: _joined(cat, parts, "tt2000"))
+
+
+def _smoothed_channel(cat: Catalog, parts: Sequence[_Part], need: Need, stamps: Int64) -> Floats:
+    """Return a channel of the parts, averaged as the mission says, as an array of its own.
+
+    Inside `cached_readings` it is averaged once for the model's samples and for the channels of a search.
+    """
+    key = (need.channel, need.smooth_ns, *((day.segment, day.rows, rows) for day, rows in parts))
+    made = _CACHE.get(key, lambda: _smoothed(_joined(cat, parts, need.channel), stamps, need.smooth_ns))
+    return np.array(made)
 
 
 def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:

@@ -1,17 +1,30 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
 import shutil
+from dataclasses import replace
+from io import StringIO
 
 import pytest
-from heated_mission import make_heated_workspace
+import xarray as xr
+from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
+from rich.console import Console
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
+from inflight.cli.diagnose import print_diagnosis
 from inflight.flows import launch, run_with_prefect
 from inflight.tasks import ingest, reprocess
-from inflight.tasks.analysis import DiagnoseSettings, Workbench, diagnose_if_unchanged, diagnose_span
+from inflight.tasks.analysis import (
+    DiagnoseSettings,
+    Workbench,
+    diagnose_if_unchanged,
+    diagnose_span,
+    later_days,
+    revise,
+)
 from inflight.tasks.archive import ingest_if_unchanged
 from inflight.tasks.pipelines import ReprocessSettings
+from inflight.tasks.pipelines.scalar import tables
 
 
 def copied(workspace, folder):
@@ -63,6 +76,31 @@ def test_a_new_day_is_work(done):
     assert report is not None
     assert report.days["unchanged"] == 6
     assert reprocess(cat, place.mission()).days["done"] >= 1
+
+
+def test_equations_kept_together_are_those_of_their_days(done, monkeypatch):
+    place, _ = done
+    monkeypatch.setattr(tables, "JOINED_DAYS", 2)
+    deliver_tiny_day(place.data, "2024-03-03")
+    cat = Catalog(place.root)
+    ingest(cat, place.mission(), place.data)
+    reprocess(cat, place.mission())
+    # On a fixed grid of dates: the first day waits for one that never was.
+    (joined,) = cat.days("equations/main/base-joined", states=("published",))
+    assert str(joined.day) == "2024-03-02"
+    days, read = cat.days("equations/main/base", states=("published",)), Catalog.read
+    asked = []
+    monkeypatch.setattr(Catalog, "read", lambda *given: asked.append(given[1].dataset) or read(*given))
+    together = tables.load_equations(cat, days).dataset
+    assert asked.count("equations/main/base-joined") == 1
+    monkeypatch.setattr(tables, "JOINED_DAYS", 99)
+    xr.testing.assert_identical(together, tables.load_equations(cat, days).dataset)
+    # Other revisions of a day are not what was kept.
+    monkeypatch.setattr(tables, "JOINED_DAYS", 2)
+    other = [replace(day, key="another") if str(day.day) == "2024-03-03" else day for day in days]
+    asked.clear()
+    tables.load_equations(cat, other)
+    assert "equations/main/base-joined" not in asked
 
 
 def test_a_span_of_its_own_is_work_of_its_own(done):
@@ -127,3 +165,41 @@ def test_other_settings_another_span_and_another_model_are_work(diagnosed):
     assert diagnose_if_unchanged(workspace, "2024-03-01", None, DiagnoseSettings()) is None
     Workbench(Catalog(workspace.root), workspace.mission()).add(found["effects"][0]["name"])
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+def with_later_day(workspace, hidden, monkeypatch):
+    """Take in a fifth day, which four are enough to be compared with."""
+    settings = later_days.LaterDaysSettings(share=0.3, compared=4)
+    monkeypatch.setattr(later_days, "LATER_DAYS_SETTINGS", settings)
+    deliver_heated_day(workspace.data, "2024-03-05", hidden)
+    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
+
+
+def test_a_later_day_like_those_searched_is_held_against_their_verdict(diagnosed, monkeypatch):
+    workspace, found = diagnosed
+    with_later_day(workspace, heater_field, monkeypatch)
+    monkeypatch.setattr(revise, "Workbench", lambda *given, **named: pytest.fail("it was searched"))
+    again = diagnose_span(workspace)
+    later = again["later_days"]
+    assert (later["stands"], later["days"], later["searched"]) == (True, 1, "2024-03-04")
+    # The model found leaves of it what it leaves of the others: it holds the heater, which they need.
+    assert later["residual_nT"]["2024-03-05"] == pytest.approx(later["usual_nT"][1], rel=0.1)
+    assert later["residual_nT"]["2024-03-05"] < 0.5 * found["residual"]["before_nT"]
+    assert again["effects"] == [dict(one) for one in found["effects"]]
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["later_days"] == later
+    text = StringIO()
+    print_diagnosis(Console(file=text, width=200), again)
+    assert "the verdict of the days up to 2024-03-04 stands for 2024-03-05" in text.getvalue()
+    assert "no candidate was tried on later days" in text.getvalue()
+
+
+@pytest.mark.parametrize("part", [0.0, 1.5])
+def test_a_later_day_that_contradicts_the_verdict_asks_for_a_search(diagnosed, monkeypatch, part):
+    workspace, _ = diagnosed
+    with_later_day(workspace, lambda day, reading: part * heater_field(day, reading), monkeypatch)
+    later = later_days.check_later_days(
+        workspace, None, None, DiagnoseSettings(), lambda stage, done, total: None
+    )["later_days"]
+    assert not later["stands"]
+    assert "2024-03-05" in later["reasons"][0]
+    assert "nT are left of it" in later["reasons"][0]

@@ -69,10 +69,16 @@ class ScalarPipeline(Pipeline):
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
-        from inflight.tasks.pipelines.scalar.tables import daily_table, load_equations, window_table
+        from inflight.tasks.pipelines.scalar.tables import (
+            daily_table,
+            keep_joined,
+            load_equations,
+            window_table,
+        )
 
         plan, stager = work.plan, self.table_stager(work, days)
         equations, model = load_equations(work.cat, list(days.values())), plan.model
+        keep_joined(work.cat, work.run, equations, list(days.values()))
         edges = {
             "window": window_edges(min(days), max(days), plan.settings.window_days),
             "span": [min(days), max(days) + ONE_DAY],

@@ -8,7 +8,7 @@ Normal equations of days are sums: those of a window are added and solved with t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -23,7 +23,7 @@ from inflight.calibration import (
     reference_of,
     with_changes,
 )
-from inflight.catalog import Catalog, Day
+from inflight.catalog import Catalog, Day, DayData, Run, idempotency_key, write_segment
 from inflight.errors import CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
 from inflight.model import Model
@@ -31,6 +31,9 @@ from inflight.time import day_bounds
 
 #: Equations are linearised again when the linearisation error of the residual exceeds this; nT.
 MAX_LINEARISATION_ERROR = 1e-3
+
+#: Days whose equations are kept together once all are there: reading a day's costs as much as reading theirs.
+JOINED_DAYS = 32
 
 
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
@@ -48,14 +51,22 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
         )
     ordered = sorted(days, key=lambda day: day.day)
     first = cat.read(ordered[0])
-    # Filled day by day: a Dataset a day of a whole mission would need a hundred times the room.
+    # Filled part by part: a Dataset a day of a whole mission would need a hundred times the room.
     rows = {
         name: np.empty((len(ordered), *variable.shape[1:]), variable.dtype)
         for name, variable in first.data_vars.items()
         if "block" in variable.dims
     }
-    for index, day in enumerate(ordered):
+    joined = {day.key: day for day in cat.days(_joined(ordered), states=("published",))}
+    parts = []
+    for members in _whole_spans(ordered):
+        kept = joined.get(_key_of_joined(members)) if len(members) == JOINED_DAYS else None
+        parts += members if kept is None else [kept]
+    index = 0
+    for day in parts:
         part = cat.read(day)
+        if "day_start" in part:
+            part = part.isel(block=0).drop_vars("start").rename(day="block", day_start="start")
         if part["column"].values.tolist() != first["column"].values.tolist():
             raise CatalogError(
                 f"its equations have the columns {part['column'].values.tolist()}, those of "
@@ -63,8 +74,10 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
                 day=str(day.day),
                 remedy="run 'inflight reprocess' over all days",
             )
+        size = part.sizes["block"]
         for name, values in rows.items():
-            values[index] = part[name].values[0]
+            values[index : index + size] = part[name].values
+        index += size
     return NormalEquations(
         first.drop_vars(list(rows)).assign(
             {name: (first[name].dims, values, first[name].attrs) for name, values in rows.items()}
@@ -72,13 +85,55 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
     )
 
 
+def keep_joined(cat: Catalog, run: Run, equations: NormalEquations, days: Sequence[Day]) -> None:
+    """Keep the equations of whole spans of `JOINED_DAYS` dates together, where that is not done yet.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of the days, as `load_equations` reads them.
+    """
+    ordered = sorted(days, key=lambda day: day.day)
+    joined = {day.key for day in cat.days(_joined(ordered), states=("published",))}
+    place, more = 0, []
+    for members in _whole_spans(ordered):
+        if len(members) == JOINED_DAYS and (key := _key_of_joined(members)) not in joined:
+            part = equations.of_blocks(slice(place, place + JOINED_DAYS)).dataset
+            # A row of a store lies in its day: all days are one row of the first.
+            kept = part.rename(block="day", start="day_start")
+            rows = {name: one.expand_dims("block") for name, one in kept.items() if "day" in one.dims}
+            kept = kept.assign(rows | {"start": ("block", part["start"].values[:1], part["start"].attrs)})
+            more.append(DayData(members[0].day, kept, key, tuple(day.id for day in members)))
+        place += len(members)
+    if more:
+        run.attach(write_segment(cat.workspace, run.id, _joined(ordered), more))
+
+
+def _joined(days: Sequence[Day]) -> str:
+    """Return the dataset in which the equations of days are kept together."""
+    return f"{days[0].dataset}-joined"
+
+
+def _whole_spans(ordered: Sequence[Day]) -> Iterator[list[Day]]:
+    """Yield the days of each span of `JOINED_DAYS` dates, on a grid that no other day moves."""
+    for _, members in itertools.groupby(ordered, lambda day: int(day.day.astype(np.int64)) // JOINED_DAYS):
+        yield list(members)
+
+
+def _key_of_joined(days: Sequence[Day]) -> str:
+    """Return the key of the equations of days kept together: of these very revisions."""
+    return idempotency_key(_joined(days), days[0].day, 0, "", [f"{day.id} {day.key}" for day in days])
+
+
 def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
     """Return the table of the blocks' own fits, one interval a block."""
-    data = equations.dataset
+    data, bare = equations.dataset, equations.bare
+    fit, covariance = data["fit"].values[:, :-1], data["fit_covariance"].values[:, :-1, :-1]
+    used, before, after = (data[name].values for name in ("used", "before", "after"))
     rows = []
     for index in range(len(equations)):
-        one = equations.of_blocks(slice(index, index + 1))
-        start, end = int(data["start"].values[index]), int(data["end"].values[index])
+        one = bare.of_blocks(slice(index, index + 1))
+        start, end = int(equations.start[index]), int(equations.end[index])
         prior = reference_of(model, (start + end) // 2)
         if not len(one.filled):
             rows.append(_prior_interval(one, model, start, end))
@@ -89,12 +144,12 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
                 start,
                 end,
                 (start, end),
-                np.asarray(data["fit"].values[index, :-1]),
-                np.asarray(data["fit_covariance"].values[index, :-1, :-1]),
+                fit[index],
+                covariance[index],
                 solution,
-                float(data["used"].values[index]),
-                float(data["before"].values[index]),
-                float(data["after"].values[index]),
+                float(used[index]),
+                float(before[index]),
+                float(after[index]),
             )
         )
     return with_changes(
@@ -113,11 +168,12 @@ def window_table(
 
     How much parameters change is told by its own windows, or by those of `finer` where they are too few.
     """
-    rows = []
+    rows, bare, used = [], equations.bare, equations.dataset["used"].values
     for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
-        part = equations.within(start, end)
-        if len(part):
-            rows.append(_solved_interval(part, model, start, end))
+        inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
+        if inside.size:
+            part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())
+            rows.append(_solved_interval(part, count, model, start, end))
     table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
     return with_changes(table, [table, *finer])
 
@@ -140,12 +196,12 @@ def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -
     )
 
 
-def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
-    """Return the row of a span: the sum of its blocks, solved with the model's prior."""
+def _solved_interval(part: NormalEquations, used: float, model: Model, start: int, end: int) -> Interval:
+    """Return the row of a span: the sum of its blocks, of so many samples, solved with the model's prior."""
     if not len(part.filled):
         return _prior_interval(part, model, start, end)
     part = part.filled
-    middle = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
+    middle = int(part.start[0] // 2 + part.end[-1] // 2)
     prior = reference_of(model, middle)
     common = part.at(prior.value)
     solution = common.solve(prior.sigma, prior.value)
@@ -154,11 +210,11 @@ def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) 
     return Interval(
         start,
         end,
-        (int(part.dataset["start"].values[0]), int(part.dataset["end"].values[-1])),
+        (int(part.start[0]), int(part.end[-1])),
         value,
         covariance,
         solution,
-        float(part.dataset["used"].values.sum()),
+        used,
         float(np.sqrt(gram[-1, -1] / count)),
         float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR,
         len(part),
@@ -168,7 +224,7 @@ def _solved_interval(part: NormalEquations, model: Model, start: int, end: int) 
 def span_solution(equations: NormalEquations, model: Model) -> Solution:
     """Solve all blocks together with the model's prior; scaled, relative to that prior."""
     equations = equations.filled if len(equations.filled) else equations
-    prior = reference_of(model, int(equations.dataset["start"].values[0]))
+    prior = reference_of(model, int(equations.start[0]))
     return equations.at(prior.value).solve(prior.sigma, prior.value)
 
 
@@ -198,13 +254,13 @@ def relinearise_at(
     -------
     ndarray, shape (9,), or None
     """
-    equations = equations.filled
+    equations = equations.bare.filled
     if not len(equations):
         return None
     whole = equations.at_one_reference()
-    prior = reference_of(model, int(whole.dataset["start"].values[0]))
+    prior = reference_of(model, int(whole.start[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
-    places = equations.dataset["linearised_at"].values[:, :-1]
+    places = np.asarray(equations.linearised_at)[:, :-1]
 
     def is_far(place: Floats) -> bool:
         return linearisation_error(value, place, strength) > MAX_LINEARISATION_ERROR
