@@ -50,8 +50,8 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 demo: setup  ## simulate a month, run the whole chain, show what came out (under 2 minutes)
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
-# What a file's tests share is made by one process; tests/conftest.py has the groups.
-PYTEST = .ci/in-memory $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadgroup --durations 40
+# What a file's tests share is made by one process; tests/conftest.py names the files whose tests share nothing.
+PYTEST = .ci/in-memory $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --durations 40
 
 test: setup  ## run the tests
 	$(PYTEST) -m "not slow" $(ARGS)

@@ -14,15 +14,22 @@ def pytest_ignore_collect(collection_path, config):
     return None
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """What the tests of a file share is made once: they run in one process.
+#: Files of long cases that share nothing: each of their tests may go to any process.
+CASES = ("tests/physics_cases/test_cases.py", "tests/dual/test_hard_cases.py")
 
-    Slow cases share nothing and go one by one, unless their file says otherwise by a group of its own.
-    """
-    for item in items:
-        if not (item.get_closest_marker("slow") or item.get_closest_marker("xdist_group")):
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.split("::")[0]))
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give the tests of a file, which share what its fixtures make, to one process, and cases one by one."""
+    if config.option.dist != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if nodeid.startswith(CASES) else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
 
 
 def pytest_collection_finish():

@@ -376,18 +376,23 @@ def _is_apart(at: Rows, place: Rows, length: int, cell: Rows) -> npt.NDArray[np.
 @numba.njit(cache=True, nogil=True)
 def _best_splits(unit: Floats, taken: Rows, first: Rows, last: Rows) -> Rows:
     """Return the row between first and last that splits whitened values into the two levels of best fit."""
-    best = taken.copy()
+    best = np.empty_like(taken)
+    total, before = np.empty(3), np.empty(3)
     for one in range(taken.size):
         begin, end = first[one], last[one]
-        total = np.zeros(3)
-        for row in range(begin, end):
-            total += unit[row]
-        before = np.zeros(3)
+        best[one] = taken[one]
+        for k in range(3):
+            total[k] = before[k] = 0.0
+            for row in range(begin, end):
+                total[k] += unit[row, k]
         highest = -1.0
         for row in range(begin + 1, end):
-            before += unit[row - 1]
             left, right = row - begin, end - row
-            gain = np.sum((before / left - (total - before) / right) ** 2) * left * right / (left + right)
+            apart = 0.0
+            for k in range(3):
+                before[k] += unit[row - 1, k]
+                apart += (before[k] / left - (total[k] - before[k]) / right) ** 2
+            gain = apart * left * right / (left + right)
             if gain > highest:
                 highest = gain
                 best[one] = row

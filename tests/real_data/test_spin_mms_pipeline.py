@@ -11,7 +11,6 @@ from inflight.tasks.pipelines import ReprocessSettings, reprocess
 pytestmark = [
     pytest.mark.real_data,
     pytest.mark.slow,
-    pytest.mark.xdist_group("spun MMS"),
     pytest.mark.skipif(not FILE.exists(), reason=f"no real measurements at {FILE}"),
 ]
 EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]

@@ -11,7 +11,7 @@ from inflight.tasks.archive import simulate
 from inflight.tasks.pipelines.base.tables import month_edges
 from inflight.time import day_bounds
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("months")]
+pytestmark = pytest.mark.slow
 AXIAL = list(PARAMETER_NAMES).index("offset[3]")
 TRUTH = SpinningSettings(craft="imp8").parameters.offset[2]
 MARCH, APRIL = np.datetime64("2012-03-01"), np.datetime64("2012-04-01")

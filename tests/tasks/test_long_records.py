@@ -11,10 +11,7 @@ from inflight.tasks.analysis.diagnosis import make_pass, plan_pass
 from inflight.tasks.archive import ChannelReader, DerivedChannels
 
 
-@pytest.fixture(
-    scope="module",
-    params=[261, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.xdist_group("1000 days")])],
-)
+@pytest.fixture(scope="module", params=[261, pytest.param(1000, marks=pytest.mark.slow)])
 def found(request, tmp_path_factory):
     root = tmp_path_factory.mktemp("long") / "mission"
     return diagnose(make_long_workspace(root, request.param), Workspace.open(root).mission())
