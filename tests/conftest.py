@@ -7,6 +7,31 @@ import pytest
 from tiny_mission import make_tiny_workspace
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Where slow cases alone are asked for, files without any are not imported."""
+    if config.option.markexpr == "slow" and collection_path.name.startswith("test_"):
+        return "mark.slow" not in collection_path.read_text(encoding="utf-8") or None
+    return None
+
+
+#: Files of long cases that share nothing: each of their tests may go to any process.
+CASES = ("tests/physics_cases/test_cases.py", "tests/dual/test_hard_cases.py")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give the tests of a file, which share what its fixtures make, to one process, and cases one by one."""
+    if config.option.dist != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return nodeid if nodeid.startswith(CASES) else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
+
+
 def pytest_collection_finish():
     """What is imported stays: Python need not look again and again which of it could go.
 

@@ -86,6 +86,14 @@ def _fill(
 
 
 @numba.njit(cache=True, nogil=True)
+def _add(total: Floats, gram: Floats) -> None:  # pragma: no cover
+    """Add a matrix in place, number by number: numba takes seconds to compile the sum of slices."""
+    for i in range(WIDTH):
+        for j in range(WIDTH):
+            total[i, j] += gram[i, j]
+
+
+@numba.njit(cache=True, nogil=True)
 def gram_at(
     theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats
 ) -> Floats:  # pragma: no cover
@@ -98,7 +106,7 @@ def gram_at(
         for k in range(part.shape[0]):
             for column in range(WIDTH):
                 part[k, column] *= root[at + k]
-        out += np.dot(part.T, part)
+        _add(out, np.dot(part.T, part))
     return out
 
 
@@ -160,6 +168,6 @@ def grams(
             w, d = _fill(part, theta, e, s, f, width, scale, at)
             weights += w
             slopes += d
-            out[b] += np.dot(part.T, part)
+            _add(out[b], np.dot(part.T, part))
             at += many
     return out, weights, slopes

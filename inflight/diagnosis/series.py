@@ -65,19 +65,17 @@ class Features:
 
 def features_of(rows: DesignRows, channels: Sequence[str]) -> Features:
     """Return what the series of some rows holds: residual, directions, readings, field, weight, channels."""
-    count = rows.residual.shape[1]
+    count, held = rows.residual.shape[1], rows.samples.variables
     names = ["seconds", "residual", "weight", "field"]
     widths = [1, count, 1, 3]
     for sensor in rows.directions:
         names.append(f"direction:{sensor}")
         widths.append(3 * count)
-    for name in (*[role for role in _ROLES if role in rows.samples], *channels):
-        if name in rows.samples and name not in names:
+    for name in (*[role for role in _ROLES if role in held], *channels):
+        if name in held and name not in names:
             names.append(name)
-            widths.append(int(np.prod(rows.samples[name].shape[1:], dtype=int)))
-    units = tuple(
-        str(rows.samples[name].attrs.get("units", "1")) if name in rows.samples else "1" for name in names
-    )
+            widths.append(int(np.prod(held[name].shape[1:], dtype=int)))
+    units = tuple(str(held[name].attrs.get("units", "1")) if name in held else "1" for name in names)
     return Features(tuple(names), tuple(widths), units, tuple(rows.directions), count)
 
 
@@ -95,7 +93,7 @@ def thin_rows(rows: DesignRows, features: Features, step: int) -> tuple[Int64, F
     } | {f"direction:{name}": one for name, one in rows.directions.items()}
     columns, channels = [], set(features.channels)
     for name, width in zip(features.names, features.widths, strict=True):
-        values = parts[name] if name in parts else np.asarray(rows.samples[name].values, dtype=np.float64)
+        values = parts[name] if name in parts else rows.samples.variables[name].values
         flat = np.asarray(values[:count], dtype=np.float64).reshape(-1, step, width)
         good = np.isfinite(flat)
         part = (np.where(good, flat, 0.0) * factor[:, :, None]).sum(axis=1)

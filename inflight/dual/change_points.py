@@ -349,43 +349,50 @@ def _over_limit(
     return at[over], distance[over]
 
 
-@numba.njit(cache=True, nogil=True)
 def _best_apart(at: Rows, length: int) -> Rows:
     """Return of rows, best first, those that are at least `length` from every better one taken."""
     if at.size == 0:
         return at
-    lowest = at.min()
-    cell = np.full((at.max() - lowest) // length + 3, -1, dtype=np.int64)
-    kept = np.empty(at.size, dtype=np.int64)
-    number = 0
-    for row in at:
-        own = (row - lowest) // length + 1
+    place = (at - at.min()) // length + 1
+    return np.sort(at[_is_apart(at, place, length, np.full(place.max() + 2, -1))])
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_apart(at: Rows, place: Rows, length: int, cell: Rows) -> npt.NDArray[np.bool_]:
+    """Return which rows are taken; `cell` holds the row taken at each place, negative where none is yet."""
+    taken = np.zeros(at.size, dtype=np.bool_)
+    for one in range(at.size):
+        row, own = at[one], place[one]
         clear = True
-        for near in (own - 1, own, own + 1):
+        for near in range(own - 1, own + 2):
             if cell[near] >= 0 and abs(cell[near] - row) < length:
                 clear = False
         if clear:
             cell[own] = row
-            kept[number] = row
-            number += 1
-    return np.sort(kept[:number])
+            taken[one] = True
+    return taken
 
 
 @numba.njit(cache=True, nogil=True)
 def _best_splits(unit: Floats, taken: Rows, first: Rows, last: Rows) -> Rows:
     """Return the row between first and last that splits whitened values into the two levels of best fit."""
-    best = taken.copy()
+    best = np.empty_like(taken)
+    total, before = np.empty(3), np.empty(3)
     for one in range(taken.size):
         begin, end = first[one], last[one]
-        total = np.zeros(3)
-        for row in range(begin, end):
-            total += unit[row]
-        before = np.zeros(3)
+        best[one] = taken[one]
+        for k in range(3):
+            total[k] = before[k] = 0.0
+            for row in range(begin, end):
+                total[k] += unit[row, k]
         highest = -1.0
         for row in range(begin + 1, end):
-            before += unit[row - 1]
             left, right = row - begin, end - row
-            gain = np.sum((before / left - (total - before) / right) ** 2) * left * right / (left + right)
+            apart = 0.0
+            for k in range(3):
+                before[k] += unit[row - 1, k]
+                apart += (before[k] / left - (total[k] - before[k]) / right) ** 2
+            gain = apart * left * right / (left + right)
             if gain > highest:
                 highest = gain
                 best[one] = row

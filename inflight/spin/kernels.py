@@ -162,7 +162,8 @@ def sum_tones(
             at, many = _load(readings, phase, good, at, stop, correction, angle, field)
             _fill_tones(angle, many, middle, 2.0 / blocks[2], columns)
             _fill_modulus(field, columns[_FEW - 1], many)
-            columns[_FEW - 2] = field[2]
+            for i in range(many):
+                columns[_FEW - 2, i] = field[2, i]
             _add_products(columns, many, inner[b])
     _mirror(inner)
 
@@ -400,7 +401,9 @@ def fit_weighted(
     sums, right = np.zeros((places.shape[0], 4)), np.empty(size)
     for at in range(places.shape[0]):
         f, k = places[at, 0], places[at, 1]
-        now[at] = value[f, k]
+        # Number by number: numba takes seconds to compile the assignment of a row.
+        for p in range(size):
+            now[at, p] = value[f, k, p]
         for turn in range(2 * _ROUNDS + 1):
             gram = inverse[at]
             total, kept, out = _sum_weighted(
@@ -418,7 +421,9 @@ def fit_weighted(
             if sums[at, 0] == 0.0:
                 break
             if turn < 2 * _ROUNDS:
-                now[at] += gram @ right
+                step = gram @ right
+                for p in range(size):
+                    now[at, p] += step[p]
     return now, inverse, sums
 
 

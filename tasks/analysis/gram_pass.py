@@ -474,10 +474,14 @@ def block_grams(
 
 def _with_gaps(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
     """Return rows whose channels are NaN where they were not recorded."""
-    shapes = {name: rows.samples[name].shape for name in recorded if name in rows.samples}
-    known = [name for name, shape in shapes.items() if shape == recorded[name].shape]
-    there = rows.samples.assign({name: rows.samples[name].copy(data=recorded[name]) for name in known})
-    return replace(rows, samples=there)
+    # Variables, not data arrays: for dozens of channels a day xarray would align each with all.
+    held = rows.samples.variables
+    known = {
+        name: held[name].copy(deep=False, data=values)
+        for name, values in recorded.items()
+        if name in held and held[name].shape == values.shape
+    }
+    return replace(rows, samples=rows.samples.assign(known))
 
 
 def _with_sources(mission: Mission, rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
