@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from inflight.errors import CalibrationError, CatalogError, MissionError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_itrf, to_nec
 from inflight.main_field import MainField
-from inflight.mission import Mission
+from inflight.mission import FieldModelComparison, Mission
 from inflight.model import REFERENCE, Model
 from inflight.residual import (
     Coordinate,
@@ -48,7 +48,7 @@ from inflight.residual import (
     noise_floor,
     residual_statistics,
 )
-from inflight.tasks.archive import geometry_channels, load_samples, position_channel
+from inflight.tasks.archive import geometry_channels, load_samples, position_channel, within_day
 from inflight.tasks.models import ModelHistory
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
@@ -84,7 +84,7 @@ from inflight.tasks.pipelines.base import (
     window_edges,
     with_unit,
 )
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, Int64, day_bounds, to_utc, usual_step
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class FieldModelPipeline(Pipeline):
         }
         if plan.settings.table == "monthly":
             edges["monthly"] = month_edges(first, ordered[-1])
-        external = work.mission.comparisons[plan.settings.comparison].external
+        external = stated(work.mission, plan.settings.comparison).external
         for name, bounds in edges.items():
             keep.table(name, partial(twelve_table, grams, (start, end), plan.model, bounds, name, external))
         return keep.solved(plan.settings.table, plan.model)
@@ -251,7 +251,7 @@ class FieldModelPipeline(Pipeline):
         }
         if output is not None:
             from inflight import __version__
-            from inflight.figures import html_page, write_page
+            from inflight.figures import html_page
 
             title = f"{mission.mission}: {comparison}, {intervals[0]['first']} to {intervals[-1]['last']}"
             footer = f"inflight {__version__}. {mission.acknowledgement}"
@@ -288,15 +288,26 @@ MOST_PARAMETERS = 12
 
 def model_field(cat: Catalog, mission: Mission, comparison: str) -> MainField:
     """Return the main field that a comparison states; raises `MissionError` without its file."""
+    return MainField.of(stated(mission, comparison).model, Path(cat.workspace))
+
+
+def stated(mission: Mission, comparison: str) -> FieldModelComparison:
+    """Return a comparison with a field model as the mission states it."""
     entry = mission.comparisons[comparison]
-    assert entry.kind == "field_model"
-    return MainField.of(entry.model, Path(cat.workspace))
+    assert isinstance(entry, FieldModelComparison)
+    return entry
 
 
-def _samples(batch: Batch, day: np.datetime64) -> xr.Dataset:
-    job = batch.job
+def _samples(batch: Batch, day: np.datetime64, surroundings: bool = False) -> xr.Dataset:
     return load_samples(
-        batch.cat, batch.mission, batch.model, day, list(job.needs), job.index, geometry=False
+        batch.cat,
+        batch.mission,
+        batch.model,
+        day,
+        list(batch.job.needs),
+        batch.job.index,
+        geometry=False,
+        surroundings=surroundings,
     )
 
 
@@ -414,7 +425,7 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     import xarray as xr
 
     mission, table = batch.mission, batch.table
-    samples, model = _samples(batch, day), batch.model.bind(table)
+    samples, model = _samples(batch, day, surroundings=True), batch.model.bind(table)
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     start, end = day_bounds(day)
     inside = np.flatnonzero((table["start"].values <= start) & (start < table["end"].values))
@@ -463,7 +474,7 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
         nec = to_nec(body, attitude, here, frame)
         variables["field_nec"] = told(nec, "calibrated field", "nec")
     flag = np.where(np.isfinite(attitude).all(axis=1), flag, flag | np.uint32(Flag.NO_ATTITUDE))
-    for name, term in model.correction_terms(corrected).items():
+    for name, term in model.correction_terms(cast("xr.Dataset", corrected)).items():
         variables[f"correction_{name}"] = told(term, f"taken out of the reading: {name}", "sensor")
     latitude, longitude = latitude_longitude(here)
     degrees = {"units": "deg"}
@@ -481,9 +492,9 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
             "mission": mission.mission,
             "acknowledgement": mission.acknowledgement,
             "day": str(day),
-            "field_model": mission.comparisons[model.comparison].model,
+            "field_model": stated(mission, model.comparison).model,
         },
-    )
+    ).isel(time=within_day(stamps, day))
 
 
 @dataclass(frozen=True)
