@@ -19,13 +19,13 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 # Arrays are made and dropped by the thousand: the tests' processes keep the memory, as flows' workers do.
-test test-slow test-all: export MALLOC_TRIM_THRESHOLD_ := 67108864
-test test-slow test-all: export MALLOC_MMAP_THRESHOLD_ := 33554432
+test test-slow: export MALLOC_TRIM_THRESHOLD_ := 67108864
+test test-slow: export MALLOC_MMAP_THRESHOLD_ := 33554432
 # What is imported is compiled once, not by every process that the tests start.
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-slow test-all cases coverage lint bench golden docs lock format clean
+.PHONY: help setup demo test test-slow cases coverage lint bench golden docs lock format clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,9 +58,6 @@ test: setup  ## run the tests
 
 test-slow: setup  ## run the long physics cases and real records that 'make test' leaves out
 	$(PYTEST) -m slow $(ARGS)
-
-test-all: setup  ## run both at once, as the check does: no process waits for the other in between
-	$(PYTEST) $(ARGS)
 
 cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
 	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)

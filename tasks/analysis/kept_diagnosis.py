@@ -96,7 +96,7 @@ def asked_alike(
 ) -> bool:
     """Return True when a kept diagnosis is of the same span and settings."""
     same = {"start": start, "end": end, "settings": settings.model_dump()}
-    return {name: asked.get(name) for name in same} == json.loads(to_json(same))
+    return bool({name: asked.get(name) for name in same} == json.loads(to_json(same)))
 
 
 def archive_of(cat: Catalog, mission: Mission, settings: DiagnoseSettings) -> list[list[Any]]:

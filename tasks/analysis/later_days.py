@@ -230,7 +230,7 @@ def _numbers_of_days(
     found = survey(cat, mission, model, needs, index, days, reader, origin)
     plan = PassPlan(
         model=found.model,
-        library=Library(found.base, (), {}),
+        library=Library(list(found.base)),
         needs=tuple(needs),
         channel_needs=(),
         days=tuple(days),

@@ -985,8 +985,7 @@ def diagnose_span(
     listener = progress or (lambda stage, done, total: None)
     stands = None if save or search else check_later_days(workspace, start, end, settings, listener)
     if stands is not None and stands["later_days"]["stands"]:
-        asked = stands.pop("asked")
-        save_diagnosis(workspace, stands, asked)
+        save_diagnosis(workspace, stands, stands.pop("asked"))
         return stands
     bench = Workbench(
         Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
