@@ -43,6 +43,7 @@ _KINDS = {
     "angle_episode": "angles between the axes that change for a while",
     "bias_episode": "a bias of the scalar sensor for a while",
     "clock_episode": "a clock error for a while",
+    "remanent_moment": "the field of the body's magnetic moment, as the torquers cancel it",
     "day_night": "a field that is there in sunlight only",
     "day_night_series": "a field that goes with sunlight along the orbit",
     "sun_periodic": "a field that repeats with the Sun's phase along the orbit",

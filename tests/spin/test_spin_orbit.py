@@ -89,5 +89,5 @@ def test_a_perigee_lies_between_readings_and_an_eclipse_lasts_until_temperatures
     (found,) = _least(stamps, distance)
     assert found == pytest.approx(275 * SECOND, abs=SECOND)
     first, second = _runs(stamps[[0, 1, 7]], 180 * SECOND, 3600 * SECOND)
-    assert (first.start, first.end) == (0, (60 + 60 + 3600) * SECOND)
-    assert second.start == 420 * SECOND
+    assert (first.start, first.end) == (-60 * SECOND, (60 + 60 + 3600) * SECOND)
+    assert second.start == 360 * SECOND

@@ -114,13 +114,17 @@ def _computed_shadow(series: Series, mission: Mission, need: Need) -> np.ndarray
 
 
 def _runs(stamps: Int64, joined: int, after: int) -> list[Exclusion]:
-    """Return the spans of stamps that lie together, each longer by what follows it."""
+    """Return the spans of stamps that lie together, each longer by what follows it.
+
+    What is told at readings began after the one before them and ended before the next.
+    """
     if not stamps.size:
         return []
     apart = np.flatnonzero(np.diff(stamps) > joined) + 1
-    runs = np.split(stamps, apart)
+    cadence = joined // _JOINED_CADENCES
     return [
-        Exclusion(int(run[0]), int(run[-1]) + joined // _JOINED_CADENCES + after, "eclipse") for run in runs
+        Exclusion(int(run[0]) - cadence, int(run[-1]) + cadence + after, "eclipse")
+        for run in np.split(stamps, apart)
     ]
 
 
