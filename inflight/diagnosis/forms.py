@@ -217,6 +217,54 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     return out
 
 
+def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
+    """Return effects that may be parts of one: effect -> the cell that does as well as it and others together.
+
+    Cells that the search could not take: what it could, it held against every effect already. Where one of
+    them explains as much as two effects or more, these stand in for one cause that the library has not.
+    """
+    taken = [one for one in search.accepted if one.change is None and not one.agnostic]
+    if len(taken) < 2 or not can_add_columns(search, data):
+        return {}
+    options = {one.name for one in search.options}
+    sets = [*combinations(taken, 2), *([tuple(taken)] if len(taken) > 2 else [])]
+    channels, folds, rows = driving_channels(data), make_folds(len(search.raw)), None
+    out: dict[str, tuple[float, str]] = {}
+    for label in ACTS_ON.values():
+        tried = {one.name for one in _cells(search, data, label, channels)}
+        cells = [
+            one
+            for one in _cells(search, data, label, channels, held=True)
+            if one.name not in tried and not {f"{label}({one.name})", _core_name(label, one)} & options
+        ]
+        entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
+        if not entries:
+            continue
+        rows = rows or CellRows(search, data)
+        products = CellProducts.of(rows, next(iter(entries.values())), list(entries))
+        every = [products.places(number) for number in range(len(entries))]
+        residual = products.residuals[0]
+        together = score(products, search.present_in(products), [], residual, folds).loss0
+        for without in sets:
+            kept = search.with_accepted([one for one in search.accepted if one not in without])
+            found = score(products, kept.present_in(products), every, residual, folds)
+            as_well = (found.t > search.rules.t) & (found.gain > search.rules.gain)
+            as_well &= hac_t(found.loss - together[:, None]) < search.rules.rival_t
+            if not as_well.any():
+                continue
+            best = int(np.argmax(np.where(as_well, found.gain, -np.inf)))
+            name = f"{label}({list(entries)[best].name})"
+            for one in without:
+                out[one.name] = max(out.get(one.name, (0.0, "")), (float(found.gain[best]), name))
+    return {name: cell for name, (_, cell) in out.items()}
+
+
+def _core_name(label: str, cell: Followed) -> str:
+    """Return what the core calls a cell."""
+    own = {how: name for name, how in _SAME.items()}
+    return f"{own[cell.how]}({cell.channel})" if label == "channel_field" and cell.how in own else ""
+
+
 def scalar_channels(data: DiagnosisData) -> list[str]:
     """Return the channels of one number a time that change and are no angles."""
     series, out = data.series, []

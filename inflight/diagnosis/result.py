@@ -74,7 +74,8 @@ class FoundEffect:
     the search's own cadence puts the one furthest from them (None where both are one); sigmas reach so far.
     `model_effects` are the effects of the model that use its channel already, or are of its kind. `said` is
     what it does in words, where family and channels do not say it. `left_follows` is what of the same or of
-    related channels is left still follows: the effect may stand in for another form. `stamp_readings` are
+    related channels is left still follows: the effect may stand in for another form. `instead` is what alone
+    does as well as it and other effects together. `stamp_readings` are
     what a clock error may be instead. `command` is what mends a number that the model holds. `turned_over_by`
     are choices of numbers that give another answer. Noise of `noise_of`, a channel or the field, made the
     values smaller by `noise_part` at most; it is in them no more.
@@ -105,6 +106,7 @@ class FoundEffect:
     model_effects: tuple[str, ...] = ()
     said: str = ""
     left_follows: str = ""
+    instead: str = ""
     stamp_readings: tuple[str, ...] = ()
     turned_over_by: tuple[Turn, ...] = ()
     noise_of: str | None = None
@@ -717,6 +719,8 @@ def _effect_text(effect: FoundEffect) -> str:
         text += f", beside {own} of the model, whose numbers or response may be what is wrong"
     if effect.left_follows:
         text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
+    if effect.instead:
+        text += f"; {effect.instead} alone does as well as this and others, which may be parts of it"
     if effect.turned_over_by:
         text += f"; fragile: {effect.turned_over_by[0].words}"
     return text + _stamp_text(effect) + _rivals_text(effect.rivals)

@@ -20,7 +20,7 @@ from inflight.arrays import Floats
 from inflight.design import Term
 from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, Told, of_samples, without_attenuation
 from inflight.diagnosis.choices import nearest_rivals, turned_over
-from inflight.diagnosis.forms import add_forms, add_interactions, left_follows
+from inflight.diagnosis.forms import add_forms, add_interactions, instead_of_several, left_follows
 from inflight.diagnosis.model_numbers import line_of, rounded, words_of
 from inflight.diagnosis.refine import (
     LAG_SETTINGS,
@@ -189,13 +189,18 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
-    if remaining.is_there:
-        otherwise = left_follows(search, known)
-        effects = tuple(replace(one, left_follows=otherwise.get(one.name, "")) for one in effects)
-        effects = tuple(
-            replace(one, status="stand-in") if one.left_follows and one.status == "sure" else one
-            for one in effects
-        )
+    otherwise = left_follows(search, known) if remaining.is_there else {}
+    instead = instead_of_several(search, known)
+    effects = tuple(
+        replace(one, left_follows=otherwise.get(one.name, ""), instead=instead.get(one.name, ""))
+        for one in effects
+    )
+    effects = tuple(
+        replace(one, status="stand-in")
+        if (one.left_follows or one.instead) and one.status == "sure"
+        else one
+        for one in effects
+    )
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {

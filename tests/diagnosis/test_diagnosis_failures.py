@@ -64,6 +64,10 @@ def test_a_hysteresis_that_the_library_has_not_is_not_called_a_battery():
 def test_a_hysteresis_that_the_library_has_not_is_not_found_under_other_names():
     told = told_of("polar", 1, *PLAYS)
     assert told.verdict != "FOUND" or families(told) <= {"temperature", "hysteresis"}
+    # What several stand in for is a play of the channel that does it.
+    for one in told.effects:
+        assert one.status != "sure" or set(one.channels) == {"boom_temperature"}
+        assert one.instead.startswith("channel_field(boom_temperature@width=") or one.status != "stand-in"
 
 
 def test_a_hysteresis_that_the_library_has_is_found_with_its_width():
