@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import pkgutil
+import re
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -165,7 +166,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", default="", help="settings whose name holds this")
+    parser.add_argument("--only", default="", help="settings in whose name this regular expression is found")
     given = parser.parse_args()
     read_names: set[str] = set()
     with recording(read_names):
@@ -176,7 +177,7 @@ def main() -> None:
     known = {name: getattr(owner or Rules(), field) for name, owner, field in every_setting()}
     names = [name for name in known if name in read_names or name.startswith("Rules.")]
     print(f"{len(names)} of {len(known)} settings are read", flush=True)
-    names = [name for name in names if given.only in name]
+    names = [name for name in names if re.search(given.only, name)]
     print("| setting | value | halved | doubled |\n|---|---|---|---|")
     with ProcessPoolExecutor(given.jobs) as pool:
         for name, half, double in pool.map(_pair, names):
