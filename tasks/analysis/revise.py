@@ -86,6 +86,8 @@ from inflight.time import SECOND, DayLike, parse_duration
 DIPOLE = ".dipole"
 #: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
+#: Fits that a workbench holds; assumed.
+_FITS = 4
 #: Records in which values of an effect that is not there are further from nothing; stated.
 _CHANCE = 0.05
 
@@ -296,8 +298,8 @@ class Workbench:
         self._refitted = False
         #: What the last search keeps of its model for later days (`standing_of`).
         self.standing: dict[str, Any] | None = None
-        #: The fit of the present model is needed again with the next change.
-        self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
+        #: Fits made last: that of the present model, and what was previewed, are needed again.
+        self._last: list[tuple[GramBlocks, tuple[Any, ...], JointFit]] = []
         self._restore()
 
     def _plumbing(self) -> list[dict[str, Any]]:
@@ -385,6 +387,42 @@ class Workbench:
         comparison = self.settings.comparison
         if (stored := stored_entry(self.cat, self.mission, comparison, effect)) is not None:
             return self._take(stored)
+        addition = self._addition(effect)
+        addition = addition.as_empirical() if empirical else addition
+        more = [*self.additions, addition]
+        return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
+
+    def preview(self, effect: str | Mapping[str, Any]) -> Revision:
+        """Fit the model with one effect more, as `add` does, and save nothing.
+
+        Returns
+        -------
+        Revision
+            With the version in use as `model` and `parent`: there is no other.
+
+        Raises
+        ------
+        ModelError
+            As `add`, and for values of a stored table, which take a pass.
+        """
+        self._rebase_refitted()
+        if stored_entry(self.cat, self.mission, self.settings.comparison, effect) is not None:
+            raise ModelError(
+                f"{effect!r} takes its values from a stored table, which cannot be previewed",
+                remedy="add it, and undo it if it does not help",
+            )
+        addition = self._addition(effect)
+        more = [*self.additions, addition]
+        before, after, setup = self._fits(more, self.dropped)
+        model = self._model(setup, more, self.dropped, after)
+        return replace(
+            self._revision("try", f"try {addition.name}", self.current.version, before, after, more),
+            values=fitted_values(model, addition.entries),
+            not_justified=why_not_justified(addition, before, after),
+        )
+
+    def _addition(self, effect: str | Mapping[str, Any]) -> Addition:
+        """Return what is asked for, at the lag that fits best; ModelError when it cannot be fitted."""
         request = find_request(self.maker, effect)
         self._require_new(request)
         addition = request.addition
@@ -392,10 +430,8 @@ class Workbench:
             setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
             lag = best_lag(setup, fixed, [c for one in self.additions for c in one.columns], request.bank)
             addition = request.at_lag(lag)
-        addition = addition.as_empirical() if empirical else addition
-        more = [*self.additions, addition]
         self._require_separable(addition)
-        return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
+        return addition
 
     def _take(self, given: Mapping[str, Any]) -> Revision:
         """Put an effect into the model whose values over time are a stored table; all else is fitted anew."""
@@ -505,7 +541,7 @@ class Workbench:
         message = f"{REFIT} {', '.join(numbers) or 'all numbers'}"
         model, parent = self._model(free, self.additions, self.dropped, after), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
-        self._last, self._refitted = None, True
+        self._last, self._refitted = [], True
         return self._revision("refit", message, parent, before, after)
 
     def set_numbers(self, *settings: str) -> Revision:
@@ -584,7 +620,7 @@ class Workbench:
         value, sigma = _fitted_of(setup.refined, after)
         model, parent = model.with_values(value, sigma), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
-        self._last, self._refitted = None, True
+        self._last, self._refitted = [], True
         return self._revision(verb, message, parent, before, after)
 
     def _rebase_refitted(self) -> None:
@@ -635,12 +671,7 @@ class Workbench:
         dropped: list[str],
         addition: Addition | None = None,
     ) -> Revision:
-        setup, fixed = self._fit_setup(additions, dropped)
-        interleaved = any(one.interleaved for one in (*additions, *self.additions))
-        same = self._held(dropped)[1] == self._held(self.dropped)[1]
-        old = self._fit_setup(self.additions, self.dropped, setup if same else None)
-        before = self._fit(*old, self.additions, interleaved)
-        after = self._fit(setup, fixed, additions, interleaved)
+        before, after, setup = self._fits(additions, dropped)
         model, parent = self._model(setup, additions, dropped, after), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
         self.additions, self.dropped = additions, dropped
@@ -649,6 +680,17 @@ class Workbench:
             return found
         values = fitted_values(model, addition.entries)
         return replace(found, values=values, not_justified=why_not_justified(addition, before, after))
+
+    def _fits(
+        self, additions: Sequence[Addition], dropped: Sequence[str]
+    ) -> tuple[JointFit, JointFit, FitSetup]:
+        """Return the fit of the present model and of a changed one, and what that was made with."""
+        setup, fixed = self._fit_setup(additions, dropped)
+        interleaved = any(one.interleaved for one in (*additions, *self.additions))
+        same = self._held(dropped)[1] == self._held(self.dropped)[1]
+        old = self._fit_setup(self.additions, self.dropped, setup if same else None)
+        before = self._fit(*old, self.additions, interleaved)
+        return before, self._fit(setup, fixed, additions, interleaved), setup
 
     def _saved(
         self, model: Model, message: str, text: str, before: JointFit, after: JointFit
@@ -672,9 +714,11 @@ class Workbench:
         columns = [column for one in additions for column in one.columns]
         apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
         key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
-        if self._last is None or self._last[0] is not setup.raw or self._last[1] != key:
-            self._last = setup.raw, key, setup.fit(columns, fixed, interleaved=apart)
-        return self._last[2]
+        made = next((fit for raw, known, fit in self._last if raw is setup.raw and known == key), None)
+        if made is None:
+            made = setup.fit(columns, fixed, interleaved=apart)
+        self._last = [(setup.raw, key, made), *(one for one in self._last if one[2] is not made)][:_FITS]
+        return made
 
     def _fit_setup(
         self, additions: Sequence[Addition], dropped: Sequence[str], same: FitSetup | None = None
@@ -733,11 +777,18 @@ class Workbench:
     # What a change did.
 
     def _revision(
-        self, command: str, effect: str, parent: int, before: JointFit, after: JointFit
+        self,
+        command: str,
+        effect: str,
+        parent: int,
+        before: JointFit,
+        after: JointFit,
+        additions: Sequence[Addition] | None = None,
     ) -> Revision:
+        additions = self.additions if additions is None else additions
         entries = [*self.made.plan.model.effects, *(one.entry for one in self.made.plan.library.base)]
-        entries += [entry for one in self.additions for entry in one.entries]
-        units = {column.name: one.unit for one in self.additions for column in one.columns} | {
+        entries += [entry for one in additions for entry in one.entries]
+        units = {column.name: one.unit for one in additions for column in one.columns} | {
             name: timed.parameter.unit
             for entry in entries
             for timed in entry.parameters.values()
