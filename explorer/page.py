@@ -1,4 +1,4 @@
-"""The page: the comparison and span chosen in the sidebar, and tabs with the views of them."""
+"""The page: the comparison and span chosen on top, and tabs with the views of them."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import panel as pn
 
 from inflight.explorer import panes
 from inflight.explorer.diagnosis_view import DiagnosisView
+from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
 from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.view_state import ViewState
 from inflight.explorer.views import MeasurementView, TablesView, View
-from inflight.figures import facts_table
+from inflight.figures import paragraph
 from inflight.tasks import error_fields
 
 _COLOUR = "#1f3a52"
-#: Width of the widgets in the sidebar, pixels.
-_WIDTH = 230
 
 
 class Page:
-    """The page of one browser.
+    """The page of one browser; what is chosen in it stands in its address.
 
     Parameters
     ----------
@@ -33,36 +33,52 @@ class Page:
     def __init__(self, session: ExplorerSession) -> None:
         self._session = session
         self._mission = session.mission()
+        self._state = ViewState()
+        self._state.follow_address()
         names = list_comparisons(self._mission)
-        self._comparison = pn.widgets.Select(name="Comparison", options=names, value=names[0], width=_WIDTH)
-        self._first = pn.widgets.DatePicker(name="First day", width=_WIDTH)
-        self._last = pn.widgets.DatePicker(name="Last day", width=_WIDTH)
-        self._apply = pn.widgets.Button(name="Look", button_type="primary")
-        self._facts, self._hint = pn.Column(), pn.Column(sizing_mode="stretch_width")
+        chosen = self._state.comparison if self._state.comparison in names else names[0]
+        self._comparison = pn.widgets.Select(name="Comparison", options=names, value=chosen, width=170)
+        self._first = pn.widgets.DatePicker(name="First day", width=130)
+        self._last = pn.widgets.DatePicker(name="Last day", width=130)
+        self._apply = pn.widgets.Button(name="Look", button_type="primary", align="end")
+        self._facts, self._hint = pn.Column(align="end"), pn.Column(sizing_mode="stretch_width")
         self._views: tuple[View, ...] = (
+            LoopView(session, self._state, self._model_changed, self._select_days),
             MeasurementView(session),
-            DiagnosisView(session, self._model_changed),
+            DiagnosisView(session),
             TablesView(session),
         )
         self._tabs = pn.Tabs(
             *((view.title, view.panel) for view in self._views), dynamic=True, sizing_mode="stretch_width"
         )
+        slugs = [view.title.lower().replace(" ", "-") for view in self._views]
+        self._slugs = slugs
+        if self._state.tab in slugs:
+            self._tabs.active = slugs.index(self._state.tab)
         self._shown: dict[int, tuple[Any, ...]] = {}
         self._overview: ComparisonOverview | None = None
         self._comparison.param.watch(lambda event: self._choose(), "value")
         self._tabs.param.watch(lambda event: self._show_active(), "active")
         self._apply.on_click(lambda event: self._choose(keep=True))
-        self._choose()
+        for picker, end in ((self._first, self._state.first), (self._last, self._state.last)):
+            picker.value = _parsed(end)
+        self._choose(keep=True)
 
     def template(self) -> pn.template.BootstrapTemplate:
         """Return the page; it asks nothing of any other server."""
+        chosen = pn.Row(
+            self._comparison,
+            self._first,
+            self._last,
+            self._apply,
+            self._facts,
+            sizing_mode="stretch_width",
+        )
         return pn.template.BootstrapTemplate(
             title=f"{self._mission.mission}: in-flight calibration",
             site="Inflight",
             header_background=_COLOUR,
-            sidebar=[self._comparison, self._first, self._last, self._apply, self._facts],
-            sidebar_width=_WIDTH + 60,
-            main=[pn.Column(self._hint, self._tabs, sizing_mode="stretch_width")],
+            main=[pn.Column(chosen, self._hint, self._tabs, sizing_mode="stretch_width")],
         )
 
     def _choose(self, keep: bool = False) -> None:
@@ -90,11 +106,14 @@ class Page:
             "products": f"{overview.products} days" if overview.products else "none",
             "model": overview.model,
         }
-        self._facts.objects = [panes.text(facts_table(listed))]
+        text = "; ".join(f"{name} {value}" for name, value in listed.items())
+        self._facts.objects = [panes.text(paragraph(text, kind="quiet"))]
 
     def _model_changed(self) -> None:
-        """Show which model is in use now; the views stay as they are."""
+        """Show which model is in use now; the view in which it was changed shows that, others anew."""
         if self._overview is not None:
+            own = self._shown.get(self._tabs.active)
+            self._shown = {} if own is None else {self._tabs.active: own}
             self._show_facts(
                 summarise_comparison(self._session.cat, self._mission, self._overview.comparison)
             )
@@ -105,14 +124,28 @@ class Page:
             picker.disabled = span is None
             if span is not None:
                 picker.start, picker.end = _date(overview.first), _date(overview.last)
-                if not keep or picker.value is None:
+                if not keep or picker.value is None or not picker.start <= picker.value <= picker.end:
                     picker.value = _date(span[end])
+
+    def _select_days(self, days: Days | None) -> None:
+        """Show some days alone; the default span when there are none."""
+        if days is None:
+            self._choose()
+            return
+        self._first.value, self._last.value = _date(days.first), _date(days.last)
+        self._choose(keep=True)
 
     def _show_active(self) -> None:
         """Let the active view show what is chosen, unless it does already."""
         if self._overview is None:
             return
         days = self._days()
+        self._state.param.update(
+            comparison=self._comparison.value,
+            first=str(days.first) if days else "",
+            last=str(days.last) if days else "",
+            tab=self._slugs[self._tabs.active],
+        )
         chosen = (self._overview, days)
         if self._shown.get(self._tabs.active) != chosen:
             self._shown[self._tabs.active] = chosen
@@ -124,6 +157,14 @@ class Page:
             return None
         first, last = sorted((np.datetime64(first, "D"), np.datetime64(last, "D")))
         return Days(first, last)
+
+
+def _parsed(text: str) -> dt.date | None:
+    """Return a day of the address; None for none, and for what is no day."""
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        return None
 
 
 def _date(day: np.datetime64 | None) -> dt.date | None:

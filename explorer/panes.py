@@ -48,6 +48,11 @@ def error(fields: Mapping[str, str]) -> pn.viewable.Viewable:
     return _alert("error", fields["message"], location_of(fields), fields.get("remedy", ""))
 
 
+def sentence(state: str, step: str) -> str:
+    """Return the state and the next step as HTML."""
+    return str(render("state.html", state=state, step=step))
+
+
 def hint(message: str) -> pn.viewable.Viewable:
     """Return plain text that says what to do first."""
     return _alert("hint", message)

@@ -30,7 +30,13 @@ from inflight.tasks.analysis import (
     measure_comparison,
     open_workbench,
 )
-from inflight.tasks.pipelines import CompareResult, product_of, table_sections
+from inflight.tasks.pipelines import (
+    CompareResult,
+    ReprocessSettings,
+    product_of,
+    reprocess,
+    table_sections,
+)
 
 #: Comparisons cached: the aggregates of 3000 days are some hundred megabytes.
 _CACHED = 3
@@ -89,6 +95,16 @@ class ExplorerSession:
         CatalogError, SettingsError
             As `inflight.tasks.analysis.comparing.compare`.
         """
+        return self.measure(comparison, days, progress).parts
+
+    def measure(self, comparison: str, days: Days, progress: Progress) -> CompareResult[Any]:
+        """Return the residual of a span, as `inflight compare` measures it; cached.
+
+        Raises
+        ------
+        CatalogError, SettingsError
+            As `inflight.tasks.analysis.comparing.compare`.
+        """
         span = days.bounds()
         published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
         key = (comparison, *span, *(day.id for day in published))
@@ -99,7 +115,7 @@ class ExplorerSession:
                 )
             for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
-        return self._measured[key].parts
+        return self._measured[key]
 
     def tables(self, comparison: str, progress: Progress) -> list[Section]:
         """Return what the newest published tables of a comparison show; none when there are no tables.
@@ -167,6 +183,66 @@ class ExplorerSession:
         known = ModelHistory(self.cat, self.mission(), comparison)
         entries = parse_tree(known.used.text)["effects"]
         return known.items(), [str(entry.get("name", entry["effect"])) for entry in entries]
+
+    def stale_products(self, comparison: str) -> int:
+        """Return how many published days were made with another model than the one in use."""
+        history = ModelHistory(self.cat, self.mission(), comparison)
+        days = self.cat.days(product_of(comparison), states=("published",))
+        contexts = {name: self.cat.context(name) for name in {day.context for day in days} if name}
+        stale = {
+            name
+            for name, made in contexts.items()
+            if made.model_name != history.used.name
+            or not history.same(made.model_version, history.used.version)
+        }
+        return sum(day.context in stale for day in days)
+
+    def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
+        """Make products and tables anew, as the last `inflight reprocess` of the comparison was asked to.
+
+        Returns
+        -------
+        dict
+            As `RunReport.as_json`.
+
+        Raises
+        ------
+        MissionError, ModelError, CatalogError
+            As `inflight.tasks.pipelines.reprocess`.
+        """
+        done = [
+            run.settings
+            for run in self.cat.runs("reprocess")
+            if run.state == "done" and run.settings.get("comparison") == comparison
+        ]
+        known = ReprocessSettings.model_fields.keys() - {"use_table", "context"}
+        last = {name: value for name, value in (done[-1] if done else {}).items() if name in known}
+        settings = ReprocessSettings.model_validate(last | {"comparison": comparison})
+        with lazy_client(self.workers) as client:
+            made: dict[str, Any] = reprocess(
+                self.cat, self.mission(), settings=settings, client=client, progress=progress
+            ).as_json()
+        return made
+
+    def open_equations(self, comparison: str, progress: Progress) -> None:
+        """Open the workbench of the last diagnosis, so that the next change need not wait for it."""
+        with lazy_client(self.workers) as client:
+            bench = self._workbench(comparison, client, progress)
+        self._bench = (self._workbench_key(comparison), bench)
+
+    def preview(self, comparison: str, effect: str, progress: Progress) -> dict[str, Any]:
+        """Return what adding an effect would do, as `Revision.as_json`; nothing is saved.
+
+        Raises
+        ------
+        ModelError, InflightError
+            As `inflight.tasks.analysis.revise.Workbench.preview`.
+        """
+        with lazy_client(self.workers) as client:
+            bench = self._workbench(comparison, client, progress)
+            found: dict[str, Any] = bench.preview(effect).as_json()
+        self._bench = (self._workbench_key(comparison), bench)
+        return found
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.

@@ -24,6 +24,7 @@ from .figure_data import (
     error_waterfall,
     heat_maps,
     number_curves,
+    residual_map,
     responses,
     rival_curves,
     sizes_of,
@@ -70,7 +71,7 @@ from .time_changes import (
     time_variable_columns,
 )
 from .verdict import lag_profile, run_search
-from .words import WHY_MOVED, fall_text, quantity
+from .words import WHY_MOVED, fall_text, quantity, what_it_is
 
 __all__ = [
     "DRIFTS",
@@ -145,6 +146,7 @@ __all__ = [
     "quantity",
     "require_known",
     "residual_lines",
+    "residual_map",
     "responses",
     "rival_curves",
     "row_variance",
@@ -158,4 +160,5 @@ __all__ = [
     "time_variable_columns",
     "trials",
     "values_of",
+    "what_it_is",
 ]

@@ -377,11 +377,7 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
         known = series[name][np.isfinite(series[name])] / _COORDINATES[name][1]
         if np.unique((known * 8).astype(np.int64) % 8).size >= 6:
             varied.append(name)
-    # A row is a day or more of a long record, else a part of it.
-    whole = int(series.tt2000[-1] - series.tt2000[0]) + 1
-    length = (
-        DAY * -(-whole // (DAY * VIEW_SETTINGS.map_rows)) if whole >= 4 * DAY else max(-(-whole // 24), 1)
-    )
+    length = _row_length(series.tt2000)
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
     # No more columns than a row has samples, or every other one were empty.
@@ -395,6 +391,57 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
         out.append(_map(seen, (name, unit, reach), values, place, span, columns))
     return out
+
+
+def _row_length(tt2000: Int64) -> int:
+    """Return the length of a map's row, ns: a day or more of a long record, else a part of it."""
+    whole = int(tt2000[-1] - tt2000[0]) + 1
+    if whole >= 4 * DAY:
+        return DAY * -(-whole // (DAY * VIEW_SETTINGS.map_rows))
+    return max(-(-whole // 24), 1)
+
+
+def residual_map(tt2000: Int64, residual: Floats, coordinates: Mapping[str, Floats]) -> HeatMap:
+    """Return a map of a residual (sample,) by time and the first coordinate that runs through its turn.
+
+    Parameters
+    ----------
+    tt2000, residual : ndarray, shape (sample,)
+        Sorted times, and nT; NaN where nothing was measured.
+    coordinates : mapping of str to ndarray
+        By name, as `heat_maps` knows them; the time of day when none serves.
+
+    Returns
+    -------
+    HeatMap
+        With the same values before and after.
+    """
+    length = _row_length(tt2000)
+    place = (tt2000 - tt2000[0]) // length
+    rows, first = int(place[-1]) + 1, int(tt2000[0])
+    columns = VIEW_SETTINGS.map_columns
+    for name, (unit, reach) in _COORDINATES.items():
+        values = coordinates.get(name, np.empty(0))
+        if np.unique((values[np.isfinite(values)] / reach * 8).astype(np.int64) % 8).size >= 6:
+            break
+    else:
+        name, unit, reach, values = _time_coordinate(tt2000, length)
+        columns = int(np.clip(length / (np.median(np.diff(tt2000)) or SECOND), 4, columns))
+    good = np.isfinite(residual) & np.isfinite(values)
+    column = np.clip((values[good] % reach / reach * columns).astype(np.int64), 0, columns - 1)
+    means = _cell_means(
+        place[good] * columns + column, np.ones(int(good.sum())), residual[good], (rows, columns)
+    )
+    return HeatMap(name, unit, (first, first + rows * length), reach, means, means)
+
+
+def _cell_means(cell: Int64, weight: Floats, values: Floats, shape: tuple[int, int]) -> Floats:
+    """Return the weighted means of values in cells (row, column); NaN where there are none."""
+    size = shape[0] * shape[1]
+    total = np.bincount(cell, weights=weight, minlength=size)
+    summed = np.bincount(cell, weights=weight * values, minlength=size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(total > 0, summed / total, np.nan).reshape(shape)
 
 
 def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Floats]:
@@ -420,12 +467,9 @@ def _map(
     rows = int(place[-1]) + 1
     cell = place[good] * columns + column
     weight = seen.series["weight"][good]
-    total = np.bincount(cell, weights=weight, minlength=rows * columns)
-    means = []
-    for which in ("before", "after"):
-        summed = np.bincount(cell, weights=weight * seen.of_row(which)[good], minlength=total.size)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            means.append(np.where(total > 0, summed / total, np.nan).reshape(rows, columns))
+    means = [
+        _cell_means(cell, weight, seen.of_row(which)[good], (rows, columns)) for which in ("before", "after")
+    ]
     return HeatMap(name, unit, span, reach, means[0], means[1])
 
 

@@ -630,6 +630,7 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
     now = {option.name: place for place, option in enumerate(last.options)}
     best: dict[str, dict[str, Any]] = {}
     scores = first.scores["raw"]
+    square = float(scores.loss0.sum()) / max(float(search.forms["raw"].count.sum()), 1.0)
     for place in np.argsort(-scores.gain):
         option = first.options[place]
         if option.mechanism in best:
@@ -641,6 +642,7 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
             "channels": option.channels,
             "placebo": option.placebo,
             "gain": float(scores.gain[place]),
+            "takes_off_nT": float(np.sqrt(max(float(scores.gain[place]), 0.0) * square)),
             "t": float(scores.t[place]),
             "p": float(min(first.p[form][place] for form in first.p)),
             "placebo_t": float(first.t_over_placebo["raw"][place]),

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, Span
+from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d, Span
 from bokeh.plotting import figure
 
 from inflight.diagnosis import HEADING, MEANING, WHY_MOVED, ErrorContribution, Trial, quantity
@@ -21,6 +21,7 @@ from inflight.figures.page import bullet_list, facts_table, html_table, paragrap
 from inflight.figures.style import (
     AFTER,
     BEFORE,
+    BETWEEN,
     HIGHLIGHT,
     REFERENCE,
     bare_parameter,
@@ -556,46 +557,119 @@ def order_figure(steps: Sequence[ErrorContribution]) -> figure:
 _MOVED = 10
 
 
-def error_figure(changes: Sequence[Fields]) -> figure:
-    """Draw how the residual falls from version to version, held out and in sample; nT rms.
+def error_figure(
+    changes: Sequence[Fields], trial: Fields | None = None, floor: float = float("nan"), **size: Any
+) -> figure:
+    """Draw how the residual of days not used in the fit falls from version to version to the noise; nT rms.
 
-    Each change is drawn from the error before it to the error after it: two changes stand on one ground
-    only when the second begins where the first ended, which a search in between need not leave so.
+    A bar goes from the error before a change to the error after it, both measured on one ground; two changes
+    stand on one ground only when the second begins where the first ended, which a search in between need not
+    leave so. Marks are the residual of all days.
 
     Parameters
     ----------
     changes : sequence of mapping
         As `inflight.tasks.analysis.revise.Revision.as_json`, in the order they were made.
+    trial : mapping, optional
+        One more that is not saved.
+    floor : float
+        Noise floor, nT; that of the last change where there is none.
+    size : int
+        ``width`` and ``height``, pixels.
     """
+    shown = [*changes, *([] if trial is None else [trial])]
     # What was done, without the words that the version says already.
     done = [
-        "undo" if one["command"] == "undo" else one["effect"].removeprefix("auto: ").removeprefix("add ")
-        for one in changes
+        "undo" if "undo" in (one["command"], one["effect"].partition(" ")[0]) else _bare_change(one["effect"])
+        for one in shown
     ]
-    versions = [one["model"]["version"] for one in changes]
-    names = [f"{version}: {short_name(what)}" for version, what in zip(versions, done, strict=True)]
+    names = [f"{one['model']['version']}: {_clipped(what)}" for one, what in zip(changes, done, strict=False)]
+    names += [] if trial is None else [f"try: {_clipped(done[-1])}"]
+    begin = [f"{changes[0]['model'].get('parent') or 'before'}: as found"] if changes else ["in use"]
+    if shown and not np.isfinite(floor):
+        floor = float(shown[-1]["error"].get("noise_floor_nT") or np.nan)
     plot = plain_figure(
         "The error, change by change",
         "",
-        "rms (nT)",
-        x_range=names or ["none"],
-        width=max(376, min(1130, 200 + 90 * len(names))),
-        height=320,
+        "rms on days not used in the fit (nT)",
+        x_range=[*begin, *names],
+        width=size.get("width", max(376, min(1130, 200 + 90 * len(names)))),
+        height=size.get("height", 320),
     )
     plot.xaxis.major_label_orientation = 0.45
-    for key, label, shift, colour in (
-        ("held_out_nT", "days not used in the fit", -0.12, AFTER),
-        ("in_sample_nT", "all days", 0.12, BEFORE),
-    ):
-        before, after = (np.array([one["error"][key][end] for one in changes]) for end in (0, 1))
-        place = [(name, shift) for name in names]
-        source = ColumnDataSource({"change": place, "before": before, "after": after})
-        plot.segment("change", "before", "change", "after", source=source, color=colour, line_width=3)
-        plot.scatter("change", "before", source=source, size=8, fill_color="white", line_color=colour)
-        plot.scatter("change", "after", source=source, size=9, color=colour, legend_label=label)
-    plot.hover.tooltips = [("before", "@before{0.00000} nT"), ("after", "@after{0.00000} nT")]
+    held = np.array([one["error"]["held_out_nT"] for one in shown], dtype=float).reshape(-1, 2)
+    whole = np.array([one["error"]["in_sample_nT"][1] for one in shown], dtype=float)
+    most = float(np.nanmax(np.append(held, [floor if np.isfinite(floor) else 0.0, 0.0])))
+    plot.y_range = Range1d(0.0, 1.15 * most or 1.0)
+    if len(held):
+        plot.vbar(begin, width=0.7, top=[held[0, 0]], color=REFERENCE, alpha=0.45)
+    kinds = [
+        (held[:, 1] <= held[:, 0], AFTER, "falls"),
+        (held[:, 1] > held[:, 0], BEFORE, "rises"),
+    ]
+    tried = np.arange(len(shown)) == (len(changes) if trial is not None else -1)
+    kinds = [(mask & ~tried, colour, label) for mask, colour, label in kinds] + [
+        (tried, BETWEEN, "tried, not saved")
+    ]
+    for mask, colour, label in kinds:
+        if not mask.any():
+            continue
+        at = [name for name, chosen in zip(names, mask, strict=True) if chosen]
+        text = [f"{1000.0 * (after - before):+.3g} pT" for before, after in held[mask]]
+        columns = {"change": at, "before": held[mask, 0], "after": held[mask, 1], "text": text}
+        source = ColumnDataSource(columns | {"high": held[mask].max(axis=1), "all": whole[mask]})
+        bar = plot.vbar(
+            "change",
+            width=0.7,
+            top="before",
+            bottom="after",
+            source=source,
+            fill_color=colour,
+            line_color=colour,
+            line_width=2,
+            fill_alpha=0.85,
+            legend_label=label,
+        )
+        if label.startswith("tried"):
+            bar.glyph.hatch_pattern, bar.glyph.hatch_color = "right_diagonal_line", "white"
+        plot.text(
+            "change",
+            "high",
+            text="text",
+            source=source,
+            text_align="center",
+            text_font_size="11px",
+            y_offset=-4,
+        )
+        plot.scatter("change", "all", source=source, size=7, marker="diamond", color="#111111")
+    if np.isfinite(floor) and floor > 0:
+        plot.add_layout(Span(location=floor, dimension="width", line_color="#222222", line_dash="dashed"))
+        plot.line(
+            begin, [floor], color="#222222", line_dash="dashed", legend_label=f"noise floor {floor:.4g} nT"
+        )
+    plot.hover.tooltips = [
+        ("", "@change"),
+        ("before", "@before{0.00000} nT"),
+        ("after", "@after{0.00000} nT"),
+        ("all days, after", "@all{0.00000} nT"),
+    ]
     legend_below(plot)
     return plot
+
+
+#: Characters of a change under its bar.
+_SHOWN = 24
+
+
+def _bare_change(effect: str) -> str:
+    """Return the name of what was added or tried; of another change what was done."""
+    for verb in ("auto: add ", "add ", "try "):
+        effect = effect.removeprefix(verb)
+    return short_name(effect)
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}\u2026"
 
 
 def change_tables(change: Fields) -> list[str]:

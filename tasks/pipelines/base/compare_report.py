@@ -273,11 +273,14 @@ class CompareResult(Generic[Report_co]):
         Of the page.
     parts : sequence of LazySection
         Sections by heading, made when called: the explorer makes the one in view, the page all of them.
+    data : object, optional
+        What the figures of a residual at every sample are drawn from.
     """
 
     report: Report_co
     title: str
     parts: Sequence[LazySection]
+    data: Any = None
 
     def sections(self) -> list[Section]:
         """Make everything that is shown."""

@@ -189,7 +189,7 @@ def compare_samples(
     curves = {} if other is None else _dependences_of(other, found, mission)
     spectrum = None if other is None else finest_power(other.power)
     data = FigureData(digest.histograms(), rows, spectra, found, (daily, used), curves, spectrum)
-    return CompareResult(report, page_title(report, mission), compare_parts(report, data))
+    return CompareResult(report, page_title(report, mission), compare_parts(report, data), data)
 
 
 @dataclass

@@ -1,0 +1,445 @@
+"""The loop on one page: where it fails, which effect is missing, and the error falling when it is added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import panel as pn
+from bokeh.events import SelectionGeometry
+from bokeh.models import BoxSelectTool
+from bokeh.plotting import figure
+
+from inflight.diagnosis import residual_map
+from inflight.explorer import panes
+from inflight.explorer.job_pane import JobPane
+from inflight.explorer.loop_state import CandidateRow, LoopState, candidate_rows
+from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.view_state import ViewState
+from inflight.figures import (
+    change_tables,
+    dependence_figure,
+    error_figure,
+    heat_map_figures,
+    html_table,
+    paragraph,
+)
+from inflight.tasks.pipelines import CompareResult
+
+Fields = Mapping[str, Any]
+pn.extension("tabulator")
+
+_THIRD = {"flex": "1 1 0", "min-width": "0"}
+_HEADING = {"margin": "0 10px"}
+#: Heights of figures and of the table, pixels.
+_MAP, _CURVE, _ERROR, _TABLE = 330, 270, 340, 520
+_GREY, _CHIP = "#767676", "#5d4a00"
+_SELECTED_DAYS = "Drag over days of the map to look at them alone."
+
+
+class LoopView:
+    """Compare, find the missing effect, add it and see the error fall, on one page.
+
+    Parameters
+    ----------
+    session : ExplorerSession
+    state : ViewState
+        Channel and candidate chosen are kept in it.
+    changed : callable
+        Called when the model or the products have another version.
+    select : callable
+        Called with the days that were selected in a figure; None for the default span.
+    """
+
+    title = "The loop"
+
+    def __init__(
+        self,
+        session: ExplorerSession,
+        state: ViewState,
+        changed: Callable[[], None],
+        select: Callable[[Days | None], None],
+    ) -> None:
+        self._session, self._state = session, state
+        self._notify, self._select = changed, select
+        self._overview: ComparisonOverview | None = None
+        self._days: Days | None = None
+        self._measured: CompareResult[Any] | None = None
+        self._rows: list[CandidateRow] = []
+        self._sentence = pn.pane.HTML("", sizing_mode="stretch_width", margin=(4, 10))
+        self._make_left()
+        self._make_middle()
+        self._make_right()
+        columns = [
+            pn.Column(*parts, styles=_THIRD, sizing_mode="stretch_width")
+            for parts in (self._left, self._middle, self._right)
+        ]
+        self.panel = pn.Column(
+            self._sentence, pn.Row(*columns, sizing_mode="stretch_width"), sizing_mode="stretch_width"
+        )
+
+    def _make_left(self) -> None:
+        self._residual_pane = JobPane(self._session.background)
+        self._curve = pn.Column(sizing_mode="stretch_width")
+        self._channel = pn.widgets.Select(
+            name="Residual against", options=[], sizing_mode="stretch_width", visible=False
+        )
+        self._whole = pn.widgets.Button(name="Default span")
+        self._whole.on_click(lambda event: self._select(None))
+        self._channel.param.watch(lambda event: self._channel_chosen(event.new), "value")
+        self._left = (
+            _heading("Where it fails"),
+            self._residual_pane.panel,
+            self._channel,
+            self._curve,
+        )
+
+    def _make_middle(self) -> None:
+        self._diagnosis_pane = JobPane(self._session.background)
+        self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
+        self._diagnose.on_click(lambda event: self._begin_diagnosis())
+        self._table: pn.widgets.Tabulator | None = None
+        self._middle = (
+            _heading("Which effect is missing"),
+            self._diagnose,
+            self._diagnosis_pane.panel,
+        )
+
+    def _make_right(self) -> None:
+        self._model_pane = JobPane(self._session.background)
+        self._error, self._versions = (pn.Column(sizing_mode="stretch_width") for _ in range(2))
+        self._other = pn.widgets.TextInput(
+            name="Effect", placeholder="a channel, an effect, an entry", sizing_mode="stretch_width"
+        )
+        self._own = pn.widgets.Select(name="Effect of the model", options=[], sizing_mode="stretch_width")
+        self._try, self._add, self._undo, self._drop, self._reprocess = (
+            pn.widgets.Button(name=name, button_type=kind, align="end")
+            for name, kind in (
+                ("Try", "default"),
+                ("Add", "primary"),
+                ("Undo", "default"),
+                ("Drop", "default"),
+                ("Reprocess", "default"),
+            )
+        )
+        for button, verb in (
+            (self._try, "try"),
+            (self._add, "add"),
+            (self._drop, "drop"),
+            (self._undo, "undo"),
+        ):
+            button.on_click(lambda event, verb=verb: self._change(verb))
+        self._reprocess.on_click(lambda event: self._begin_reprocessing())
+        self._other.param.watch(lambda event: self._state.param.update(candidate=event.new.strip()), "value")
+        self._right = (
+            _heading("The error falls"),
+            pn.Row(self._other, self._try, self._add, self._undo, sizing_mode="stretch_width"),
+            self._error,
+            self._model_pane.panel,
+            pn.Row(self._own, self._drop, self._reprocess, sizing_mode="stretch_width"),
+            self._versions,
+        )
+
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
+        """Show a comparison and a span."""
+        self._overview, self._days = overview, days
+        self._other.value = self._state.candidate
+        self._show_residual()
+        diagnosis = self._show_diagnosis()
+        self._model_pane.put()
+        self._show_model()
+        if diagnosis is not None:
+            self._model_pane.begin(
+                "Reads the equations of the last diagnosis",
+                lambda progress: self._session.open_equations(overview.comparison, progress),
+                lambda nothing: panes.text(),
+            )
+
+    # Where it fails.
+
+    def _show_residual(self) -> None:
+        assert self._overview is not None
+        self._measured, self._curve.objects = None, []
+        self._channel.visible = False
+        overview, days = self._overview, self._days
+        if overview.note or days is None or not overview.products:
+            self._residual_pane.put(panes.hint("There are no products to hold against the measurements yet."))
+            return
+        self._residual_pane.begin(
+            "Model against measurement",
+            lambda progress: self._session.measure(overview.comparison, days, progress),
+            self._residual,
+        )
+
+    def _residual(self, measured: CompareResult[Any]) -> pn.viewable.Viewable:
+        data, report = measured.data, measured.report
+        if data is None:
+            return panes.text(*[line.text for line in report.summary()])
+        self._measured = measured
+        self._list_channels(data.found)
+        rows = data.rows
+        coordinates = {name.replace(" ", "_"): values for name, values in rows.items()}
+        found = residual_map(rows["tt2000"].astype(np.int64), rows["after"], coordinates)
+        (plot,) = heat_map_figures(found, changed=False)
+        _fit(plot, _MAP)
+        brush = BoxSelectTool(dimensions="height", persistent=False)
+        plot.add_tools(brush)
+        plot.toolbar.active_drag = brush
+        plot.on_event(SelectionGeometry, self._brushed)
+        note = f"Residual of products of model version {report.version}. {_SELECTED_DAYS}"
+        return pn.Column(
+            pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4),
+            pn.Row(panes.text(paragraph(note, kind="quiet")), self._whole, sizing_mode="stretch_width"),
+            sizing_mode="stretch_width",
+        )
+
+    def _brushed(self, event: SelectionGeometry) -> None:
+        """Look at the days between the ends of a selection alone."""
+        ends = sorted(event.geometry[end] for end in ("y0", "y1"))
+        first, last = (np.datetime64(int(end), "ms").astype("datetime64[D]") for end in ends)
+        assert self._days is not None
+        days = Days(max(first, self._days.first), min(last, self._days.last))
+        if days.first <= days.last and days != self._days:
+            self._select(days)
+
+    def _list_channels(self, found: Sequence[Any]) -> None:
+        order = sorted(found, key=lambda one: (not one.is_clear, -one.amplitude))
+        names = [one.coordinate for one in order]
+        chosen = self._state.channel if self._state.channel in names else next(iter(names), None)
+        self._channel.param.update(options=names, value=chosen, visible=bool(names))
+        self._draw_channel(chosen)
+
+    def _channel_chosen(self, name: str | None) -> None:
+        if name:
+            self._state.channel = name
+            self._draw_channel(name)
+
+    def _draw_channel(self, name: str | None) -> None:
+        if self._measured is None or name is None:
+            return
+        data, earlier = self._measured.data, self._measured.report.earlier
+        found = next((one for one in data.found if one.coordinate == name), None)
+        if found is None:
+            return
+        label = f"model version {earlier.version}" if earlier else ""
+        level = 0.1 * self._measured.report.floor.level_nT
+        plot = _fit(dependence_figure(found, data.earlier.get(name), label, level), _CURVE)
+        plot.yaxis.axis_label = "mean residual (nT)"
+        self._curve.objects = [pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4)]
+
+    # Which effect.
+
+    def _begin_diagnosis(self) -> None:
+        if self._overview is None or self._days is None:
+            self._diagnosis_pane.put(panes.hint("The archive is empty: 'inflight ingest' fills it."))
+            return
+        comparison, days = self._overview.comparison, self._days
+        self._diagnosis_pane.begin(
+            "Diagnosis",
+            lambda progress: self._session.diagnose(comparison, days, progress),
+            self._diagnosed,
+        )
+
+    def _diagnosed(self, fields: Fields) -> pn.viewable.Viewable:
+        self._notify()
+        self._show_model()
+        return self._candidates(fields)
+
+    def _show_diagnosis(self) -> Fields | None:
+        assert self._overview is not None
+        fields = self._session.last_diagnosis(self._overview.comparison)
+        if fields is None:
+            self._diagnosis_pane.put(panes.hint("There is no diagnosis yet: diagnose this span."))
+        else:
+            self._diagnosis_pane.put(self._candidates(fields))
+        return fields
+
+    def _candidates(self, fields: Fields) -> pn.viewable.Viewable:
+        self._rows = candidate_rows(fields)
+        names = [row.name for row in self._rows]
+        if not self._other.value and self._rows and not self._rows[0].reason:
+            self._other.value = names[0]
+        table = candidate_widget(self._rows)
+        if self._other.value in names:
+            table.selection = [names.index(self._other.value)]
+        table.param.watch(lambda event: self._chosen(event.new), "selection")
+        self._table = table
+        parts = [] if not fields.get("stale") else [panes.hint(_of_another_model(fields))]
+        return pn.Column(*parts, table, sizing_mode="stretch_width")
+
+    def _chosen(self, selection: Sequence[int]) -> None:
+        if selection and not self._rows[selection[0]].reason:
+            self._other.value = self._rows[selection[0]].name
+
+    # The error falls.
+
+    def _change(self, verb: str) -> None:
+        if self._overview is None:
+            return
+        effect = {"undo": "", "drop": self._own.value or ""}.get(verb, self._other.value.strip())
+        if verb != "undo" and not effect:
+            self._model_pane.put(panes.hint(f"Choose what to {verb} first."))
+            return
+        comparison = self._overview.comparison
+        if verb == "try":
+            self._model_pane.begin(
+                f"Try {effect}",
+                lambda progress: self._session.preview(comparison, effect, progress),
+                self._tried,
+            )
+        else:
+            self._model_pane.begin(
+                f"{verb} {effect}".strip(),
+                lambda progress: self._session.change(comparison, verb, effect, progress),
+                self._changed,
+            )
+
+    def _tried(self, change: Fields) -> pn.viewable.Viewable:
+        self._show_model(change)
+        doubt = (
+            f" These data do not speak for it: {change['not_justified']}." if change["not_justified"] else ""
+        )
+        note = paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved.")
+        _, *tables = change_tables(change)
+        return panes.text(note, *tables)
+
+    def _changed(self, change: Fields) -> pn.viewable.Viewable:
+        self._notify()
+        # The diagnosis shown is of the model before.
+        self._show_diagnosis()
+        self._show_model()
+        return panes.text(*change_tables(change))
+
+    def _begin_reprocessing(self) -> None:
+        if self._overview is None:
+            return
+        comparison = self._overview.comparison
+        self._model_pane.begin(
+            "Reprocess",
+            lambda progress: self._session.reprocess(comparison, progress),
+            self._reprocessed,
+        )
+
+    def _reprocessed(self, report: Fields) -> pn.viewable.Viewable:
+        self._notify()
+        self._show_residual()
+        self._show_model()
+        days = report["days"]
+        return panes.text(f"Reprocessed: {days['done']} days made anew, {days['unchanged']} unchanged.")
+
+    def _show_model(self, trial: Fields | None = None) -> None:
+        """Show the state, the error with every version of the model, and the versions."""
+        assert self._overview is not None
+        comparison = self._overview.comparison
+        versions, effects = self._session.versions(comparison)
+        used = next((f"{one['name']} version {one['version']}" for one in versions if one["used"]), "")
+        state = LoopState(
+            self._session.last_diagnosis(comparison),
+            versions,
+            used or self._overview.model,
+            self._session.stale_products(comparison),
+            self._overview.products,
+        )
+        self._sentence.object = panes.sentence(*state.sentences())
+        self._own.options = effects
+        self._undo.disabled = len(versions) < 2
+        self._drop.disabled = not effects
+        self._reprocess.button_type = "warning" if state.stale_products else "default"
+        floor = state.sizes[1]
+        drawn = state.changes
+        if drawn or trial:
+            plot = error_figure(drawn, trial, float(floor) if floor else float("nan"), height=_ERROR)
+            self._error.objects = [pn.pane.Bokeh(_fit(plot, _ERROR), sizing_mode="stretch_width", margin=4)]
+        else:
+            text = "The model has not been changed yet: Try shows what the chosen effect would take off."
+            self._error.objects = [panes.text(paragraph(text, kind="quiet"))]
+        self._versions.objects = [panes.text(ledger(versions))]
+
+
+def ledger(versions: Sequence[Fields]) -> str:
+    """Return every version of the model, newest first, as a narrow table.
+
+    Parameters
+    ----------
+    versions : sequence of mapping
+        As `inflight.tasks.models.ModelHistory.items`.
+    """
+    rows = [
+        (
+            f"{one['version']}{' (in use)' if one['used'] else ''}",
+            one["message"],
+            _after(one["change"]),
+        )
+        for one in reversed(versions)
+    ]
+    if not rows:
+        return paragraph("No version is saved yet: in use is the mission's own file.", kind="quiet")
+    return html_table(["version", "what was done", "left, nT"], rows, kind="wide told")
+
+
+def _after(change: Fields | None) -> str:
+    both = (change or {}).get("held_out_nT")
+    return f"{both[1]:.4g}" if both and both[1] is not None else ""
+
+
+def candidate_widget(rows: Sequence[CandidateRow]) -> pn.widgets.Tabulator:
+    """Return the ranked table; a row that can be tried can be selected."""
+    frame = pd.DataFrame(
+        {
+            "effect": [_cell(row) for row in rows],
+            "takes off": ["" if row.size_nT is None else f"{row.size_nT:.2g}" for row in rows],
+        }
+    )
+    return pn.widgets.Tabulator(
+        frame,
+        disabled=True,
+        show_index=False,
+        selectable=1,
+        selectable_rows=lambda shown: [at for at, row in enumerate(rows) if not row.reason],
+        formatters={"effect": {"type": "html"}},
+        titles={"effect": "effect", "takes off": "takes off (nT rms)"},
+        text_align={"takes off": "right"},
+        widths={"takes off": 96},
+        layout="fit_columns",
+        height=_TABLE,
+        sizing_mode="stretch_width",
+        stylesheets=[".tabulator-cell { white-space: normal !important; height: auto !important }"],
+        configuration={"headerSort": False},
+        margin=(5, 10),
+    )
+
+
+def _cell(row: CandidateRow) -> str:
+    """Return what the table shows of a candidate as HTML."""
+    if row.reason:
+        return (
+            f"<span style='color:{_GREY}'>{escape(row.words)}<br><small>{escape(row.reason)}</small></span>"
+        )
+    chips = "".join(
+        f" <span style='border:1px solid {_CHIP};color:{_CHIP};border-radius:8px;padding:0 5px;"
+        f"font-size:11px'>or {escape(rival)}</span>"
+        for rival in row.rivals
+    )
+    return f"<span title='{escape(row.name)}'>{escape(row.words)}</span><br><small>{escape(row.sure)}</small>{chips}"
+
+
+def _of_another_model(fields: Fields) -> str:
+    return (
+        f"This ranking is of model version {fields['model']['version']}; in use is {fields['stale']}, which "
+        "may have what is named here already."
+    )
+
+
+def _heading(text: str) -> pn.viewable.Viewable:
+    return panes.text(paragraph("", bold=text))
+
+
+def _fit(plot: figure, height: int) -> figure:
+    """Let a figure take the width there is, its tools beside it."""
+    plot.sizing_mode, plot.height = "stretch_width", height
+    plot.toolbar_location, plot.toolbar.autohide = "above", True
+    return plot

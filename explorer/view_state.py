@@ -1,0 +1,31 @@
+"""What a page shows, kept in its address: a link opens the same view."""
+
+from __future__ import annotations
+
+import panel as pn
+import param
+
+
+class ViewState(param.Parameterized):  # type: ignore[misc]  # Param is untyped here
+    """Everything chosen in a page; names are those in the address."""
+
+    comparison = param.String(default="", doc="Name of the comparison; the first one when empty.")
+    first = param.String(default="", doc="First day, YYYY-MM-DD; that of the default span when empty.")
+    last = param.String(default="", doc="Last day, YYYY-MM-DD.")
+    tab = param.String(default="", doc="Heading of the tab in words of the address.")
+    channel = param.String(default="", doc="What the residual is drawn against.")
+    candidate = param.String(default="", doc="The chosen candidate.")
+
+    def follow_address(self) -> None:
+        """Take what the address says, and write what is chosen into it from now on."""
+        if pn.state.location is not None:
+            pn.state.location.sync(self, list(_IN_ADDRESS))
+            # What is written before the browser has the page is lost.
+            pn.state.onload(self._write_address)
+
+    def _write_address(self) -> None:
+        chosen = {name: value for name in _IN_ADDRESS if (value := getattr(self, name))}
+        pn.state.location.update_query(**chosen)
+
+
+_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate")
