@@ -14,7 +14,7 @@ from inflight.figures import LazySection
 from inflight.tasks import Progress
 
 #: How often the progress of a job is polled, ms.
-_POLL_MS = 300
+_POLL_MS = 100
 
 
 def lazy_tabs(parts: Sequence[LazySection], background: Background) -> pn.Tabs:

@@ -111,7 +111,7 @@ def _sureness(one: Fields, found: bool) -> str:
         return "chance"
     if found and one["gain_now"] < _EXPLAINED * one["gain"]:
         return "explained by what was found"
-    return f"p {one['p']:.1g}"
+    return f"{'not taken, ' if found else ''}p {one['p']:.1g}"
 
 
 @dataclass(frozen=True)
@@ -169,9 +169,7 @@ class LoopState:
         if size is not None:
             state += f" leaves {size:.4g} nT rms of days not used in the fit"
             at = "at" if floor and size <= AT_FLOOR * floor else "above"
-            state += (
-                f", {at} the noise floor of {floor:.4g} nT." if floor else "; its noise floor is unknown."
-            )
+            state += f", {at} the noise floor of {floor:.4g} nT." if floor else ", and has no noise floor."
         else:
             state += ": what it leaves has not been measured yet."
         if self.stale_products:

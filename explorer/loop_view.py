@@ -37,7 +37,10 @@ _THIRD = {"flex": "1 1 0", "min-width": "0"}
 _HEADING = {"margin": "0 10px"}
 #: Heights of figures and of the table, pixels.
 _MAP, _CURVE, _ERROR, _TABLE = 330, 270, 340, 520
-_GREY, _CHIP = "#767676", "#5d4a00"
+_TABLE_STYLE = """
+.tabulator { font-size: 13px } .tabulator-row .tabulator-cell { white-space: normal; height: auto !important }
+"""
+_GREY, _CHIP = "#6b6b6b", "#8a5a00"
 _SELECTED_DAYS = "Drag over days of the map to look at them alone."
 
 
@@ -70,6 +73,7 @@ class LoopView:
         self._days: Days | None = None
         self._measured: CompareResult[Any] | None = None
         self._rows: list[CandidateRow] = []
+        self._loop: LoopState | None = None
         self._sentence = pn.pane.HTML("", sizing_mode="stretch_width", margin=(4, 10))
         self._make_left()
         self._make_middle()
@@ -111,7 +115,9 @@ class LoopView:
 
     def _make_right(self) -> None:
         self._model_pane = JobPane(self._session.background)
-        self._error, self._versions = (pn.Column(sizing_mode="stretch_width") for _ in range(2))
+        self._error, self._versions, self._numbers = (
+            pn.Column(sizing_mode="stretch_width") for _ in range(3)
+        )
         self._other = pn.widgets.TextInput(
             name="Effect", placeholder="a channel, an effect, an entry", sizing_mode="stretch_width"
         )
@@ -126,12 +132,8 @@ class LoopView:
                 ("Reprocess", "default"),
             )
         )
-        for button, verb in (
-            (self._try, "try"),
-            (self._add, "add"),
-            (self._drop, "drop"),
-            (self._undo, "undo"),
-        ):
+        verbs = {"try": self._try, "add": self._add, "drop": self._drop, "undo": self._undo}
+        for verb, button in verbs.items():
             button.on_click(lambda event, verb=verb: self._change(verb))
         self._reprocess.on_click(lambda event: self._begin_reprocessing())
         self._other.param.watch(lambda event: self._state.param.update(candidate=event.new.strip()), "value")
@@ -142,6 +144,7 @@ class LoopView:
             self._model_pane.panel,
             pn.Row(self._own, self._drop, self._reprocess, sizing_mode="stretch_width"),
             self._versions,
+            self._numbers,
         )
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
@@ -151,6 +154,7 @@ class LoopView:
         self._show_residual()
         diagnosis = self._show_diagnosis()
         self._model_pane.put()
+        self._numbers.objects = []
         self._show_model()
         if diagnosis is not None:
             self._model_pane.begin(
@@ -259,9 +263,11 @@ class LoopView:
         return fields
 
     def _candidates(self, fields: Fields) -> pn.viewable.Viewable:
-        self._rows = candidate_rows(fields)
-        names = [row.name for row in self._rows]
-        if not self._other.value and self._rows and not self._rows[0].reason:
+        assert self._overview is not None
+        self._rows = candidate_rows(fields, self._session.versions(self._overview.comparison)[1])
+        names = [row.name for row in self._rows if not row.reason]
+        dead = {row.name for row in self._rows} - set(names)
+        if names and (not self._other.value or self._other.value in dead):
             self._other.value = names[0]
         table = candidate_widget(self._rows)
         if self._other.value in names:
@@ -299,20 +305,23 @@ class LoopView:
             )
 
     def _tried(self, change: Fields) -> pn.viewable.Viewable:
-        self._show_model(change)
-        doubt = (
-            f" These data do not speak for it: {change['not_justified']}." if change["not_justified"] else ""
-        )
-        note = paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved.")
-        _, *tables = change_tables(change)
-        return panes.text(note, *tables)
+        self._draw_error(change)
+        why = change["not_justified"]
+        doubt = f" These data do not speak for it: {why}." if why else ""
+        return self._told(paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved."), change)
 
     def _changed(self, change: Fields) -> pn.viewable.Viewable:
         self._notify()
         # The diagnosis shown is of the model before.
         self._show_diagnosis()
         self._show_model()
-        return panes.text(*change_tables(change))
+        return self._told(change_tables(change)[0], change)
+
+    def _told(self, sentence: str, change: Fields) -> pn.viewable.Viewable:
+        """Return a sentence on a change; its numbers stand below the versions."""
+        _, *tables = change_tables(change)
+        self._numbers.objects = [panes.text(*tables)] if tables else []
+        return panes.text(sentence)
 
     def _begin_reprocessing(self) -> None:
         if self._overview is None:
@@ -331,33 +340,37 @@ class LoopView:
         days = report["days"]
         return panes.text(f"Reprocessed: {days['done']} days made anew, {days['unchanged']} unchanged.")
 
-    def _show_model(self, trial: Fields | None = None) -> None:
+    def _show_model(self) -> None:
         """Show the state, the error with every version of the model, and the versions."""
         assert self._overview is not None
         comparison = self._overview.comparison
         versions, effects = self._session.versions(comparison)
         used = next((f"{one['name']} version {one['version']}" for one in versions if one["used"]), "")
-        state = LoopState(
+        self._loop = LoopState(
             self._session.last_diagnosis(comparison),
             versions,
             used or self._overview.model,
             self._session.stale_products(comparison),
             self._overview.products,
         )
-        self._sentence.object = panes.sentence(*state.sentences())
-        self._own.options = effects
+        self._sentence.object = panes.sentence(*self._loop.sentences())
+        self._own.param.update(options=effects, value=effects[-1] if effects else None)
         self._undo.disabled = len(versions) < 2
         self._drop.disabled = not effects
-        self._reprocess.button_type = "warning" if state.stale_products else "default"
-        floor = state.sizes[1]
-        drawn = state.changes
+        self._reprocess.button_type = "warning" if self._loop.stale_products else "default"
+        self._versions.objects = [panes.text(ledger(versions))]
+        self._draw_error()
+
+    def _draw_error(self, trial: Fields | None = None) -> None:
+        """Draw how the error fell with every version, and with what is tried."""
+        assert self._loop is not None
+        drawn, floor = self._loop.changes, self._loop.sizes[1]
         if drawn or trial:
-            plot = error_figure(drawn, trial, float(floor) if floor else float("nan"), height=_ERROR)
+            plot = error_figure(drawn, trial, float(floor) if floor else float("nan"))
             self._error.objects = [pn.pane.Bokeh(_fit(plot, _ERROR), sizing_mode="stretch_width", margin=4)]
         else:
             text = "The model has not been changed yet: Try shows what the chosen effect would take off."
             self._error.objects = [panes.text(paragraph(text, kind="quiet"))]
-        self._versions.objects = [panes.text(ledger(versions))]
 
 
 def ledger(versions: Sequence[Fields]) -> str:
@@ -391,7 +404,7 @@ def candidate_widget(rows: Sequence[CandidateRow]) -> pn.widgets.Tabulator:
     frame = pd.DataFrame(
         {
             "effect": [_cell(row) for row in rows],
-            "takes off": ["" if row.size_nT is None else f"{row.size_nT:.2g}" for row in rows],
+            "nT": ["" if row.size_nT is None else f"{row.size_nT:.2g}" for row in rows],
         }
     )
     return pn.widgets.Tabulator(
@@ -401,30 +414,27 @@ def candidate_widget(rows: Sequence[CandidateRow]) -> pn.widgets.Tabulator:
         selectable=1,
         selectable_rows=lambda shown: [at for at, row in enumerate(rows) if not row.reason],
         formatters={"effect": {"type": "html"}},
-        titles={"effect": "effect", "takes off": "takes off (nT rms)"},
-        text_align={"takes off": "right"},
-        widths={"takes off": 96},
+        titles={"effect": "effect", "nT": "nT rms"},
+        text_align={"nT": "right"},
+        widths={"nT": 70},
+        sortable=False,
+        header_tooltips={"nT": "what it takes off days not used in the fit, alone"},
         layout="fit_columns",
         height=_TABLE,
         sizing_mode="stretch_width",
-        stylesheets=[".tabulator-cell { white-space: normal !important; height: auto !important }"],
-        configuration={"headerSort": False},
+        stylesheets=[_TABLE_STYLE],
         margin=(5, 10),
     )
 
 
 def _cell(row: CandidateRow) -> str:
     """Return what the table shows of a candidate as HTML."""
+    words = escape(row.words)
     if row.reason:
-        return (
-            f"<span style='color:{_GREY}'>{escape(row.words)}<br><small>{escape(row.reason)}</small></span>"
-        )
-    chips = "".join(
-        f" <span style='border:1px solid {_CHIP};color:{_CHIP};border-radius:8px;padding:0 5px;"
-        f"font-size:11px'>or {escape(rival)}</span>"
-        for rival in row.rivals
-    )
-    return f"<span title='{escape(row.name)}'>{escape(row.words)}</span><br><small>{escape(row.sure)}</small>{chips}"
+        return f"<span style='color:{_GREY}'>{words}<br><small>{escape(row.reason)}</small></span>"
+    chip = f"border:1px solid {_CHIP};color:{_CHIP};border-radius:8px;padding:0 5px"
+    chips = "".join(f" <small style='{chip}'>or {escape(rival)}</small>" for rival in row.rivals)
+    return f"<span title='{escape(row.name)}'>{words}</span><br><small>{escape(row.sure)}</small>{chips}"
 
 
 def _of_another_model(fields: Fields) -> str:

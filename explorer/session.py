@@ -174,7 +174,7 @@ class ExplorerSession:
 
     def _last_request(self, comparison: str) -> Mapping[str, Any]:
         """Return span and settings of the last diagnosis; empty without one."""
-        return (self.last_diagnosis(comparison) or {}).get("asked") or {}
+        return (last_diagnosis(self.workspace, comparison) or {}).get("asked") or {}
 
     # The model, revised.
 
@@ -227,8 +227,7 @@ class ExplorerSession:
     def open_equations(self, comparison: str, progress: Progress) -> None:
         """Open the workbench of the last diagnosis, so that the next change need not wait for it."""
         with lazy_client(self.workers) as client:
-            bench = self._workbench(comparison, client, progress)
-        self._bench = (self._workbench_key(comparison), bench)
+            self._workbench(comparison, client, progress)
 
     def preview(self, comparison: str, effect: str, progress: Progress) -> dict[str, Any]:
         """Return what adding an effect would do, as `Revision.as_json`; nothing is saved.
@@ -241,7 +240,6 @@ class ExplorerSession:
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
             found: dict[str, Any] = bench.preview(effect).as_json()
-        self._bench = (self._workbench_key(comparison), bench)
         return found
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
@@ -282,7 +280,8 @@ class ExplorerSession:
         key = self._workbench_key(comparison)
         if self._bench is None or self._bench[0] != key:
             self._bench = None
-            return open_workbench(self.workspace, comparison, client=client, progress=progress)
+            opened = open_workbench(self.workspace, comparison, client=client, progress=progress)
+            self._bench = (key, opened)
         bench = self._bench[1]
         bench.client, bench.progress = client, progress
         return bench

@@ -420,7 +420,7 @@ def residual_map(tt2000: Int64, residual: Floats, coordinates: Mapping[str, Floa
     place = (tt2000 - tt2000[0]) // length
     rows, first = int(place[-1]) + 1, int(tt2000[0])
     columns = VIEW_SETTINGS.map_columns
-    for name, (unit, reach) in _COORDINATES.items():
+    for name, (unit, reach) in _COORDINATES.items():  # noqa: B007 (used below)
         values = coordinates.get(name, np.empty(0))
         if np.unique((values[np.isfinite(values)] / reach * 8).astype(np.int64) % 8).size >= 6:
             break
