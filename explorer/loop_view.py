@@ -38,7 +38,8 @@ _HEADING = {"margin": "0 10px"}
 #: Heights of figures and of the table, pixels.
 _MAP, _CURVE, _ERROR, _TABLE = 330, 270, 340, 520
 _TABLE_STYLE = """
-.tabulator { font-size: 13px } .tabulator-row .tabulator-cell { white-space: normal; height: auto !important }
+.tabulator .tabulator-row .tabulator-cell, .tabulator .tabulator-header .tabulator-col {
+  font-size: 13px; padding: 4px 6px; white-space: normal !important; height: auto !important }
 """
 _GREY, _CHIP = "#6b6b6b", "#8a5a00"
 _SELECTED_DAYS = "Drag over days of the map to look at them alone."
@@ -416,7 +417,7 @@ def candidate_widget(rows: Sequence[CandidateRow]) -> pn.widgets.Tabulator:
         formatters={"effect": {"type": "html"}},
         titles={"effect": "effect", "nT": "nT rms"},
         text_align={"nT": "right"},
-        widths={"nT": 70},
+        widths={"nT": 78},
         sortable=False,
         header_tooltips={"nT": "what it takes off days not used in the fit, alone"},
         layout="fit_columns",

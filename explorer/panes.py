@@ -65,4 +65,5 @@ def _alert(kind: str, message: str, place: str = "", remedy: str = "") -> pn.vie
 
 def progress(job: BackgroundJob) -> str:
     """Return the progress of a job as HTML; before it begins, that it waits."""
-    return render("progress.html", job=job)
+    # Plain text: a pane would escape what is escaped already.
+    return str(render("progress.html", job=job))

@@ -6,7 +6,6 @@ function behind the verb of the same name. Results are cached until the data the
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -71,8 +70,6 @@ class ExplorerSession:
         self.background = Background()
         #: Makes figures while `background` does what takes long.
         self.figure_background = Background()
-        #: Changes of each comparison's model that were made here, as `Revision.as_json`, in their order.
-        self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
@@ -271,7 +268,6 @@ class ExplorerSession:
                 self._bench = None
                 raise
         change: dict[str, Any] = revision.as_json()
-        self.changes[comparison].append(change)
         self._bench = (self._workbench_key(comparison), bench)
         return change
 

@@ -137,6 +137,17 @@ class Chromium:
         """Click the first thing of a kind that has a label, as soon as it is shown."""
         self.wait_for(f"window.press && window.press({json.dumps(selector)}, {json.dumps(label)})")
 
+    def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at a place, move to another, and let go; pixels of what is shown."""
+        for kind, part, pressed in (
+            ("mousePressed", 0.0, 1),
+            *(("mouseMoved", step / 6, 1) for step in range(1, 7)),
+            ("mouseReleased", 1.0, 0),
+        ):
+            x, y = (one + part * (other - one) for one, other in zip(begin, end, strict=True))
+            how = {"button": "left", "buttons": pressed, "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **how)
+
     def screenshot(self, path: Path) -> None:
         """Write what is shown as PNG."""
         path.write_bytes(b64decode(self.call("Page.captureScreenshot", format="png")["data"]))

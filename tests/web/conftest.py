@@ -26,9 +26,9 @@ class Served:
         self.url = self.told["url"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def serve():
-    """Serve workspaces; each server ends with the test."""
+    """Serve workspaces; each server ends with the module's tests."""
     servers = []
 
     def begin(root: Path) -> Served:
@@ -41,12 +41,12 @@ def serve():
         one.process.communicate(timeout=30)
 
 
-@pytest.fixture
-def browser(tmp_path):
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
     program = find_chromium()
     if program is None:
         why = "no Chromium is on the path; install it, or name one by INFLIGHT_CHROMIUM"
         (pytest.fail if "INFLIGHT_NEEDS_BROWSER" in os.environ else pytest.skip)(why)
-    made = Chromium(program, tmp_path / "profile")
+    made = Chromium(program, tmp_path_factory.mktemp("browser") / "profile")
     yield made
     made.close()
