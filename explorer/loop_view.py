@@ -450,7 +450,7 @@ def _heading(text: str) -> pn.viewable.Viewable:
 
 
 def _fit(plot: figure, height: int) -> figure:
-    """Let a figure take the width there is, its tools beside it."""
+    """Let a figure take the width there is, its tools beside it: a row of tools has no room above."""
     plot.sizing_mode, plot.height = "stretch_width", height
-    plot.toolbar_location, plot.toolbar.autohide = "above", True
+    plot.toolbar_location, plot.toolbar.autohide = "right", True
     return plot

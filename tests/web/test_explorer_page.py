@@ -45,7 +45,7 @@ def outside(requests: list[str]) -> list[str]:
 
 def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browser, address, heated):
     browser.open(address)
-    browser.wait_for_text("There is no diagnosis yet", 120)
+    browser.wait_for_text("Residual of products of model version 1", 120)
     browser.press("button", "Diagnose this span")
     browser.wait_for_text("Try what is missing: a field that follows heater_current", 180)
     browser.press("button", "Try")
