@@ -171,7 +171,12 @@ class LoopView:
         self._measured, self._curve.objects = None, []
         self._channel.visible = False
         overview, days = self._overview, self._days
-        if overview.note or days is None or not overview.products:
+        if overview.note:
+            self._residual_pane.put(
+                panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables.")
+            )
+            return
+        if days is None or not overview.products:
             self._residual_pane.put(panes.hint("There are no products to hold against the measurements yet."))
             return
         self._residual_pane.begin(
@@ -268,8 +273,9 @@ class LoopView:
         self._rows = candidate_rows(fields, self._session.versions(self._overview.comparison)[1])
         names = [row.name for row in self._rows if not row.reason]
         dead = {row.name for row in self._rows} - set(names)
-        if names and (not self._other.value or self._other.value in dead):
-            self._other.value = names[0]
+        named = [one["name"] for one in fields["entries"] if one["name"] in names]
+        if not self._other.value or self._other.value in dead:
+            self._other.value = named[0] if named else ""
         table = candidate_widget(self._rows)
         if self._other.value in names:
             table.selection = [names.index(self._other.value)]
@@ -417,7 +423,7 @@ def candidate_widget(rows: Sequence[CandidateRow]) -> pn.widgets.Tabulator:
         formatters={"effect": {"type": "html"}},
         titles={"effect": "effect", "nT": "nT rms"},
         text_align={"nT": "right"},
-        widths={"nT": 78},
+        widths={"nT": 94},
         sortable=False,
         header_tooltips={"nT": "what it takes off days not used in the fit, alone"},
         layout="fit_columns",

@@ -33,7 +33,7 @@ class Page:
     def __init__(self, session: ExplorerSession) -> None:
         self._session = session
         self._mission = session.mission()
-        self._state = ViewState()
+        self._state = ViewState()  # type: ignore[no-untyped-call]  # Param is untyped here
         self._state.follow_address()
         names = list_comparisons(self._mission)
         chosen = self._state.comparison if self._state.comparison in names else names[0]

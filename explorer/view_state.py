@@ -6,7 +6,7 @@ import panel as pn
 import param
 
 
-class ViewState(param.Parameterized):  # type: ignore[misc]  # Param is untyped here
+class ViewState(param.Parameterized):
     """Everything chosen in a page; names are those in the address."""
 
     comparison = param.String(default="", doc="Name of the comparison; the first one when empty.")

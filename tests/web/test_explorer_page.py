@@ -10,11 +10,10 @@ from tiny_mission import make_tiny_workspace
 from inflight.catalog import Catalog
 from inflight.tasks.pipelines import reprocess
 
-
 #: What the figure of the falling error has drawn: bars by change, and the noise floor.
 _ERROR = """(() => {
   const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
-  const plot = models.filter((one) => one.type === 'Figure' && one.title.text === 'The error, change by change');
+  const plot = models.filter((one) => one.type === 'Figure' && one.title.text.startsWith('The error, change'));
   const bars = plot.at(-1).renderers.filter((one) => one.glyph && one.glyph.type === 'VBar');
   const values = (one, name) => [...(one.data_source.data.get?.(name) ?? one.data_source.data[name] ?? [])];
   const found = Object.fromEntries(bars.flatMap((one) =>
@@ -55,9 +54,9 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     browser.press("button", "Add")
     browser.wait_for_text("from version 1: add channel_field(heater_current)", 120)
     added = browser.evaluate(_ERROR)
-    # The drawn error is where it was tried, and at the noise floor.
+    # The drawn error is where it was tried, and at the noise floor, which is estimated with the heater in it.
     assert added["bars"]["2: heater_current"] == pytest.approx(tried["bars"]["try: heater_current"])
-    assert added["floor"] < added["bars"]["2: heater_current"] < 1.05 * added["floor"]
+    assert 0.85 * added["floor"] < added["bars"]["2: heater_current"] < 1.05 * added["floor"]
     browser.wait_for_text("4 of 4 days of products are of another model")
     browser.press("button", "Reprocess")
     browser.wait_for_text("4 days made anew", 120)
@@ -75,17 +74,19 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
 
 def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browser, address):
     browser.open(f"{address}?tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
-    browser.wait_for_text("boom_temperature: rms", 120)
+    browser.wait_for_text("Drag over days of the map", 120)
+    browser.wait_for("pick('select').some((one) => one.value === 'boom_temperature')")
     assert browser.evaluate("pick('input').some((one) => one.value === 'scale_drift')")
     browser.wait_for("location.search.includes('last=2024-03-04')")
     left, top, width, height = browser.evaluate(
-        "(() => { const one = pick('canvas')[0].getBoundingClientRect();"
+        "(() => { const one = pick('canvas').find((one) => one.clientWidth > 200).getBoundingClientRect();"
         " return [one.left, one.top, one.width, one.height] })()"
     )
     # The second and third of four days, from below.
     x, places = left + 0.4 * width, (top + 0.35 * height, top + 0.55 * height)
     browser.drag((x, places[0]), (x, places[1]))
-    browser.wait_for("location.search.includes('first=2024-03-02&last=2024-03-03')")
+    browser.wait_for("location.search.includes('first=2024-03-02')")
+    browser.wait_for("location.search.includes('last=2024-03-03')")
 
 
 def test_an_error_is_told_with_what_to_do_and_the_page_goes_on(browser, address):
