@@ -13,7 +13,7 @@ from inflight.tasks.pipelines import reprocess
 #: What the figure of the falling error has drawn: bars by change, and the noise floor.
 _ERROR = """(() => {
   const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
-  const plot = models.filter((one) => one.type === 'Figure' && one.title.text.startsWith('The error, change'));
+  const plot = models.filter((one) => one.type === 'Figure' && one.title.text.startsWith('The error,'));
   const bars = plot.at(-1).renderers.filter((one) => one.glyph && one.glyph.type === 'VBar');
   const values = (one, name) => [...(one.data_source.data.get?.(name) ?? one.data_source.data[name] ?? [])];
   const found = Object.fromEntries(bars.flatMap((one) =>
