@@ -1,7 +1,7 @@
 """Figure of a current that both sensors see: true errors of the field by what is stated of its place.
 
 Run ``.venv/bin/python -m docs.figures.stray_fields FOLDER``: it simulates the mission of the page on stray
-fields in the folder, fits it with each place in turn, prints the errors and draws docs/images/stray-fields.png.
+fields in the folder, fits it with each place, prints the errors and draws docs/images/stray-fields.png.
 """
 
 from __future__ import annotations
