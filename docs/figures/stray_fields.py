@@ -57,8 +57,8 @@ PLACES = {
     "0.5 m off in y": "0 0.5 0",
     "0.5 m off in z": "0 0 0.5",
 }
-#: Readings of half an hour, and how far apart the marks of two axes are.
-_HALF_HOUR, _APART = 180, 0.2
+#: How far apart the marks of two axes are.
+_APART = 0.2
 
 
 @dataclass(frozen=True)
@@ -83,15 +83,23 @@ class TrueError:
     def of(cls, cat: Catalog, settings: SimulationSettings) -> TrueError:
         """Compare the products of simulated days with the field that was put in."""
         products = [cat.read_day("l2/field", day) for day in settings.day_list]
-        off, stated, residual = (
-            np.concatenate([one[name].values for one in products])
-            for name in ("field_sensor", "uncertainty", "residual")
+        stated, residual = (
+            np.concatenate([one[name].values for one in products]) for name in ("uncertainty", "residual")
         )
-        off = off - np.concatenate(
-            [simulate_day(settings, day).truth["FIELD"].values for day in settings.day_list]
-        )
-        mean = np.nanmean(off[: len(off) // _HALF_HOUR * _HALF_HOUR].reshape(-1, _HALF_HOUR, 3), axis=1)
-        return cls(_rms(mean), _rms(stated), float(_rms(residual)))
+        return cls(_rms(half_hour_errors(cat, settings)), _rms(stated), float(_rms(residual)))
+
+
+def half_hour_errors(cat: Catalog, settings: SimulationSettings) -> Floats:
+    """Return means of half an hour of what products of simulated days are off by; (mean, axis) nT."""
+    off = np.concatenate(
+        [
+            cat.read_day("l2/field", day)["field_sensor"].values
+            - simulate_day(settings, day).truth["FIELD"].values
+            for day in settings.day_list
+        ]
+    )
+    size = round(1800 / settings.cadence)
+    return np.asarray(np.nanmean(off[: len(off) // size * size].reshape(-1, size, 3), axis=1))
 
 
 def _rms(values: Floats) -> Floats:
