@@ -237,6 +237,9 @@ class PlatformComparison(Strict):
         return {"scalar": self.scalar, "vector": self.vector}
 
 
+ZeroLevelMethod = Literal["davis-smith", "wang-pan", "mirror mode", "minimum correlation", "hedgecock"]
+
+
 class ZeroLevelComparison(Strict):
     """A vector sensor against nature: its zero level from fluctuations of the field (three rows, nT).
 
@@ -253,6 +256,8 @@ class ZeroLevelComparison(Strict):
     #: What is known beforehand, nT: it lies within `bound` of `start` along each axis.
     start: Vector3 = (0.0, 0.0, 0.0)
     bound: Annotated[float, Field(gt=0.0)] = 10.0
+    #: Of one name that method alone, held against the same other offsets; `hedgecock` only where named.
+    methods: tuple[ZeroLevelMethod, ...] = ("davis-smith", "wang-pan", "mirror mode", "minimum correlation")
     #: The spacecraft turns the sensor right round within an interval.
     turns: bool = False
     #: Fluctuations are taken within intervals of this length.
@@ -271,6 +276,8 @@ class ZeroLevelComparison(Strict):
     def _times_fit(self) -> Self:
         if not self.axes:
             raise ValueError("'axes' names none: leave the key out for all three")
+        if not self.methods or len(set(self.methods)) < len(self.methods):
+            raise ValueError("'methods' names none or one twice: leave the key out for all that are combined")
         for name, least in (("interval", 1), ("average", 1), ("sampling", 1), ("step", self.interval)):
             value = getattr(self, name)
             if value is not None and value < least:

@@ -196,9 +196,7 @@ def run_search(
         for one in effects
     )
     effects = tuple(
-        replace(one, status="stand-in")
-        if (one.left_follows or one.instead) and one.status == "sure"
-        else one
+        replace(one, status="stand-in") if (one.left_follows or one.instead) and one.status == "sure" else one
         for one in effects
     )
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))

@@ -92,13 +92,13 @@ class ZeroLevelPipeline(Pipeline):
     """Three offsets of a vector sensor from what natural fluctuations of the field do not do.
 
     The statistics of a day are averages of its readings, over whole turns where the spacecraft spins
-    (Hedgecock's rule). Tables have the joint estimate of all methods with the test of each one's assumption
+    (Hedgecock's rule). Tables have the joint estimate of the methods with the test of each one's assumption
     (`inflight.zero_level`). The product is the field without the zero level; its residual the variation of
     the field's size in intervals in which the field turns.
     """
 
     tag = "zero_level"
-    versions = Versions(statistics=1, tables=1, products=1)
+    versions = Versions(statistics=1, tables=2, products=1)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison of a vector sensor with nature."""
