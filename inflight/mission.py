@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
@@ -28,6 +28,7 @@ from inflight.instruments import (
     Files,
     Instant,
     Instrument,
+    InstrumentSigma,
     Kind,
     Quaternion,
     Reader,
@@ -51,6 +52,7 @@ __all__ = [
     "Files",
     "Instant",
     "Instrument",
+    "InstrumentSigma",
     "Kind",
     "Mission",
     "PlatformComparison",
@@ -605,6 +607,8 @@ class Sensor:
     dipole_reduction : float, optional
         Field of the assumed dipole here relative to its field at the first vector sensor,
         ``(r_first / r_here) ** 3`` (1 at that sensor; None while a position is unknown).
+    sigma : InstrumentSigma
+        How well position (m), orientation (deg) and moments of readings (ns) are known.
     """
 
     name: str
@@ -612,6 +616,7 @@ class Sensor:
     position: tuple[float, float, float] | None = None
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     dipole_reduction: float | None = None
+    sigma: InstrumentSigma = field(default_factory=InstrumentSigma)
 
     @property
     def is_scalar(self) -> bool:
@@ -641,5 +646,7 @@ def sensors_of(mission: Mission, comparison: str = "main") -> dict[str, Sensor]:
         if first.position is not None and instrument.position is not None:
             here, there = np.linalg.norm(instrument.position), np.linalg.norm(first.position)
             reduction = float((there / here) ** 3) if here > 0 else None
-        sensors[name] = Sensor(name, role, instrument.position, instrument.orientation, reduction)
+        sensors[name] = Sensor(
+            name, role, instrument.position, instrument.orientation, reduction, instrument.sigma
+        )
     return sensors
