@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,30 +37,47 @@ class DipoleSource:
         """
         return _transfer(np.asarray(self.position), known, target)
 
-    def errors(self, known: npt.ArrayLike, target: npt.ArrayLike) -> Floats:
+    def errors(
+        self,
+        known: npt.ArrayLike,
+        target: npt.ArrayLike,
+        moved: Literal["source", "known", "target"] = "source",
+        sigma: float | None = None,
+    ) -> Floats:
         """Return what a place wrong by one sigma makes wrong of a field that was told from a difference.
 
         The difference ``(1 - T) f`` of the fields at both places stays as it was measured, T the `transfer`:
         a field f at the first one is wrong by ``errors @ f``.
+
+        Parameters
+        ----------
+        known, target : array_like, shape (3,)
+            Places of the two sensors, m.
+        moved : str
+            Whose place is uncertain.
+        sigma : float, optional
+            Along each axis, m; the source's own unless given.
 
         Returns
         -------
         ndarray, shape (3, 3, 3)
             By axis of the place, matrices that act on the field at `known`.
         """
-        if self.sigma == 0.0:
+        step = self.sigma if sigma is None else sigma
+        if step == 0.0:
             return np.zeros((3, 3, 3))
-        here = np.asarray(self.position)
-        difference = np.eye(3) - _transfer(here, known, target)
-        sides = [
-            [
-                np.linalg.solve(
-                    np.eye(3) - _transfer(here + sign * self.sigma * axis, known, target), difference
-                )
-                for sign in (1.0, -1.0)
-            ]
-            for axis in np.eye(3)
-        ]
+        stated = {
+            "source": np.asarray(self.position),
+            "known": np.asarray(known, dtype=np.float64),
+            "target": np.asarray(target, dtype=np.float64),
+        }
+        difference = np.eye(3) - _transfer(*stated.values())
+
+        def true_field(off: Floats) -> Floats:
+            places = {**stated, moved: stated[moved] + off}
+            return np.asarray(np.linalg.solve(np.eye(3) - _transfer(*places.values()), difference))
+
+        sides = [[true_field(sign * step * axis) for sign in (1.0, -1.0)] for axis in np.eye(3)]
         return np.array([(up - down) / 2.0 for up, down in sides])
 
 

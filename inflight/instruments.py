@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -245,8 +245,23 @@ class Files(Strict):
         return self
 
 
+class InstrumentSigma(Strict):
+    """How well it is known what an instrument states of itself; 0 of what is taken as exact."""
+
+    #: Of each coordinate, in the unit of `positions`.
+    position: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    #: Of a turn about each axis, degrees.
+    orientation: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    #: Of the moments of its readings.
+    delay: Annotated[Duration, Field(ge=0)] = 0
+
+
 class Instrument(Strict):
-    """One instrument with its own cadence and files."""
+    """One instrument with its own cadence and files.
+
+    `position`, `orientation` and `delay` may be written with their sigma, as parameters of effects are:
+    ``orientation: {value: [0, 0, 0, 1], sigma: 0.05}``.
+    """
 
     role: Role
     cadence: Duration
@@ -262,6 +277,27 @@ class Instrument(Strict):
     stamp: Literal["start", "centre", "end"] = "centre"
     #: A filter makes readings late by this much: they belong before their stamps.
     delay: Duration = 0
+    #: Of `position`, `orientation` and `delay`; stands beside them in the YAML.
+    sigma: InstrumentSigma = InstrumentSigma()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _values_with_sigma(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        if "sigma" in given and not isinstance(given["sigma"], InstrumentSigma):
+            raise ValueError(
+                "a sigma stands beside its value: orientation: {value: [0, 0, 0, 1], sigma: 0.05}"
+            )
+        plain, sigma = dict(given), {}
+        for name in InstrumentSigma.model_fields:
+            entry = given.get(name)
+            if isinstance(entry, Mapping):
+                if set(entry) != {"value", "sigma"}:
+                    found = ", ".join(map(str, entry)) or "nothing"
+                    raise ValueError(f"'{name}' has {found}, write {name}: {{value: ..., sigma: ...}}")
+                plain[name], sigma[name] = entry["value"], entry["sigma"]
+        return plain | {"sigma": InstrumentSigma.model_validate(sigma)} if sigma else plain
 
     @model_validator(mode="after")
     def _has_its_field(self) -> Self:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
@@ -28,6 +28,7 @@ from inflight.instruments import (
     Files,
     Instant,
     Instrument,
+    InstrumentSigma,
     Kind,
     Quaternion,
     Reader,
@@ -51,6 +52,7 @@ __all__ = [
     "Files",
     "Instant",
     "Instrument",
+    "InstrumentSigma",
     "Kind",
     "Mission",
     "PlatformComparison",
@@ -235,6 +237,9 @@ class PlatformComparison(Strict):
         return {"scalar": self.scalar, "vector": self.vector}
 
 
+ZeroLevelMethod = Literal["davis-smith", "wang-pan", "mirror mode", "minimum correlation", "hedgecock"]
+
+
 class ZeroLevelComparison(Strict):
     """A vector sensor against nature: its zero level from fluctuations of the field (three rows, nT).
 
@@ -251,6 +256,8 @@ class ZeroLevelComparison(Strict):
     #: What is known beforehand, nT: it lies within `bound` of `start` along each axis.
     start: Vector3 = (0.0, 0.0, 0.0)
     bound: Annotated[float, Field(gt=0.0)] = 10.0
+    #: Of one name that method alone, held against the same other offsets; `hedgecock` only where named.
+    methods: tuple[ZeroLevelMethod, ...] = ("davis-smith", "wang-pan", "mirror mode", "minimum correlation")
     #: The spacecraft turns the sensor right round within an interval.
     turns: bool = False
     #: Fluctuations are taken within intervals of this length.
@@ -269,6 +276,8 @@ class ZeroLevelComparison(Strict):
     def _times_fit(self) -> Self:
         if not self.axes:
             raise ValueError("'axes' names none: leave the key out for all three")
+        if not self.methods or len(set(self.methods)) < len(self.methods):
+            raise ValueError("'methods' names none or one twice: leave the key out for all that are combined")
         for name, least in (("interval", 1), ("average", 1), ("sampling", 1), ("step", self.interval)):
             value = getattr(self, name)
             if value is not None and value < least:
@@ -598,6 +607,8 @@ class Sensor:
     dipole_reduction : float, optional
         Field of the assumed dipole here relative to its field at the first vector sensor,
         ``(r_first / r_here) ** 3`` (1 at that sensor; None while a position is unknown).
+    sigma : InstrumentSigma
+        How well position (m), orientation (deg) and moments of readings (ns) are known.
     """
 
     name: str
@@ -605,6 +616,7 @@ class Sensor:
     position: tuple[float, float, float] | None = None
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     dipole_reduction: float | None = None
+    sigma: InstrumentSigma = field(default_factory=InstrumentSigma)
 
     @property
     def is_scalar(self) -> bool:
@@ -634,5 +646,7 @@ def sensors_of(mission: Mission, comparison: str = "main") -> dict[str, Sensor]:
         if first.position is not None and instrument.position is not None:
             here, there = np.linalg.norm(instrument.position), np.linalg.norm(first.position)
             reduction = float((there / here) ** 3) if here > 0 else None
-        sensors[name] = Sensor(name, role, instrument.position, instrument.orientation, reduction)
+        sensors[name] = Sensor(
+            name, role, instrument.position, instrument.orientation, reduction, instrument.sigma
+        )
     return sensors

@@ -1,6 +1,7 @@
 """Fixtures of more than one folder of tests."""
 
 import gc
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,19 @@ def pytest_xdist_make_scheduler(config, log):
         def _split_scope(self, nodeid):
             return nodeid if nodeid.startswith(CASES) else super()._split_scope(nodeid)
 
+    # In the order of collection: `pytest_collection_modifyitems`.
+    config.option.loadscopereorder = False
     return Scheduling(config, log)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Among processes, begin with files of long cases, then of many tests: none ends with a long one."""
+    if not hasattr(config, "workerinput"):
+        return
+    counts = Counter(item.path for item in items)
+    long = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in long, -counts[item.path], str(item.path)))
 
 
 def pytest_collection_finish():

@@ -28,7 +28,7 @@ from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
-from inflight.model import Model, place_variance, table_variance
+from inflight.model import Model, instrument_variance, place_variance, table_variance
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
 
@@ -307,8 +307,8 @@ def level2(
         field); `before_stray_field` (time, axis) nT, spacecraft axes, the calibrated field with these terms
         of the vector sensor still in, where it is their sum (`Model.before_corrections`);
         ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with attribute `applied`;
-        `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
-        channel makes it unknown; `flag` (time) uint32;
+        `uncertainty` (time, axis) nT, 1 sigma, sensor axes, with what the sensor's orientation and clock are
+        known to; NaN where a missing channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
     corrected = cast("xr.Dataset", model.corrected(samples))
@@ -329,6 +329,7 @@ def level2(
     before = raw.residual(samples)[:, 0]
     variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
     variance += table_variance(model.effects, corrected)
+    variance += instrument_variance(sensor, field, np.asarray(samples["tt2000"].values))
     if parameters.change is not None:
         outside = flag & np.uint32(Flag.EXTRAPOLATED) > 0
         variance[outside] += _effect_of_change(reading[outside], parameters) ** 2

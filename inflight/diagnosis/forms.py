@@ -218,7 +218,7 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
 
 
 def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
-    """Return effects that may be parts of one: effect -> the cell that does as well as it and others together.
+    """Return effects that may be parts of one: effect -> the cell that does as well as it and others do.
 
     Cells that the search could not take: what it could, it held against every effect already. Where one of
     them explains as much as two effects or more, these stand in for one cause that the library has not.

@@ -1,4 +1,11 @@
-from .apply import ModelEffect, at_all_sensors, correct_plain, place_variance, table_variance
+from .apply import (
+    ModelEffect,
+    at_all_sensors,
+    correct_plain,
+    instrument_variance,
+    place_variance,
+    table_variance,
+)
 from .diff import changes, parse_tree
 from .model import Model, make_effect, with_dipole
 from .rows import (
@@ -34,6 +41,7 @@ __all__ = [
     "correct_plain",
     "filter_rows",
     "folding_of",
+    "instrument_variance",
     "make_effect",
     "missing_rows",
     "parse_tree",

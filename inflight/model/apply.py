@@ -95,15 +95,26 @@ class ModelEffect:
             if other.name in transfers
         )
 
-    def place_errors(self) -> Floats:
-        """Return matrices (deviation, 3, 3) on the field at `sensor`: what an uncertain place makes of it.
+    def place_errors(self) -> dict[tuple[str, str], Floats]:
+        """Return matrices (axis, 3, 3) on the field at `sensor`: what an uncertain place makes of it.
 
-        See `DipoleSource.errors`; the others are the first of `others`, with which the values were told.
+        See `DipoleSource.errors`; the others are the first of `others`, with which the values were told. By
+        whose place it is: of the effect's source, and of the sensors whose positions have a sigma.
         """
         if self.dipole is None or not self.others:
-            return np.zeros((0, 3, 3))
-        made = self.dipole.errors(_place(self.sensor), _place(self.others[0]))
-        return np.array([_turned(one, self.sensor, self.sensor) for one in made])
+            return {}
+        here, other = self.sensor, self.others[0]
+        between = _place(here), _place(other)
+        made = {
+            ("source", self.name): self.dipole.errors(*between),
+            ("sensor", here.name): self.dipole.errors(*between, "known", here.sigma.position),
+            ("sensor", other.name): self.dipole.errors(*between, "target", other.sigma.position),
+        }
+        return {
+            whose: np.array([_turned(one, here, here) for one in each])
+            for whose, each in made.items()
+            if each.any()
+        }
 
     def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
         """Return every parameter's value at a time, or at times."""
@@ -328,15 +339,53 @@ def place_variance(effects: Effects, samples: xr.Dataset) -> Floats:
     Returns
     -------
     ndarray, shape (time, axis)
-        nT^2, vector sensor axes. Places of different sources are independent; that of one is the same at
-        all times, so that its error does not average out.
+        nT^2, vector sensor axes. Places of different sources are independent, and that of a sensor is the
+        same for all sources; each is the same at all times, so that its error does not average out.
     """
     times = _times(samples)
-    found = np.zeros((times.size, 3))
+    off: dict[tuple[str, str], Floats] = {}
     for entry in effects:
         if entry.dipole is not None and entry.sensor.role in VECTOR_ROLES:
             field = entry.effect.field(samples, entry.values(times), entry.sensor)
-            found += sum((field @ matrix.T) ** 2 for matrix in entry.place_errors())
+            for whose, matrices in entry.place_errors().items():
+                own = np.stack([field @ matrix.T for matrix in matrices])
+                off[whose] = off[whose] + own if whose in off else own
+    return np.asarray(sum(((each**2).sum(axis=0) for each in off.values()), np.zeros((times.size, 3))))
+
+
+def instrument_variance(
+    sensor: Sensor, field: Floats, tt2000: npt.NDArray[np.int64], *, mounting: bool = True
+) -> Floats:
+    """Return what sigmas of a sensor's orientation and of its readings' moments add to the field's variance.
+
+    A turn by small angles ``a`` about the axes moves B by ``a x B``, a clock that is wrong by ``t`` by
+    ``t dB/dt``. Both are the same at all times, so that they do not average out.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    field : ndarray, shape (time, 3)
+        nT, in axes that are fixed to the sensor or to the spacecraft.
+    tt2000 : ndarray of int64, shape (time,)
+    mounting : bool
+        Whether the field is one in spacecraft axes that the stated orientation makes.
+
+    Returns
+    -------
+    ndarray, shape (time, 3)
+        nT^2, the same axes; the slope is the steeper one to the neighbours, 0 without any.
+    """
+    found = np.zeros(field.shape)
+    if mounting and sensor.sigma.orientation:
+        square = field**2
+        found += np.deg2rad(sensor.sigma.orientation) ** 2 * (square.sum(axis=1, keepdims=True) - square)
+    if sensor.sigma.delay and len(field) > 1:
+        step = np.diff(tt2000).astype(np.float64)[:, None]
+        slope = np.divide(np.diff(field, axis=0), step, out=np.zeros((len(field) - 1, 3)), where=step > 0)
+        slope = np.abs(np.nan_to_num(slope))
+        found += (
+            sensor.sigma.delay * np.fmax(*(np.pad(slope, (side, (0, 0))) for side in ((1, 0), (0, 1))))
+        ) ** 2
     return found
 
 

@@ -149,7 +149,7 @@ def with_dipole(entry: ModelEffect, given: Any, sensors: Mapping[str, Sensor]) -
     except (SettingsError, np.linalg.LinAlgError) as error:
         raise ModelError(f"'{entry.name}': dipole: {error}", remedy="give its true position, m") from None
     alike = min(np.linalg.svd(np.eye(3) - one, compute_uv=False)[-1] for one in transfers.values())
-    if alike < _ALIKE or not np.isfinite(errors).all():
+    if alike < _ALIKE or not all(np.isfinite(one).all() for one in errors.values()):
         raise ModelError(
             f"'{entry.name}': a dipole at {list(dipole.position)} m makes nearly the same field at both "
             "sensors: their difference does not hold it",

@@ -9,7 +9,7 @@ CHANNEL_MISSING, which takes them out of every fit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -72,41 +72,84 @@ SUBSTITUTION_SETTINGS = SubstitutionSettings()
 class TypicalValue:
     """What a channel usually reads.
 
+    Channels of one delivery deviate together: currents of one bus balance each other.
+
     Attributes
     ----------
     mean : ndarray, shape (component,)
         In the channel's unit; one component for a channel of one number a time.
     modes : ndarray, shape (mode, component)
-        Independent deviations of one sigma: their outer products sum to the covariance.
-    rate : float
-        How fast it changes, rad/s: rms of its rate of change over that of its deviation.
+        Deviations of one sigma, independent of each other in value and in rate of change: their outer
+        products sum to the covariance. All channels of a group have as many, and deviate together in each.
+    rates : ndarray, shape (mode,)
+        How fast each mode changes, rad/s: rms of its rate of change over that of its deviation.
+    group : tuple of str
+        Channels that this one deviates with, itself among them.
     source : str
         Where it was taken from, in words.
     """
 
     mean: Floats
     modes: Floats
-    rate: float
+    rates: Floats
+    group: tuple[str, ...]
     source: str
 
     @classmethod
-    def of(cls, values: Floats, stamps: Int64, source: str) -> TypicalValue | None:
-        """Return it from values, (time,) or (time, component), at TT2000; None with fewer than two."""
-        rows = values.reshape(len(values), -1)
-        there = np.isfinite(rows).all(axis=1)
-        known, seconds = rows[there], stamps[there] / SECOND
-        if len(known) < 2:
-            return None
-        covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
-        own, vectors = np.linalg.eigh(covariance)
+    def of(cls, values: Mapping[str, Floats], stamps: Int64, source: str) -> dict[str, TypicalValue]:
+        """Return those of a group of channels, by name; a channel with fewer than two values has none.
+
+        Parameters
+        ----------
+        values : mapping of str to ndarray, (time,) or (time, component)
+            By channel; NaN where it is not known. Of two channels that were never known at once nothing
+            joint is known: they count as independent.
+        stamps : ndarray of int, shape (time,)
+            TT2000.
+        """
+        rows = {name: one.reshape(len(one), -1) for name, one in values.items()}
+        there = {name: finite_rows(one) for name, one in rows.items()}
+        group = tuple(name for name in rows if np.count_nonzero(there[name]) >= 2)
+        if not group:
+            return {}
+        pairs = [_normalised(rows[name][there[name]], there[name], stamps) for name in group]
+        deviation, change = (np.concatenate(one, axis=1) for one in zip(*pairs, strict=True))
+        scale = np.linalg.norm(deviation, axis=0)
+        scale[scale == 0] = 1.0
+        deviation, change = deviation / scale, change / scale
+        own, vectors = np.linalg.eigh(deviation.T @ deviation)
         used = own > SUBSTITUTION_SETTINGS.flat * max(float(own[-1]), 1e-300)
-        modes = (vectors[:, used] * np.sqrt(own[used])).T
-        steps = np.diff(seconds)
-        near = steps <= GAP * np.median(steps)
-        rates = np.diff(known, axis=0)[near] / steps[near, None]
-        spread = float(np.trace(covariance))
-        rate = float(np.sqrt(np.mean(np.sum(rates**2, axis=1)) / spread)) if spread > 0 else 0.0
-        return cls(np.asarray(known.mean(axis=0)), np.asarray(modes), rate, source)
+        size = np.sqrt(own[used])
+        rate = change @ (vectors[:, used] / size)
+        # In these axes deviations are a unit sphere, which stays one when the rates' axes are taken.
+        squares, turn = np.linalg.eigh(rate.T @ rate)
+        modes = (turn.T @ (vectors[:, used] * size).T) * scale
+        ends = np.cumsum([rows[name].shape[1] for name in group])
+        return {
+            name: cls(
+                np.asarray(rows[name][there[name]].mean(axis=0)),
+                modes[:, end - rows[name].shape[1] : end],
+                np.sqrt(np.maximum(squares, 0.0)),
+                group,
+                source,
+            )
+            for name, end in zip(group, ends, strict=True)
+        }
+
+
+def _normalised(known: Floats, there: Rows, stamps: Int64) -> tuple[Floats, Floats]:
+    """Return a channel's deviations from its mean, and its rates of change, 1/s; (time, component) both.
+
+    They are 0 where not known, and over the root of their number: products of columns are covariances, and
+    the matrix of several channels' has no negative eigenvalue whatever each of them lacks.
+    """
+    deviation, rate = np.zeros((2, len(there), known.shape[1]))
+    deviation[there] = (known - known.mean(axis=0)) / np.sqrt(len(known))
+    steps = np.diff(stamps[there] / SECOND)
+    near = steps <= GAP * np.median(steps)
+    change = np.diff(known, axis=0)[near] / steps[near, None]
+    rate[np.flatnonzero(there)[1:][near]] = change / np.sqrt(len(change))
+    return deviation, rate
 
 
 @dataclass(frozen=True)
@@ -132,7 +175,7 @@ class SubstitutedSamples:
         Filled where a typical value is known; every sample without one of its channels is flagged.
     rows : mapping of str to ndarray of bool, (time,) or (time, component)
         What was missing, by channel; none of them is all False.
-    typical : mapping of str to Typical
+    typical : mapping of str to TypicalValue
         By channel, those that have one.
     ranges : mapping of str to (float, float)
         Possible values of channels of one number a time.
@@ -178,8 +221,8 @@ class SubstitutedSamples:
     def variance(self, model: Model) -> tuple[Floats, Floats]:
         """Return the variance of the fields by the substituted values.
 
-        Channels are taken as independent of each other, components of one channel as they are
-        related. A sample's own error lasts as long as its channel is missing: it does not average out.
+        Channels of one `TypicalValue.group` deviate together as far as they are missing, groups are taken as
+        independent. A sample's own error lasts as long as its channel is missing: it does not average out.
 
         Parameters
         ----------
@@ -194,60 +237,66 @@ class SubstitutedSamples:
         """
         count = self.samples.sizes["time"]
         vector, scalar = np.zeros((count, 3)), np.zeros(count)
-        for name, rows in self.rows.items():
-            users = [entry for entry in model.effects if name in _series_of(entry, self.samples)]
-            missing = _any_component(rows)
+        known = self.model(model)
+        for names in self._groups():
+            users = [entry for entry in model.effects if _series_of(entry, self.samples) & set(names)]
+            missing = np.logical_or.reduce([_any_component(self.rows[name]) for name in names])
             near = np.convolve(missing, np.ones(2 * SUBSTITUTION_SETTINGS.margin + 1), mode="same") > 0
             part = self.samples.isel(time=near)
-            known = self.model(model)
             before = _fields(known, part)
             inside, of_vector = (
                 missing[near],
                 any(one.sensor.role == "vector" for one in at_all_sensors(users)),
             )
-            changes = [
-                *self._deviations(name, part, rows[near]),
-                *self._possible_values(name, part, rows[near]),
-            ]
-            weight = 1.0 if name in self.typical else 1.0 / max(len(changes), 1)
+            changes, weight = self._changes(names, part, near)
             for changed in changes:
                 after = _fields(known, changed)
                 if of_vector:
                     vector[missing] += weight * (after[0] - before[0])[inside] ** 2
                 scalar[missing] += weight * (after[1] - before[1])[inside] ** 2
-            if name not in self.typical and not changes:
+            if not weight:
                 scalar[missing] = np.nan
                 vector[missing] = np.nan if of_vector else vector[missing]
         return vector, scalar
 
-    def _possible_values(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
-        """Yield samples in which a channel without a typical value has one of its possible ones."""
-        if name in self.typical:
-            return
+    def _groups(self) -> list[tuple[str, ...]]:
+        """Return the missing channels, those together that deviate together."""
+        groups: dict[tuple[str, ...], list[str]] = {}
+        for name in self.rows:
+            groups.setdefault(self.typical[name].group if name in self.typical else (name,), []).append(name)
+        return [tuple(names) for names in groups.values()]
+
+    def _changes(
+        self, names: tuple[str, ...], part: xr.Dataset, near: Rows
+    ) -> tuple[Iterable[xr.Dataset], float]:
+        """Return samples in which missing channels read otherwise, and the weight of each; 0 without any."""
+        if names[0] in self.typical:
+            return self._deviations(names, part, near), 1.0
+        (name,) = names
         places = _TRIED_VALUES.get(name, np.empty(0))
         if not len(places) and name in self.ranges:
             low, high = self.ranges[name]
-            places = (
-                low
-                + (high - low) * (np.arange(SUBSTITUTION_SETTINGS.parts) + 0.5) / SUBSTITUTION_SETTINGS.parts
-            )
-        for place in places:
-            yield _with_series(part, name, np.where(rows, place, np.asarray(part[name].values)))
+            parts = SUBSTITUTION_SETTINGS.parts
+            places = low + (high - low) * (np.arange(parts) + 0.5) / parts
+        values, rows = np.asarray(part[name].values), self.rows[name][near]
+        changes = (_with_series(part, name, np.where(rows, place, values)) for place in places)
+        return changes, 1.0 / len(places) if len(places) else 0.0
 
-    def _deviations(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
-        """Yield samples in which a channel deviates by each of its modes where it was missing.
+    def _deviations(self, names: tuple[str, ...], part: xr.Dataset, near: Rows) -> Iterator[xr.Dataset]:
+        """Yield samples in which channels deviate by each of their common modes where they were missing.
 
-        Sine and cosine together are one sigma at every time, and change as fast as the channel does:
-        some effects follow its rate.
+        Sine and cosine together are one sigma at every time, and change as fast as the mode does: some
+        effects follow its rate.
         """
-        if name not in self.typical:
-            return
-        usual, values = self.typical[name], np.asarray(part[name].values, dtype=np.float64)
         seconds = (part["tt2000"].values - part["tt2000"].values[0]) / SECOND
-        for mode in usual.modes:
-            for wave in (np.cos(usual.rate * seconds), np.sin(usual.rate * seconds)):
-                change = wave[:, None] * mode if values.ndim == 2 else wave * mode[0]
-                yield _with_series(part, name, values + rows * change)
+        for place, rate in enumerate(self.typical[names[0]].rates):
+            for wave in (np.cos(rate * seconds), np.sin(rate * seconds)):
+                changed = part
+                for name in names:
+                    mode, values = self.typical[name].modes[place], np.asarray(part[name].values, np.float64)
+                    change = wave[:, None] * mode if values.ndim == 2 else wave * mode[0]
+                    changed = _with_series(changed, name, values + self.rows[name][near] * change)
+                yield changed
 
 
 def substitute(
@@ -265,7 +314,7 @@ def substitute(
         Its effects name the channels.
     samples : xarray.Dataset
         Aligned raw samples.
-    typical : mapping of str to Typical
+    typical : mapping of str to TypicalValue
         By name in the samples; of a derived channel, that of the series it is made from.
     ranges : mapping of str to (float, float), optional
         Possible values of channels, in addition to `GEOMETRY_RANGES`.

@@ -38,6 +38,7 @@ from inflight.zero_level.estimate import SOLVER_SETTINGS, Estimate, OffsetSearch
 from inflight.zero_level.intervals import AXES, Intervals
 from inflight.zero_level.loops import likelihoods
 from inflight.zero_level.methods import (
+    COMBINED_METHODS,
     METHODS,
     IntervalKinds,
     classify_intervals,
@@ -312,13 +313,20 @@ class CombinedEstimate:
         return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.unusable])
 
 
-def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) -> CombinedEstimate:
+def combine_methods(
+    intervals: Intervals, search: OffsetSearch | None = None, names: Sequence[str] = COMBINED_METHODS
+) -> CombinedEstimate:
     """Estimate the offset by every method on the intervals that suit it.
 
     The methods and their intervals are those of `METHODS`. Which intervals are of which kind depends on the
     offset: both are found in turn until the kinds stay, from several starts. The result is compared with all
-    other offsets within the bound: an axis along which any of them is as likely is not determined, however
-    small the error about the zero found.
+    other offsets within the bound, along each free axis and in the cube of several: an axis along which any
+    of them is as likely is not determined, however small the error about the zero found.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of `METHODS`; one alone is held against the same offsets.
 
     Raises
     ------
@@ -336,7 +344,7 @@ def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) ->
     found, failed = [], []
     for near in begins:
         try:
-            found.append(_combine_from(intervals, search, near))
+            found.append(_combine_from(intervals, search, names, near))
         except CalibrationError as error:
             failed.append(error)
     if not found:
@@ -357,17 +365,20 @@ def combine_methods(intervals: Intervals, search: OffsetSearch | None = None) ->
         if one is not best and (pair := compare_estimates(best.estimate, one.estimate)) and not pair.agrees
     ]
     others = tuple(f"another start leads elsewhere: {one.estimate.summary()}" for one in rivals)
-    return replace(
-        best, estimate=without_ambiguous_axes(intervals, best.estimate, search).with_reasons(*others)
-    )
+    told = without_ambiguous_axes(intervals, best.estimate, search).with_reasons(*others)
+    if sum(search.free) > 1:
+        told = without_rivals(intervals, told, search)
+    return replace(best, estimate=told)
 
 
-def _combine_from(intervals: Intervals, search: OffsetSearch, near: Floats) -> CombinedEstimate:
+def _combine_from(
+    intervals: Intervals, search: OffsetSearch, names: Sequence[str], near: Floats
+) -> CombinedEstimate:
     """Return the result from one offset to begin with."""
     offset, seen = near, set[tuple[bytes, bytes]]()
     for _ in range(COMBINATION_SETTINGS.rounds):
         found = classify_intervals(intervals, offset)
-        methods, unusable = _estimate_by_each(intervals, found, replace(search, near=tuple(offset)))
+        methods, unusable = _estimate_by_each(intervals, found, names, replace(search, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
                 f"no method tells an offset ({found.summary()}): {'; '.join(unusable)}",
@@ -395,13 +406,11 @@ def _combine_from(intervals: Intervals, search: OffsetSearch, near: Floats) -> C
 
 
 def _estimate_by_each(
-    intervals: Intervals, found: IntervalKinds, search: OffsetSearch
+    intervals: Intervals, found: IntervalKinds, names: Sequence[str], search: OffsetSearch
 ) -> tuple[list[Estimate], list[str]]:
     """Return the estimates of the methods, and why others give none."""
     methods, unusable = [], []
-    for method in METHODS.values():
-        if not method.combined:
-            continue
+    for method in (METHODS[name] for name in names):
         try:
             one = method.estimate(intervals, method.suits(found), search)
         except CalibrationError as error:

@@ -132,7 +132,7 @@ def content_key(files: Files, instrument: Instrument) -> str:
     Patterns, positions and orientations do not: changing them makes no new revision of any day. What a
     mission says of stamps and averaging does by what it adds to the stamps.
     """
-    elsewhere = {"files", "position", "orientation", "averaging", "stamp", "delay"}
+    elsewhere = {"files", "position", "orientation", "averaging", "stamp", "delay", "sigma"}
     content = {
         "version": INGEST_VERSION,
         "files": files.model_dump(mode="json", exclude={"pattern", "same_as"}),

@@ -300,26 +300,34 @@ def substitute_missing(
     missing = missing_rows(model, samples)
     if not missing:
         return None
-    typical, ranges = {}, {}
-    for need in (need for need in needs if need.name in missing):
+    lost, ranges = [need for need in needs if need.name in missing], {}
+    for need in lost:
         channel = mission.instruments[need.instrument].channels[need.channel]
         if need.part is None and not channel.axis_names and channel.range is not None:
             ranges[need.name] = channel.range
-        value = typical_value(cat, need, index.typical_days(need, day), day) if need.replaceable else None
-        if value is not None:
-            typical[need.name] = value
+    typical = typical_values(cat, [need for need in lost if need.replaceable], index, day)
     return substitute(model, samples, typical, ranges, missing)
 
 
-def typical_value(cat: Catalog, need: Need, days: Sequence[Day], day: np.datetime64) -> TypicalValue | None:
-    """Return what a channel usually reads, from days of the archive; None when they have too few values."""
-    if not days:
-        return None
-    parts: list[_Part] = [(source, None) for source in days]
-    values = np.asarray(_joined(cat, parts, need.channel), dtype=np.float64)
-    stamps = _joined(cat, parts, "tt2000")
-    origin = [source.day for source in days]
-    return TypicalValue.of(values, stamps, "the day" if origin == [day] else " and ".join(map(str, origin)))
+def typical_values(
+    cat: Catalog, needs: Iterable[Need], index: ArchiveIndex, day: np.datetime64
+) -> dict[str, TypicalValue]:
+    """Return what channels usually read, by name: those of one instrument from the same days together.
+
+    A channel of which no day of the archive has enough values is left out.
+    """
+    groups: dict[tuple[str, tuple[np.datetime64, ...]], list[Need]] = {}
+    for need in needs:
+        days = tuple(source.day for source in index.typical_days(need, day))
+        if days:
+            groups.setdefault((need.dataset, days), []).append(need)
+    found: dict[str, TypicalValue] = {}
+    for (dataset, days), group in groups.items():
+        parts: list[_Part] = [(index.days[dataset, source], None) for source in days]
+        values = {need.name: np.asarray(_joined(cat, parts, need.channel), np.float64) for need in group}
+        source = "the day" if days == (day,) else " and ".join(map(str, days))
+        found |= TypicalValue.of(values, _joined(cat, parts, "tt2000"), source)
+    return found
 
 
 def substitution_report(treated: Mapping[str, EffectSubstitution], scalar_nT: float) -> dict[str, Any]:

@@ -5,12 +5,14 @@ import pytest
 import xarray as xr
 from effect_cases import MISSION, true_samples
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from inflight.calibration import day_parameters, level2, reference_of
 from inflight.calibration.product import DayParameters
 from inflight.errors import ModelError
 from inflight.flags import Flag
 from inflight.frames import itrf_to_nec, to_nec
+from inflight.mission import Mission
 from inflight.model import Model
 from inflight.time import DAY
 
@@ -56,6 +58,33 @@ def test_the_residuals_noise_adds_to_the_uncertainty_in_squares():
     )
     difference = loud["uncertainty"].values ** 2 - quiet["uncertainty"].values ** 2
     assert_allclose(difference, 0.09, rtol=1e-9)
+
+
+def test_what_mounting_and_clock_are_known_to_is_the_spread_over_them():
+    """Thirty nanotesla of a turn by 0.05 degrees; and a field that changes by 1500 nT/s, 2 ms off."""
+    samples = samples_of(VALUE)
+    plain = "orientation: [0, 0, 0, 1]"
+    text = MISSION.text.replace(
+        plain, "orientation: {value: [0, 0, 0, 1], sigma: 0.05}\n    delay: {value: 0 s, sigma: 2 ms}", 1
+    )
+    assert plain in MISSION.text
+    known = Model.parse(model_with(VALUE).text, Mission.parse(text))
+    sure = DayParameters(VALUE, np.zeros((9, 9)), True, 0.0)
+    product = level2(known, samples, sure, known)
+    g, field = np.random.default_rng(8), product["field_spacecraft"].values
+    seconds = (samples["tt2000"].values - samples["tt2000"].values[0]) / 1e9
+    off = []
+    for turn, late in zip(
+        np.deg2rad(0.05) * g.normal(size=(1500, 3)), 0.002 * g.normal(size=1500), strict=True
+    ):
+        moved = np.stack([np.interp(seconds + late, seconds, one) for one in field.T], axis=1)
+        off.append(Rotation.from_rotvec(turn).apply(moved) - field)
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    stated = product["uncertainty"].values
+    inner = slice(1, -1)  # at the ends the interpolation has no further sample
+    assert np.median(stated[inner] / spread[inner]) == pytest.approx(1.0, abs=0.05)
+    assert (stated[inner] > 0.8 * spread[inner]).all()
+    assert not level2(model_with(VALUE), samples, sure, known)["uncertainty"].values.any()
 
 
 def nec_axes(position: np.ndarray) -> np.ndarray:

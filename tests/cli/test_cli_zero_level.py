@@ -120,6 +120,52 @@ def test_a_field_that_hardly_turns_tells_no_zero_level_or_one_that_holds(infligh
     assert np.all(np.abs(error) < 3.0 * sigma)
 
 
+ROLLING = """mission: rolling
+description: A spacecraft that rolls its only magnetometer about z
+instruments:
+  mag:
+    role: vector
+    cadence: 15 s
+    files: {pattern: "mag_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
+    channels: {field: {variables: [x, y, z], unit: nT}}
+comparisons:
+  main: {kind: zero_level, vector: mag, turns: true, methods: [minimum correlation]}
+"""
+
+
+def test_a_spacecraft_that_rolls_its_sensor_has_its_zero_level_by_the_method_asked_for(inflight, tmp_path):
+    """A wind whose direction and size vary apart for hours, in axes that turn about z in 15 minutes."""
+    source, generator = tmp_path / "rolling.yaml", np.random.default_rng(3)
+    source.write_text(ROLLING, encoding="utf-8")
+    made = Workspace.create(tmp_path / "w", source)
+    count = 86400 // 15
+    smooth = np.exp(-(((np.arange(-60, 61)) / 12.0) ** 2))
+    noise = np.stack([np.convolve(one, smooth, "same") for one in generator.normal(size=(4, count))], axis=1)
+    noise /= noise.std(axis=0)
+    direction = np.array([0.6, -0.5, 0.4]) + 0.4 * noise[:, :3]
+    field = 6.0 * np.exp(0.1 * noise[:, 3:]) * direction / np.linalg.norm(direction, axis=1)[:, None]
+    phase = 2.0 * np.pi * np.arange(count) / 60.0
+    x = np.cos(phase) * field[:, 0] + np.sin(phase) * field[:, 1]
+    y = np.cos(phase) * field[:, 1] - np.sin(phase) * field[:, 0]
+    truth = np.stack([x, y, field[:, 2]], axis=1)
+    reading = truth + OFFSET + 0.02 * generator.normal(size=truth.shape)
+    times = np.datetime64("2024-03-01", "s") + 15 * np.arange(count)
+    rows = [f"{at}," + ",".join(f"{one:.4f}" for one in row) for at, row in zip(times, reading, strict=True)]
+    made.data.mkdir(parents=True, exist_ok=True)
+    (made.data / "mag_20240301.csv").write_text("time,x,y,z\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    assert inflight("ingest", *PLAIN, "-w", made.root).code == 0
+    told = inflight("reprocess", *PLAIN, "--json", "-w", made.root)
+    assert told.code == 0
+    (level,) = told.json["zero_levels"]
+    assert level["not_determined"] == []
+    assert level["method"] == "combined (minimum correlation)"
+    product = Catalog(made.root).read_day("l2/field", "2024-03-01")
+    error = np.nanmean(product["field_sensor"].values - truth, axis=0)
+    sigma = np.nanmedian(product["uncertainty"].values, axis=0)
+    assert np.all(np.abs(error) < 3.0 * sigma)
+    assert sigma.max() < 0.2
+
+
 @pytest.mark.slow
 def test_the_constant_part_of_two_sensors_becomes_known_by_a_zero_level_of_their_product(inflight, tmp_path):
     comparisons = "  zero: {kind: zero_level, vector: outboard, product: main}\n"

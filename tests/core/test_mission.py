@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from inflight.errors import MissionError
-from inflight.mission import Mission
+from inflight.mission import Mission, sensors_of
+from inflight.tasks.archive.ingestion import content_key
 
 MISSIONS = sorted((Path(__file__).parents[2] / "missions").glob("*.yaml"))
 SMALL = """mission: probe
@@ -55,6 +56,9 @@ def test_the_template_shows_every_key():
         ("axes: [x, y, z]", "axes: [x, y]", 3, "three axes"),
         ("vector: mag", "vector: fgm", 10, "there is no instrument 'fgm'"),
         ("  mag:", "  mag: [", 5, "not YAML"),
+        ("cadence: 1 s", "cadence: 1 s\n    delay: {value: 1 s}", 3, "delay: {value: ..., sigma: ...}"),
+        ("cadence: 1 s", "cadence: 1 s\n    delay: {value: 1 s, sigma: -1 s}", 6, "instruments.mag.delay"),
+        ("cadence: 1 s", "cadence: 1 s\n    sigma: 0.1", 3, "beside its value"),
     ],
 )
 def test_what_is_wrong_is_named_with_line_and_key(old, new, line, told):
@@ -79,3 +83,19 @@ comparisons:""",
     assert files.reader == "cdf"
     assert files.time == ["Epoch2"]
     assert [(step.since, step.offset) for step in files.clock_offset] == [(None, 13 * 10**9)]
+
+
+def test_position_orientation_and_delay_are_written_with_their_sigma_or_without():
+    plain = Mission.parse(SMALL.replace("cadence: 1 s", "cadence: 1 s\n    delay: 40 ms"))
+    lines = """cadence: 1 s
+    position: {value: [4.75, 0, 0], sigma: 0.02}
+    orientation: {value: [0, 0, 0, 1], sigma: 0.05}
+    delay: {value: 40 ms, sigma: 2 ms}"""
+    stated = Mission.parse(SMALL.replace("cadence: 1 s", lines))
+    mag = stated.instruments["mag"]
+    assert (mag.position, mag.orientation, mag.delay) == ((4.75, 0, 0), (0, 0, 0, 1), 40_000_000)
+    assert mag.sigma.model_dump() == {"position": 0.02, "orientation": 0.05, "delay": 2_000_000}
+    assert sensors_of(stated)["mag"].sigma == mag.sigma
+    assert not any(plain.instruments["mag"].sigma.model_dump().values())
+    # What is known of a place or a clock changes no sample: nothing is read anew.
+    assert len({content_key(one.files("mag"), one.instruments["mag"]) for one in (plain, stated)}) == 1

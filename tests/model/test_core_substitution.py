@@ -34,10 +34,8 @@ def without(samples: xr.Dataset, *channels: str, rows: slice = MISSING) -> xr.Da
 
 
 def typical_of(samples: xr.Dataset, *channels: str) -> dict[str, TypicalValue]:
-    found = {
-        name: TypicalValue.of(samples[name].values, samples["tt2000"].values, "the day") for name in channels
-    }
-    return {name: one for name, one in found.items() if one is not None}
+    values = {name: samples[name].values for name in channels}
+    return TypicalValue.of(values, samples["tt2000"].values, "the day")
 
 
 def product_of(model: Model, stand: SubstitutedSamples | None, samples: xr.Dataset) -> xr.Dataset:
@@ -226,10 +224,48 @@ def test_of_a_product_only_the_missing_factor_is_replaced():
 
 def test_a_typical_value_needs_two_readings_and_keeps_components_together():
     stamps = SECOND * np.arange(500, dtype=np.int64)
-    assert TypicalValue.of(np.array([1.0, np.nan]), stamps[:2], "") is None
+    assert TypicalValue.of({"one": np.array([1.0, np.nan])}, stamps[:2], "") == {}
     wave = np.sin(0.1 * np.arange(500))
-    found = TypicalValue.of(np.stack([wave, -2 * wave, 0 * wave], axis=1), stamps, "the day")
-    assert found is not None
+    found = TypicalValue.of({"one": np.stack([wave, -2 * wave, 0 * wave], axis=1)}, stamps, "the day")["one"]
     assert found.modes.shape == (1, 3)
     assert np.abs(found.modes[0]) == pytest.approx([wave.std(), 2 * wave.std(), 0.0], abs=1e-9)
-    assert found.rate == pytest.approx(0.1, rel=0.01)
+    assert found.rates == pytest.approx([0.1], rel=0.01)
+
+
+def test_channels_of_one_delivery_deviate_together_in_value_and_in_rate():
+    """Their modes sum to the covariances of the readings, and with their rates to those of the changes."""
+    stamps, time = SECOND * np.arange(5000, dtype=np.int64), np.arange(5000.0)
+    slow, fast = np.sin(0.01 * time), np.sin(0.1 * time)
+    series = {"bus": 3 * slow + fast, "heater": 50 * fast, "load": np.stack([slow, slow - fast], axis=1)}
+    found = TypicalValue.of(series, stamps, "the day")
+    modes = np.concatenate([found[name].modes for name in series], axis=1)
+    together = np.column_stack(list(series.values()))
+    assert modes.T @ modes == pytest.approx(np.cov(together, rowvar=False, bias=True), rel=1e-6, abs=1e-9)
+    change = np.diff(together, axis=0)
+    squares = modes.T @ (found["bus"].rates[:, None] ** 2 * modes)
+    assert squares == pytest.approx(change.T @ change / len(change), rel=1e-6, abs=1e-9)
+    # Never known at once: independent.
+    series["bus"][:2500], series["heater"][2500:] = np.nan, np.nan
+    apart = TypicalValue.of({name: series[name] for name in ("bus", "heater")}, stamps, "the day")
+    assert apart["bus"].modes.T @ apart["heater"].modes == pytest.approx(0, abs=1e-9)
+
+
+def test_currents_that_are_missing_together_make_a_field_uncertain_by_their_sum():
+    """Two currents of one bus that take half of each other off: as independent it would be twice too much."""
+    truth = true_samples(0)
+    solar = truth["solar_current"]
+    truth = truth.assign(battery_current=solar.copy(data=5000.0 - 0.5 * solar.values))
+    entries = [
+        entry_of("channel_field", np.random.default_rng(0)) | {"name": name} for name in ("solar", "battery")
+    ]
+    entries[1]["channel"] = "battery_current"
+    entries[1]["coefficient"] = entries[0]["coefficient"]
+    nine = {"effect": "vector_sensor", "sensor": "fgm", "offset": {"time": "block", "value": [0.0, 0, 0]}}
+    model = model_of(nine, *entries)
+    holed = without(model.disturb(truth), "solar_current", "battery_current")
+    product = product_of(
+        model, substitute(model, holed, typical_of(holed, "solar_current", "battery_current")), holed
+    )
+    error = (product["field_sensor"].values - truth["vector"].values)[MISSING]
+    sigma = product["uncertainty"].values[MISSING]
+    assert np.sqrt(np.mean(error**2, axis=0) / np.mean(sigma**2, axis=0)) == pytest.approx(1.0, abs=0.1)

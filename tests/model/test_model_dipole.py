@@ -112,6 +112,29 @@ def test_the_error_of_the_place_is_the_scatter_over_places():
     np.testing.assert_allclose(np.sqrt(np.mean((told - truth) ** 2, axis=0)), expected, rtol=0.1)
 
 
+@pytest.mark.parametrize("sensor", ["fgm", "ovm"])
+def test_the_error_of_a_sensors_place_is_the_scatter_over_its_places(sensor):
+    """Of two sources the errors add up, sign by sign: it is one sensor that stands elsewhere."""
+    sigma, places = 0.1, {"fgm": np.array([4.75, 0.3, 0]), "ovm": np.array([6.5, 0, 0])}
+    text = find_mission("champ").read_text(encoding="utf-8").replace("[4.75, 0, 0]", "[4.75, 0.3, 0]")
+    place = f"position: {places[sensor].tolist()}".replace(".0,", ",").replace(".0]", "]")
+    assert place in text
+    known = Mission.parse(
+        text.replace(place, place.replace("[", "{value: [").replace("]", f"], sigma: {sigma}}}"))
+    )
+    one = TEXT.format(dipole="dipole: {position: [0, 0, 0], sigma: 0}")
+    two = one + one[one.index("  - effect: channel_field") :].replace("battery\n", "other\n")
+    model, samples = Model.parse(two, known), samples_of(2)
+    samples = samples.assign(battery_current=("time", np.ones(2), {"units": "A"}))
+    field, source = 2 * np.array([0.3, -0.2, 0.5]), DipoleSource((0, 0, 0), 0)
+    difference = field - source.transfer(*places.values()) @ field
+    draws = sigma * np.random.default_rng(3).normal(size=(2000, 3))
+    moved = [source.transfer(*{**places, sensor: places[sensor] + draw}.values()) for draw in draws]
+    off = np.array([np.linalg.solve(np.eye(3) - transfer, difference) for transfer in moved]) - field
+    stated = np.sqrt(place_variance(model.effects, samples)[0])
+    np.testing.assert_allclose(stated, np.sqrt(np.mean(off**2, axis=0)), rtol=0.1)
+
+
 def test_the_text_holds_it_and_gives_the_same_model():
     model = model_of()
     again = Model.parse(model.text, MISSION)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.archive import simulated_workspace
+from docs.figures.slow_corrections import BODY_EFFECT, BODY_MODEL, BODY_SETTINGS, fitted_eta
+from docs.figures.stray_fields import TrueError
 from inflight.catalog import Workspace
 from inflight.catalog.workspace import find_mission
 from inflight.errors import CatalogError
@@ -80,6 +82,35 @@ def test_what_a_table_is_made_from_is_said_where_the_mission_lacks_it():
     without = Mission.parse(CHAMP.replace("kind: torquer_current, ", ""))
     with pytest.raises(CatalogError, match="no channel of kind torquer_current"):
         stored_entry(FewTables(), without, "main", "remanent_moment")
+
+
+@pytest.mark.slow
+def test_the_bodys_field_is_taken_off_with_the_torquers_mean(tmp_path):
+    """Nothing but the body's moment changes: what takes 260 days and years takes 3 days in two weeks here."""
+    mission = BODY_SETTINGS.model_copy(update={"days": 14})
+    cat = simulated_workspace(tmp_path / "champ", 14, str(mission.start), settings=mission, workers=1)
+    root, errors = cat.workspace, []
+    (root / "models" / "champ-preflight.yaml").write_text(BODY_MODEL, encoding="utf-8")
+    settings = ReprocessSettings(table="continuous", trend="constant", mean_days=3)
+    for effect in ("", BODY_EFFECT):
+        if effect:
+            open_workbench(Workspace.open(root)).add(effect)
+        report = reprocess(cat, Workspace.open(root).mission(), settings=settings).as_json()
+        assert ("remanent_moment" in str(report.get("warnings"))) == (not effect)
+        errors.append(TrueError.of(cat, mission))
+    before, after = errors
+    # What a model does not have is in no uncertainty; with it the field is right and stated.
+    assert (before.mean > 1.5 * before.stated)[1:].all()
+    assert (after.mean < after.stated).all()
+    assert (after.mean < 0.2 * before.mean)[1:].all()
+    eta, sigma = fitted_eta(cat)
+    parameters = mission.parameters
+    (there, *_), (body, *_) = parameters.vector_position, parameters.remanent_position
+    at_vector = (
+        parameters.remanent_per_current * ((parameters.scalar_position[0] - body) / (there - body)) ** 3
+    )
+    assert sigma < 0.05 * at_vector
+    assert abs(eta - at_vector) < 3 * sigma
 
 
 def made(cat):

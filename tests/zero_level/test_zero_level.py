@@ -19,7 +19,6 @@ from inflight.zero_level import (
     minimum_correlation,
     pairs_within,
     size_angle_covariance,
-    without_rivals,
 )
 from inflight.zero_level.combination import compare_estimates
 from inflight.zero_level.methods import (
@@ -324,12 +323,21 @@ def test_a_sensor_that_turns_right_round_tells_its_offsets():
 def test_a_false_zero_away_from_the_axes_is_found_out(seed, spread):
     # Of a field that turns by a few degrees any arc of readings has a centre, 6 nT from the truth.
     times, field = solar_wind(np.random.default_rng(seed), spread=spread)
-    intervals, search = Intervals.of(times, field, 900.0), OffsetSearch()
-    found = combine_methods(intervals).estimate
-    assert np.nanmax(np.abs(found.value / found.sigma)) > 10.0
-    told = without_rivals(intervals, found, search)
-    assert not told.determined.any()
-    assert "not refused" in told.reasons[-1]
+    intervals = Intervals.of(times, field, 900.0)
+    found = combine_methods(intervals)
+    assert max(np.max(np.abs(one.value / one.sigma)[one.determined]) for one in found.methods) > 10.0
+    assert not found.estimate.determined.any()
+    assert "not refused" in found.estimate.reasons[-1]
+
+
+def test_one_method_alone_is_held_against_the_same_offsets():
+    times, field = solar_wind(np.random.default_rng(3))
+    intervals = Intervals.of(times, field + OFFSET, 900.0)
+    found = combine_methods(intervals, names=("wang-pan",))
+    assert [one.method for one in found.methods] == ["wang-pan"]
+    assert found.estimate.method == "combined (wang-pan)"
+    assert found.estimate.determined.all()
+    assert np.all(np.abs(found.estimate.value - OFFSET) < 4 * found.estimate.sigma)
 
 
 def test_assumptions_are_tested_and_one_that_fails_is_named():

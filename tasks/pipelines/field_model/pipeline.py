@@ -38,7 +38,7 @@ from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_itrf, to_nec
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
-from inflight.model import REFERENCE, Model
+from inflight.model import REFERENCE, Model, instrument_variance
 from inflight.residual import (
     Coordinate,
     daily_scatter,
@@ -446,6 +446,8 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     levels = [noise_floor(one, step).level_nT for one in (body - reference).T]
     noise = float(np.nan_to_num(np.nanmax(levels))) if np.isfinite(levels).any() else 0.0
     variance = field_variance(reading, np.asarray(row["covariance"].values), noise)
+    # The twelve turn the sensor's axes: what its orientation is known to is in their covariance.
+    variance = variance + instrument_variance(sensor, field, stamps, mounting=False)
     change = change_outside(row, table, (start, end), [str(name) for name in row["parameter"].values])
     if change is not None:
         outside = outside_learnt(row, stamps)

@@ -11,7 +11,7 @@ import xarray as xr
 from inflight.calibration import change_outside, outside_learnt
 from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
-from inflight.model import Model, rows_of
+from inflight.model import Model, instrument_variance, rows_of
 from inflight.samples import fold_spins
 from inflight.spin import (
     PARAMETER_NAMES,
@@ -77,6 +77,8 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
         if not np.all(row["determined"].values[free]):
             flag[inside] |= np.uint32(Flag.PRIOR_PARAMETERS)
         uncertainty[inside] = sigma
+    field = np.asarray(corrected["field"].values, dtype=np.float64)
+    uncertainty = np.sqrt(uncertainty**2 + instrument_variance(entry.sensor, field, stamps, mounting=False))
     # Nothing was learnt in eclipses.
     eclipses, _ = eclipses_of(cat, mission, model.comparison, job.needs, job.index, day)
     for one in eclipses:

@@ -55,7 +55,7 @@ from inflight.dual import (
 from inflight.errors import InflightError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import DualComparison, Mission
-from inflight.model import Model
+from inflight.model import Model, instrument_variance
 from inflight.tasks.archive import (
     AMBIENT,
     ArchiveIndex,
@@ -435,6 +435,10 @@ def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dic
     correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
     product = dual_level2(readings, correction, flag, model.comparison)
+    field, sensor = np.asarray(product["field_spacecraft"].values), model.known_layout.sensor("outboard")
+    product["uncertainty"].values[:] = np.sqrt(
+        product["uncertainty"].values ** 2 + instrument_variance(sensor, field, readings.stamps)
+    )
     product = without_constant(product.isel(time=within_day(readings.stamps, day)), batch.table, day)
     product = rounded(product)
     product.attrs |= {

@@ -19,7 +19,8 @@ from inflight.calibration import change_outside, outside_learnt
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError, MissionError
 from inflight.flags import Flag
-from inflight.mission import Mission
+from inflight.mission import Mission, sensors_of
+from inflight.model import instrument_variance
 from inflight.tasks.archive import ArchiveIndex, split_at_flips
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -91,13 +92,13 @@ class ZeroLevelPipeline(Pipeline):
     """Three offsets of a vector sensor from what natural fluctuations of the field do not do.
 
     The statistics of a day are averages of its readings, over whole turns where the spacecraft spins
-    (Hedgecock's rule). Tables have the joint estimate of all methods with the test of each one's assumption
+    (Hedgecock's rule). Tables have the joint estimate of the methods with the test of each one's assumption
     (`inflight.zero_level`). The product is the field without the zero level; its residual the variation of
     the field's size in intervals in which the field turns.
     """
 
     tag = "zero_level"
-    versions = Versions(statistics=1, tables=1, products=1)
+    versions = Versions(statistics=1, tables=2, products=1)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison of a vector sensor with nature."""
@@ -202,6 +203,10 @@ class ZeroLevelPipeline(Pipeline):
         if not known[[AXES.index(axis) for axis in entry.axes]].all():
             flag = flag | np.uint32(Flag.PRIOR_PARAMETERS)
         calibrated = read.field - value
+        if entry.product is None:  # a product has it in its own uncertainty
+            sensor = sensors_of(batch.mission, batch.settings.comparison)[entry.vector]
+            mounting = read.orientation is not None
+            variance = variance + instrument_variance(sensor, calibrated, read.tt2000, mounting=mounting)
         product = rounded(product_variables(read, calibrated, np.sqrt(variance), flag)).assign_attrs(
             mission=batch.mission.mission,
             acknowledgement=batch.mission.acknowledgement,

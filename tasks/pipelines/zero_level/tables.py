@@ -24,7 +24,6 @@ from inflight.mission import ZeroLevelComparison
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
 from inflight.zero_level import (
     AXES,
-    COMBINED_METHODS,
     Assumption,
     CombinedEstimate,
     Intervals,
@@ -33,7 +32,6 @@ from inflight.zero_level import (
     combine_methods,
     correlation_sets,
     independent_covariance,
-    without_rivals,
 )
 
 #: Names of the three parameters.
@@ -110,6 +108,9 @@ class _Row:
     value: Floats
     covariance: Floats
     determined: np.ndarray
+    each: Floats
+    used: Int64
+    why: list[str]
     start: int = 0
     end: int = 0
     learnt: tuple[int, int] = (0, 0)
@@ -117,9 +118,6 @@ class _Row:
     reason: str = ""
     independent: Floats = field(default_factory=lambda: np.full(3, np.nan))
     wander: Floats = field(default_factory=lambda: np.zeros(3))
-    each: Floats = field(default_factory=lambda: np.full((len(COMBINED_METHODS), 2, 3), np.nan))
-    used: Int64 = field(default_factory=lambda: np.zeros(len(COMBINED_METHODS), dtype=np.int64))
-    why: list[str] = field(default_factory=lambda: [""] * len(COMBINED_METHODS))
     tests: tuple[Assumption, ...] = ()
     kinds: tuple[int, int, int] = (0, 0, 0)
     basis: str = ""
@@ -194,10 +192,18 @@ def zero_level_table(
 
 
 def _row(days: Sequence[DayMeans], entry: ZeroLevelComparison) -> _Row:
-    """Return the zero level of the days of a window, by all methods together."""
+    """Return the zero level of the days of a window, by the methods asked for together."""
     search, asked = search_of(entry), np.array([axis in entry.axes for axis in AXES])
     prior = np.where(asked, entry.bound / np.sqrt(3.0), 0.0)
-    row = _Row(np.array(entry.start), np.diag(prior**2), np.zeros(3, dtype=bool))
+    count = len(entry.methods)
+    row = _Row(
+        np.array(entry.start),
+        np.diag(prior**2),
+        np.zeros(3, dtype=bool),
+        np.full((count, 2, 3), np.nan),
+        np.zeros(count, dtype=np.int64),
+        [""] * count,
+    )
     row.basis = "; ".join(sorted({str(day.report["basis"]) for day in days if day.report.get("basis")}))
     row.constant = str(days[0].report.get("constant", ""))
     time, mean = (np.concatenate([getattr(day, name) for day in days]) for name in ("time", "mean"))
@@ -210,18 +216,19 @@ def _row(days: Sequence[DayMeans], entry: ZeroLevelComparison) -> _Row:
                 f"{ZERO_TABLE_SETTINGS.fewest_intervals} needed: take longer windows"
             )
             return row
-        found = combine_methods(intervals, search)
-        found = replace(found, estimate=without_rivals(intervals, found.estimate, search))
+        found = combine_methods(intervals, search, entry.methods)
     except InflightError as error:
         row.reason = f"{error.message}; {error.remedy}" if error.remedy else error.message
         return row
-    _fill_row(row, found, intervals, search)
+    _fill_row(row, found, intervals, search, entry.methods)
     if row.determined.any():
         row.learnt = days[0].start, days[-1].end
     return row
 
 
-def _fill_row(row: _Row, found: CombinedEstimate, intervals: Intervals, search: OffsetSearch) -> None:
+def _fill_row(
+    row: _Row, found: CombinedEstimate, intervals: Intervals, search: OffsetSearch, methods: Sequence[str]
+) -> None:
     """Put what was found into a row: what is determined, each method, tests and reasons."""
     estimate, known = found.estimate, found.estimate.determined
     row.determined, row.method = known, estimate.method
@@ -231,10 +238,10 @@ def _fill_row(row: _Row, found: CombinedEstimate, intervals: Intervals, search: 
     alone = np.sqrt(np.diag(independent_covariance(found.methods, search)))
     row.independent = np.where(known, alone, np.nan)
     for one in found.methods:
-        place = COMBINED_METHODS.index(one.method)
+        place = methods.index(one.method)
         row.each[place] = one.value, np.where(one.determined, one.sigma, np.nan)
         row.used[place], row.why[place] = int(one.used.sum()), "; ".join(one.reasons)
-    for place, name in enumerate(COMBINED_METHODS):
+    for place, name in enumerate(methods):
         told = [one.removeprefix(f"{name}: ") for one in found.unusable if one.startswith(name)]
         row.why[place] = row.why[place] or "; ".join(told)
     row.tests = check_assumptions(found, intervals, search)
@@ -311,7 +318,7 @@ def _table(rows: Sequence[_Row], entry: ZeroLevelComparison, attributes: Mapping
         coords={
             "parameter": list(NAMES),
             "other": list(NAMES),
-            "method_name": list(COMBINED_METHODS),
+            "method_name": list(entry.methods),
             "kind": ["Alfvenic", "compressional", "neither"],
         },
         attrs=dict(attributes),
