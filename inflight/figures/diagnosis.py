@@ -615,7 +615,12 @@ def error_figure(
         if not mask.any():
             continue
         at = [name for name, chosen in zip(names, mask, strict=True) if chosen]
-        text = [f"{1000.0 * (after - before):+.3g} pT" for before, after in held[mask]]
+        # Of many changes only those that can be seen are told: texts would run into each other.
+        told = 0.0 if len(shown) <= _TOLD else 0.02 * most
+        text = [
+            f"{1000.0 * (after - before):+.3g} pT" if abs(after - before) >= told else ""
+            for before, after in held[mask]
+        ]
         columns = {"change": at, "before": held[mask, 0], "after": held[mask, 1], "text": text}
         source = ColumnDataSource(columns | {"high": held[mask].max(axis=1), "all": whole[mask]})
         bar = plot.vbar(
@@ -657,6 +662,8 @@ def error_figure(
     return plot
 
 
+#: Changes of which each is told in numbers.
+_TOLD = 5
 #: Characters of a change under its bar.
 _SHOWN = 24
 

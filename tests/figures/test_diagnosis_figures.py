@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from bokeh.embed import json_item
-from bokeh.models import BoxAnnotation, ColorBar, Span
+from bokeh.models import BoxAnnotation, ColorBar, Span, VBar
 
 from inflight.diagnosis import (
     HEADING,
@@ -26,6 +26,7 @@ from inflight.figures import (
     candidate_table,
     cross_talk_figure,
     epoch_figure,
+    error_figure,
     facts_list,
     fold_figure,
     gain_change_figure,
@@ -440,3 +441,16 @@ def test_parameters_are_shortened_and_labels_stay_distinct():
     assert short_parameter("channel_field(heater).coefficient[y]") == "heater y"
     assert bare_parameter("seconds") == "seconds"
     assert len(set(unique_labels(["a", "a", "b", "a"]))) == 4
+
+
+def test_the_error_falls_from_version_to_version_and_what_is_tried_stands_last():
+    sizes = {"held_out_nT": [0.2, 0.1], "in_sample_nT": [0.19, 0.09], "noise_floor_nT": 0.08}
+    change = {"command": "", "effect": "add day_night", "model": {"version": 2, "parent": 1}, "error": sizes}
+    more = sizes | {"held_out_nT": [0.1, 0.09]}
+    trial = {"command": "try", "effect": "try scale_drift", "model": {"version": 2}, "error": more}
+    plot = error_figure([change], trial)
+    assert plot.x_range.factors == ["1: as found", "2: day_night", "try: scale_drift"]
+    bars = [one for one in plot.renderers if isinstance(one.glyph, VBar) and "after" in one.data_source.data]
+    drawn = [list(one.data_source.data[end]) for one in bars for end in ("before", "after")]
+    assert drawn == [[0.2], [0.1], [0.1], [0.09]]
+    assert [one.location for one in plot.center if isinstance(one, Span)] == [0.08]
