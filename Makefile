@@ -62,7 +62,7 @@ test-slow: setup  ## run the long physics cases and real records that 'make test
 cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
 	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)
 
-coverage: setup  ## print how often the truth lies within the stated sigmas, by effect (half an hour)
+coverage: setup  ## print how often the truth lies within the stated sigmas: tables, products, effects (an hour)
 	$(BIN)/python -m benchmarks coverage
 
 lint: setup  ## check style, types and the direction of imports

@@ -55,6 +55,15 @@ def _show_spin_coverage(seeds: int) -> None:
         print("\n".join(table(spin_coverage(seeds))), flush=True)
 
 
+def _show_table_coverage(seeds: int, only: str) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from benchmarks.table_coverage import table, table_coverage
+
+    with threadpool_limits(1):
+        print("\n".join(table(list(table_coverage(seeds, only)))), flush=True)
+
+
 def _show_left_out(kept: Path | None, only: str) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -91,11 +100,12 @@ def _show_real_cadence(real: Path) -> None:
 
 def _show_answers(given: argparse.Namespace, which: Sequence[str]) -> None:
     """Show how right answers are: what is measured of the search's verdicts and sigmas."""
+    if "coverage" in which or "table_coverage" in which:
+        _show_table_coverage(given.seeds or 12, given.only if "table_coverage" in which else "")
+    if "coverage" in which or "spin_coverage" in which:
+        _show_spin_coverage(given.seeds or 100)
     if "coverage" in which:
-        _show_spin_coverage(given.seeds)
-        _show_coverage(given.keep, given.seeds, given.only)
-    if "spin_coverage" in which:
-        _show_spin_coverage(given.seeds)
+        _show_coverage(given.keep, given.seeds or 200, given.only)
     if "left_out" in which:
         _show_left_out(given.keep, given.only)
     if "real_cadence" in which:
@@ -110,8 +120,8 @@ def main() -> None:
     parser.add_argument(
         "which",
         nargs="*",
-        choices=[*_ALL, "coverage", "spin_coverage", "left_out", "real_cadence", []],
-        help="all but coverage, spin_coverage (a part of it), left_out and real_cadence when absent",
+        choices=[*_ALL, "coverage", "table_coverage", "spin_coverage", "left_out", "real_cadence", []],
+        help="all but coverage, its parts table_coverage, spin_coverage, left_out, real_cadence when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
@@ -119,9 +129,15 @@ def main() -> None:
         "--growth", type=int, nargs="*", default=[30, 100], help="lengths of growing records, days (30 100)"
     )
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
-    parser.add_argument("--seeds", type=int, default=200, help="residuals drawn of each effect (200)")
     parser.add_argument(
-        "--only", default="", help="cases of left_out, or effects of coverage, whose name holds this"
+        "--seeds",
+        type=int,
+        help="missions of each pipeline (12), of a spinning sensor (100), residuals of each effect (200)",
+    )
+    parser.add_argument(
+        "--only",
+        default="",
+        help="cases of left_out, pipelines of table_coverage or effects of coverage whose name holds this",
     )
     parser.add_argument("--real", type=Path, help="folder of real measurements, for real_cadence")
     given = parser.parse_args()

@@ -7,7 +7,7 @@ where one interval ends and the next begins.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -28,7 +28,8 @@ VALUE_ORIGINS = ("prior", "combination", "data")
 class Interval:
     """One row of a table: a half-open TT2000 span, its solution and what it was made from.
 
-    `learnt` is the part of the span that has data, half-open TT2000; empty where nothing has.
+    `learnt` is the part of the span that has data, half-open TT2000; empty where nothing has. `held` is by
+    how much one sigma of each number that the model holds moves the parameters (number, parameter).
     """
 
     start: int
@@ -41,6 +42,7 @@ class Interval:
     before: float
     after: float
     blocks: int = 1
+    held: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def calibration_table(
@@ -52,15 +54,19 @@ def calibration_table(
     -------
     xarray.Dataset
         dims interval, parameter, other: `value`, `sigma`, `covariance`, `prior`, `prior_sigma` in
-        the units of `units` (parameter); `determined` (bool), `retained`, `source` (codes of
-        `VALUE_ORIGINS`): *prior* never moved, *combination* moved only as part of a combination that the
+        the units of `units` (parameter); where numbers of the model have errors, too, `conditional_sigma` and
+        `conditional_covariance` for given values of these; `determined` (bool), `retained`, `source` (codes
+        of `VALUE_ORIGINS`): *prior* never moved, *combination* moved only as part of a combination that the
         data determine, *data* determined by itself; `start`, `end` TT2000; `count`, `before`,
         `after` (nT rms), `directions` (number of combinations determined), `inflation`; `learnt_start`,
         `learnt_end`: see `inflight.calibration.extrapolation`.
     """
     names = reference.columns
     of_rows, each = ("interval",), ("interval", "parameter")
-    sigma = np.array([np.sqrt(np.diag(row.covariance)) for row in rows])
+    conditional = np.array([row.covariance for row in rows])
+    covariance = np.array(
+        [row.covariance + row.held.T @ row.held if row.held.size else row.covariance for row in rows]
+    )
     determined, moved = (
         np.array([getattr(row.solution, name) for row in rows]) for name in ("determined", "moved")
     )
@@ -73,8 +79,8 @@ def calibration_table(
     table = xr.Dataset(
         {
             "value": (each, np.array([row.value for row in rows])),
-            "sigma": (each, sigma),
-            "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
+            "sigma": (each, np.sqrt(np.einsum("ijj->ij", covariance))),
+            "covariance": ((*each, "other"), covariance),
             "determined": (each, determined),
             "retained": (each, np.array([row.solution.retained for row in rows])),
             "source": (
@@ -94,6 +100,11 @@ def calibration_table(
         coords={"parameter": names, "other": names},
         attrs=attributes,
     )
+    if any(row.held.size for row in rows):
+        table = table.assign(
+            conditional_sigma=(each, np.sqrt(np.einsum("ijj->ij", conditional))),
+            conditional_covariance=((*each, "other"), conditional),
+        )
     learnt = np.array([row.learnt for row in rows], dtype=np.int64)
     return with_learnt_spans(table, learnt[:, 0], learnt[:, 1])
 
@@ -198,8 +209,10 @@ def table_boundary_steps(
     small = np.array([1e-6] * 3 + [1e-3] * 3 + [1e-1] * 3)
     changed = value[0] + np.diag(small)
     slope = _steps(np.broadcast_to(value[0], changed.shape), changed, strength, directions)[0] / small
+    # What is off by the same in both intervals makes no step.
     if "covariance" in table:
-        covariance = table["covariance"].values[:, order][:, :, order]
+        whole = table["conditional_covariance" if "conditional_covariance" in table else "covariance"]
+        covariance = whole.values[:, order][:, :, order]
     else:
         own = table["sigma"].values[:, order] if "sigma" in table else np.zeros(value.shape)
         covariance = np.einsum("ti,ij->tij", own**2, np.eye(9))

@@ -442,13 +442,13 @@ def correctable_grams(
     gram = np.array(raw.rows(order, order), dtype=np.float64)
     count = raw.count.copy()
     for block in np.unique(series.block[gaps.rows]):
-        own = series.block == block
+        own = slice(*np.searchsorted(series.block, [block, block + 1]).tolist())
         weight = series["weight"][own]
         share = _weight_part(gaps.rows[own], weight)
         if share <= 0:
             continue
         bins = count[block] / (weight.sum() * values.shape[1])
-        flat = [values[some].reshape(-1, values.shape[2]) for some in (own, own & gaps.rows)]
+        flat = [one.reshape(-1, values.shape[2]) for one in (values[own], values[own][gaps.rows[own]])]
         every, lost = (part.T @ part * bins for part in flat)
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
@@ -482,7 +482,8 @@ class DiagnosisData:
     outliers : Outliers
         Samples that the pass skipped.
     columns : dict of str to ndarray, shape (column, row)
-        Columns of the series by term, weighted: those of the model are asked for again and again.
+        Columns of the series by term, weighted: those of the model are asked for again and again. Also what
+        trials left in each block (see `FormTrials.loss`).
     gaps : UncorrectableRows, optional
         Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
     switched : JumpAttribution, optional

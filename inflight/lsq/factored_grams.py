@@ -274,7 +274,7 @@ class FactoredGrams:
         """Return the places of columns by name; `CalibrationError` when one is not there."""
         return places_of(names, self._by_name)
 
-    @property
+    @cached_property
     def residuals(self) -> list[int]:
         """Places of the residuals."""
         return [place for place, name in enumerate(self.names) if is_residual(name)]

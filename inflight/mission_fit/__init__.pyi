@@ -22,6 +22,7 @@ from .day_night import (
     sunlit_duty,
     switched_columns,
 )
+from .held_numbers import held_products, held_shifts, held_terms
 from .joint_effects import (
     JointDayNight,
     compare_temperatures_jointly,
@@ -154,6 +155,9 @@ __all__ = [
     "fit_step",
     "fit_trends",
     "free_terms",
+    "held_products",
+    "held_shifts",
+    "held_terms",
     "hysteresis_loop",
     "instrument_spectra",
     "joint_cross_talk",

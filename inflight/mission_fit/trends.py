@@ -122,6 +122,10 @@ def equations_of_table(table: xr.Dataset) -> NormalEquations:
     CalibrationError
         When nothing in the table is determined.
     """
+    if "conditional_covariance" in table:
+        # The errors of held numbers are the same in all intervals: no weights.
+        each = ("conditional_sigma", "conditional_covariance")
+        table = table.assign(sigma=table[each[0]], covariance=table[each[1]])
     value = table["value"].values
     known = np.isfinite(value) & np.isfinite(table["sigma"].values) & (table["sigma"].values > 0)
     if "determined" in table:

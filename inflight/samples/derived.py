@@ -338,6 +338,8 @@ def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Float
     out = np.full_like(values, np.nan)
     for column in range(values.shape[1]):
         state, previous, elapsed, known = 0.0, 0.0, 0.0, False
+        # An even series has one step: its exponential is the larger part of the work.
+        step, decay = -1.0, 0.0
         for i in range(values.shape[0]):
             if i > 0:
                 elapsed += steps[i - 1]
@@ -348,8 +350,10 @@ def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Float
                 state = now
             elif elapsed > 0.0:
                 # Solution for an input that is a straight line: it lags by the slope times the lag.
+                if elapsed != step:
+                    step, decay = elapsed, np.exp(-elapsed / lag)
                 delay = (now - previous) / elapsed * lag
-                state = now - delay + (state - previous + delay) * np.exp(-elapsed / lag)
+                state = now - delay + (state - previous + delay) * decay
             previous, elapsed, known = now, 0.0, True
             out[i, column] = state
     return out

@@ -1,10 +1,11 @@
-from .figure import Agreement, EvidenceKind, PublishedFigure, ScorecardResult, ToleranceInterval
+from .figure import Agreement, Estimate, EvidenceKind, PublishedFigure, ScorecardResult, ToleranceInterval
 from .registry import SECTIONS, figures, run_scorecard, select_figures
 from .scene import OrbitDay, SimulatedDays
 
 __all__ = [
     "SECTIONS",
     "Agreement",
+    "Estimate",
     "EvidenceKind",
     "OrbitDay",
     "PublishedFigure",

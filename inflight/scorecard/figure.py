@@ -6,10 +6,13 @@ by what the obtained value rests on: ``derived``, ``recovered`` and ``needs_data
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
+from inflight.arrays import Floats
 from inflight.errors import SettingsError
 from inflight.scorecard.scene import SimulatedDays
 
@@ -19,6 +22,40 @@ Agreement = Literal["reproduced", "contradicted", "not reproducible", "needs dat
 RECOVERED = "The estimator returns what was put in: this proves it, not the figure."
 #: A number, or several that belong together.
 Value = float | tuple[float, ...]
+#: Own sigmas by which a recovered value may be off: one of 16,000 right ones is further.
+OWN_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values that an estimator returned, with the sigma that it states of each.
+
+    Attributes
+    ----------
+    value, sigma : tuple of float
+    """
+
+    value: tuple[float, ...]
+    sigma: tuple[float, ...]
+
+    @classmethod
+    def of(cls, value: Floats | float, sigma: Floats | float) -> Estimate:
+        """Return an estimate of arrays of any shape, or of numbers."""
+        return cls(*(tuple(np.ravel(one).tolist()) for one in (value, sigma)))
+
+    @classmethod
+    def mean(cls, each: Sequence[Estimate]) -> Estimate:
+        """Return the mean of independent estimates."""
+        sigma = np.sqrt(np.sum(np.square([one.sigma for one in each]), axis=0)) / len(each)
+        return cls.of(np.mean([one.value for one in each], axis=0), sigma)
+
+    def part(self, which: slice) -> Estimate:
+        """Return some of the values."""
+        return Estimate(self.value[which], self.sigma[which])
+
+    def times(self, factor: float) -> Estimate:
+        """Return the estimate in another unit, or at another place."""
+        return Estimate.of(factor * np.array(self.value), abs(factor) * np.array(self.sigma))
 
 
 @dataclass(frozen=True)
@@ -57,7 +94,11 @@ class PublishedFigure:
     why : str
         One sentence on the verdict.
     obtain : callable, optional
-        Function of the `SimulatedDays` that works the value out; None when it cannot be.
+        Function of the `SimulatedDays` that works the value out; None when it cannot be. With an `Estimate`,
+        each value must also lie within `OWN_SIGMAS` of the sigma that its estimator states.
+    nominal : float or tuple of float, optional
+        What an estimator returns that learns nothing from the data: the ground's value, no field, no shift.
+        It must not be reproduced. For figures recovered from an injection.
     printed : bool
         Whether the source prints the number; otherwise it is what theory or geometry makes one expect.
     """
@@ -71,7 +112,8 @@ class PublishedFigure:
     tolerance: Tolerance
     basis: EvidenceKind
     why: str
-    obtain: Callable[[SimulatedDays], Value] | None = None
+    obtain: Callable[[SimulatedDays], Value | Estimate] | None = None
+    nominal: Value | None = None
     printed: bool = True
 
     def __post_init__(self) -> None:
@@ -89,6 +131,8 @@ class PublishedFigure:
     def report(self, scene: SimulatedDays) -> ScorecardResult:
         """Work the figure out."""
         obtained = self.obtain(scene) if self.obtain else None
+        if isinstance(obtained, Estimate):
+            return ScorecardResult(self, obtained.value, obtained.sigma)
         if isinstance(obtained, tuple):
             obtained = tuple(float(one) for one in obtained)
         elif obtained is not None:
@@ -102,6 +146,7 @@ class ScorecardResult:
 
     figure: PublishedFigure
     obtained: Value | None
+    sigma: tuple[float, ...] | None = None
 
     @property
     def verdict(self) -> Agreement:
@@ -121,6 +166,9 @@ class ScorecardResult:
         if len(obtained) != len(published):
             return False
         reach = tolerance if isinstance(tolerance, tuple) else (tolerance,) * len(published)
+        if self.sigma is not None:
+            # Of a NaN, the minimum is one: a sigma that is not there holds nothing.
+            reach = tuple(np.minimum(reach, OWN_SIGMAS * np.array(self.sigma)).tolist())
         # A number that is not there is not near to anything: NaN compares as False.
         return all(
             abs(one - other) <= far for one, other, far in zip(obtained, published, reach, strict=True)
@@ -142,6 +190,7 @@ class ScorecardResult:
             "printed": figure.printed,
             "published": figure.published,
             "obtained": self.obtained,
+            "sigma": self.sigma,
             "tolerance": within,
             "basis": figure.basis,
             "verdict": self.verdict,

@@ -31,7 +31,7 @@ from inflight.mission_fit import (
 )
 from inflight.residual import find_steps
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import RECOVERED, PublishedFigure
+from inflight.scorecard.figure import RECOVERED, Estimate, PublishedFigure
 from inflight.scorecard.scene import DAYS, MJD_ZERO, SimulatedDays
 from inflight.scorecard.spacecraft_fields import CAMERA, CHANGE, CHANGE_ERROR, PANELS, SCALAR, VECTOR
 from inflight.simulate import Parameters, Sampling, mean_current, torquer_currents
@@ -129,20 +129,21 @@ def _arrays(scene: SimulatedDays, both: bool) -> tuple[xr.Dataset, Floats]:
     return concat_epochs(parts), np.concatenate(hours)
 
 
-def difference_of_array(scene: SimulatedDays) -> tuple[float, ...]:
+def difference_of_array(scene: SimulatedDays) -> Estimate:
     """Return the field of the first panel at the vector sensor less that at the scalar sensor, nT/A."""
     epochs, _ = _arrays(scene, both=False)
-    return tuple(fit_step(epochs).value[0])
+    found = fit_step(epochs).fit
+    return Estimate.of(found.value, found.sigma)
 
 
-def both_panels(scene: SimulatedDays) -> tuple[float, ...]:
+def both_panels(scene: SimulatedDays) -> Estimate:
     """Return both panels' fields at the vector sensor: the fitted differences, split as a dipole's; nT/A."""
     epochs, hours = _arrays(scene, both=True)
     model = next(one for one in select_panel_model(epochs, hours).models if one.name == "two_panels")
-    return tuple(float(one) for row in model.value for one in dipole_split(row, VECTOR, SCALAR).vector)
+    return Estimate.of(*(_SPLIT[0] * one for one in (model.value, model.sigma)))
 
 
-def field_of_camera(scene: SimulatedDays) -> float:
+def field_of_camera(scene: SimulatedDays) -> Estimate:
     """Return the change of dB along z of the camera's current, nT/mA."""
     parts = []
     for mjd in DAYS:
@@ -150,10 +151,11 @@ def field_of_camera(scene: SimulatedDays) -> float:
         current = _DAZZLED * _switched(day, random)
         field = current[:, None] * np.array([0.0, 0.0, 1e3 * CAMERA])
         parts.append(_epochs(day, _disturbed(day, field, random), current, "camera_current"))
-    return float(fit_step(concat_epochs(parts)).value[0, 2]) / 1e3
+    found = fit_step(concat_epochs(parts)).fit
+    return Estimate.of(found.value[2], found.sigma[2]).times(1e-3)
 
 
-def change_of_matrix(scene: SimulatedDays) -> tuple[float, ...]:
+def change_of_matrix(scene: SimulatedDays) -> Estimate:
     """Return what the scalar sensor's torquer matrix lacks: robust mean of daily fits, row by row, nT/A."""
     parts = []
     for mjd in DAYS:
@@ -166,10 +168,10 @@ def change_of_matrix(scene: SimulatedDays) -> tuple[float, ...]:
             residual = _disturbed(day, field, np.random.default_rng([23, mjd, seed]))
             parts.append(band_equations(day.stamps, residual, day.direction, current))
     found = robust_mean(daily_fits(concat_band_equations(parts)))
-    return tuple((-found["value"].values).ravel())
+    return Estimate.of(-found["value"].values, found["sigma"].values)
 
 
-def eta(scene: SimulatedDays) -> float:
+def eta(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of eta at the scalar sensor, fitted to dB on the mean currents, nT/mA."""
     over = _SPLIT[0] / _SPLIT[1]
     grams = np.array([scene.day(mjd).direction.T @ scene.day(mjd).direction for mjd in DAYS])
@@ -188,8 +190,9 @@ def eta(scene: SimulatedDays) -> float:
         field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
         gram = _grams_with(grams[days % len(grams)], field, count, random)
         mean = filled_running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
-        found.append(fit_remanence_factor(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0])
-    return float(np.mean(found)) / 1e3
+        fit = fit_remanence_factor(day, gram, np.full(_ETA_DAYS, count), mean)
+        found.append(Estimate.of(*fit.at_scalar(over)).times(1e-3))
+    return Estimate.mean(found)
 
 
 def _grams_with(own: Floats, field: Floats, count: float, random: np.random.Generator) -> Floats:
@@ -236,6 +239,7 @@ FIGURES = (
         # Three times the inverse of the columns' information, 0.042 nT a step, 476 steps; e_y is 0.15 rms.
         tolerance=(0.0014, 0.0051, 0.0010),
         obtain=difference_of_array,
+        nominal=(0.0, 0.0, 0.0),
         printed=False,
     ),
     recovered(
@@ -247,6 +251,7 @@ FIGURES = (
         # The same with both panels, times the split's 1.64.
         tolerance=(0.0035, 0.0136, 0.0024, 0.0038, 0.0145, 0.0026),
         obtain=both_panels,
+        nominal=(0.0,) * 6,
         why="The estimator returns what was put in; along y, which e hardly has, steps tell little.",
     ),
     recovered(
@@ -258,6 +263,7 @@ FIGURES = (
         # Three times the inverse of the column's information, 238 steps.
         tolerance=2.4e-5,
         obtain=field_of_camera,
+        nominal=0.0,
     ),
     recovered(
         id="torquer.recovered",
@@ -268,6 +274,7 @@ FIGURES = (
         # The printed errors, or the scatter of these days where it is larger.
         tolerance=tuple(max(pair) for pair in zip(CHANGE_ERROR, _BAND_SCATTER, strict=True)),
         obtain=change_of_matrix,
+        nominal=(0.0,) * 9,
         why="The estimator returns what was put in, sign included: this proves it, not the matrix.",
     ),
     recovered(
@@ -279,6 +286,7 @@ FIGURES = (
         # Days scatter by 2 mA, the mean current changes by 2.5 mA rms: 2 % of a mission, 1 % of four.
         tolerance=0.0002,
         obtain=eta,
+        nominal=0.0,
     ),
     recovered(
         id="distribution.period",
@@ -290,6 +298,7 @@ FIGURES = (
         # Noise 0.02 s, and both ends of the day.
         tolerance=0.2,
         obtain=half_passed,
+        nominal=float("inf"),
         why="A filter of zero phase whose name the thesis does not print.",
     ),
     recovered(
@@ -301,6 +310,7 @@ FIGURES = (
         published=(0.2240, 0.0886),
         tolerance=(0.002, 0.0007),
         obtain=distributed,
+        nominal=(0.0, 0.24),
         printed=False,
         why="It takes what is slow, whatever the cause, and 3 % of the noise's power.",
     ),

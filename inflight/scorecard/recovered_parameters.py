@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 import xarray as xr
 
-from inflight.arrays import Floats
 from inflight.calibration import (
     NormalEquations,
     ParameterPrior,
@@ -34,7 +33,7 @@ from inflight.mission_fit import (
     make_trend,
 )
 from inflight.scorecard import continuous_parameters
-from inflight.scorecard.figure import RECOVERED, PublishedFigure
+from inflight.scorecard.figure import RECOVERED, Estimate, PublishedFigure
 from inflight.scorecard.scalar_calibration import (
     ANGLES,
     OFFSETS,
@@ -60,6 +59,8 @@ _BOUNDARIES = (500, 3000)
 _REGRESSION_NOISE, _OFFSET_RMS, _OFFSET_ERROR, _OFFSET_DAYS = 0.0390, 0.5, 0.01, 60
 #: Coil: linear (ppm/K) and quadratic (1/K^2) coefficients, lag (s) and reference (degC, chosen).
 _COIL, _QUADRATIC, _LAG, _REFERENCE = (29.6, 30.37, 30.46), 4e-8, 100.0, 10.0
+#: Middle of the 15 days of the standard calibration, MJD, and its time shift, bias and lag of the coil.
+_STANDARD_DAY, _THREE = 500.0, (0.015, -0.4, _LAG)
 #: Three times the inverse of the columns' information for the mean over seeds.
 _COIL_SCATTER = (0.081, 0.59, 0.024, 0.45)
 
@@ -94,10 +95,10 @@ def _trend(scene: SimulatedDays, seed: int, origin: float, search: bool) -> Tren
     return (fit_origin if search else fit_trends)(equations, trends, _PRIOR)
 
 
-def law(scene: SimulatedDays) -> Floats:
+def law(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of la, lb of x, y, z in turn, then angles and offsets."""
     fits = [scene.cached(_trend, seed, float(SCALE_ORIGIN), False) for seed in range(SEEDS)]
-    return np.asarray(np.mean([fit.value for fit in fits], axis=0))
+    return Estimate.mean([Estimate.of(fit.value, fit.sigma) for fit in fits])
 
 
 def ageing_between_middles(boundary: int) -> float:
@@ -105,14 +106,16 @@ def ageing_between_middles(boundary: int) -> float:
     return continuous_parameters.ageing(boundary - 7.5)
 
 
-def _of_law(scene: SimulatedDays, part: slice) -> tuple[float, ...]:
-    return tuple(scene.cached(law)[part])
+def _of_law(scene: SimulatedDays, part: slice) -> Estimate:
+    return scene.cached(law).part(part)
 
 
-def origin_of_law(scene: SimulatedDays) -> float:
+def origin_of_law(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of the fitted origin, MJD; NaN where one was not determined."""
     found = [_trend(scene, seed, _WRONG_ORIGIN, True).origin for seed in range(SEEDS)]
-    return float(np.mean([one.mjd if one and one.determined else np.nan for one in found]))
+    return Estimate.mean(
+        [Estimate.of(one.mjd if one.determined else np.nan, one.sigma) for one in found if one]
+    )
 
 
 def jump_of_intervals(scene: SimulatedDays, boundary: int) -> float:
@@ -141,7 +144,7 @@ def jump_of_law(scene: SimulatedDays) -> tuple[float, ...]:
     return tuple(found.rms)
 
 
-def regression(scene: SimulatedDays) -> tuple[float, float]:
+def regression(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of factor and noise^2 of eq. 3.6 from days with known offsets."""
     found = []
     for seed in range(SEEDS):
@@ -156,12 +159,38 @@ def regression(scene: SimulatedDays) -> tuple[float, float]:
         measured = offset + generator.normal(0.0, _OFFSET_ERROR, offset.size)
         statistics = xr.concat(parts, "interval", join="exact")
         fit = fit_spread_law(statistics, measured, np.full(offset.size, _OFFSET_ERROR))
-        found.append((fit.factor, fit.noise))
-    factor, noise = np.mean(found, axis=0)
-    return float(factor), float(noise)
+        found.append(Estimate.of(np.array([fit.factor, fit.noise]), np.sqrt(np.diag(fit.covariance))))
+    return Estimate.mean(found)
 
 
-def time_shift(scene: SimulatedDays) -> float:
+def twelve(scene: SimulatedDays) -> Estimate:
+    """Return the mean over seeds of the standard calibration's twelve from 15 days' equations.
+
+    Scale factors, angles (deg) and offsets (nT), the time shift (s), the bias (nT) and the coil's lag (s).
+    """
+    truth = np.append(champ_parameters(_STANDARD_DAY), _THREE)
+    nominal = np.array([1.0] * 3 + [90.0] * 3 + [0.0] * 6)
+    found = []
+    for seed in range(SEEDS):
+        blocks = []
+        for number in range(15):
+            day = scene.day(DAYS[number % len(DAYS)])
+            turn = 2.0 * np.pi * 30.0 * np.arange(day.strength.size) / 5560.0
+            warming = 2.0 * np.pi / 5560.0 * (4.0 * np.cos(2.0 * turn) - 5.0 * np.sin(turn))
+            columns = nine_columns(day.field) | {"time_shift": day.rate, "bias": np.ones_like(day.rate)}
+            columns["lag"] = day.strength * warming * (day.direction**2 @ np.array(_COIL)) * 1e-6
+            noise = np.random.default_rng([33, seed, number]).normal(0.0, NOISE, day.rate.size)
+            residual = noise - np.stack(list(columns.values()), axis=1) @ (truth - nominal)
+            start, end = (
+                int(edge) for edge in from_mjd2000(np.array([0.0, 1.0]) + _STANDARD_DAY - 7.5 + number)
+            )
+            blocks.append(block_equations(columns, residual, (start, end)))
+        fit = fit_trends(concat_equations(blocks), {}, np.full(12, 1e3))
+        found.append(Estimate.of(nominal + fit.value, fit.sigma))
+    return Estimate.mean(found)
+
+
+def time_shift(scene: SimulatedDays) -> Estimate:
     """Return the mean over days and seeds of a shift of the scalar stamps fitted beside the nine, s."""
     found = []
     for seed in range(SEEDS):
@@ -170,11 +199,12 @@ def time_shift(scene: SimulatedDays) -> float:
             columns = nine_columns(day.field) | {"time_shift": day.rate}
             noise = np.random.default_rng([8, seed, mjd]).normal(0.0, NOISE, day.rate.size)
             equations = block_equations(columns, noise - 0.015 * day.rate, day.span)
-            found.append(fit_trends(equations, {}, np.full(10, 1e3)).value[-1])
-    return float(np.mean(found))
+            fit = fit_trends(equations, {}, np.full(10, 1e3))
+            found.append(Estimate.of(fit.value[-1], fit.sigma[-1]))
+    return Estimate.mean(found)
 
 
-def _coil(scene: SimulatedDays, seed: int) -> Floats:
+def _coil(scene: SimulatedDays, seed: int) -> Estimate:
     """Return linear coefficients and lag of a coil's temperature put into parts of the scene's days."""
     blocks = []
     for mjd in DAYS:
@@ -193,12 +223,13 @@ def _coil(scene: SimulatedDays, seed: int) -> Floats:
             own = {"coil": temperature[0][part]}
             blocks.append(CoilBlock(stamps[part], day.field[part], residual[part], own))
     fit = fit_coil_samples(blocks, "coil", reference=_REFERENCE)
-    return np.append(1e6 * fit.linear, fit.lag[0])
+    lag, lag_sigma = fit.lag
+    return Estimate.of(np.append(1e6 * fit.linear, lag), np.append(1e6 * fit.fit.sigma[:3], lag_sigma))
 
 
-def coil(scene: SimulatedDays) -> tuple[float, ...]:
+def coil(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of the linear coefficients x, y, z (ppm/K) and the lag (s)."""
-    return tuple(np.mean([_coil(scene, seed) for seed in range(SEEDS)], axis=0))
+    return Estimate.mean([_coil(scene, seed) for seed in range(SEEDS)])
 
 
 SECTION = continuous_parameters.SECTION
@@ -218,7 +249,8 @@ FIGURES = (
         source="Yin 2010, section 2.4",
         published=_COIL,
         tolerance=_COIL_SCATTER[:3],
-        obtain=lambda scene: scene.cached(coil)[:3],
+        obtain=lambda scene: scene.cached(coil).part(slice(3)),
+        nominal=(0.0, 0.0, 0.0),
     ),
     recovered(
         id="temperature.lag-recovered",
@@ -228,7 +260,8 @@ FIGURES = (
         source=_SOURCE,
         published=_LAG,
         tolerance=_COIL_SCATTER[3],
-        obtain=lambda scene: scene.cached(coil)[3],
+        obtain=lambda scene: scene.cached(coil).part(slice(3, 4)),
+        nominal=0.0,
     ),
     recovered(
         id="scale-factors.constant-recovered",
@@ -238,6 +271,7 @@ FIGURES = (
         published=tuple(SCALE_CONSTANT.tolist()),
         tolerance=(1.9e-7, 2.3e-6, 8.5e-8),
         obtain=lambda scene: _of_law(scene, slice(0, 6, 2)),
+        nominal=(1.0, 1.0, 1.0),
     ),
     recovered(
         id="scale-factors.logarithm-recovered",
@@ -247,6 +281,7 @@ FIGURES = (
         published=tuple(SCALE_LOG.tolist()),
         tolerance=(2.6e-8, 3.3e-7, 1.2e-8),
         obtain=lambda scene: _of_law(scene, slice(1, 6, 2)),
+        nominal=(0.0, 0.0, 0.0),
     ),
     recovered(
         id="scale-factors.origin-recovered",
@@ -256,6 +291,7 @@ FIGURES = (
         published=float(SCALE_ORIGIN),
         tolerance=0.02,
         obtain=origin_of_law,
+        nominal=_WRONG_ORIGIN,
     ),
     recovered(
         id="offsets.recovered",
@@ -265,6 +301,7 @@ FIGURES = (
         published=tuple(OFFSETS.tolist()),
         tolerance=(5.0e-4, 2.8e-3, 4.3e-4),
         obtain=lambda scene: _of_law(scene, slice(9, 12)),
+        nominal=(0.0, 0.0, 0.0),
     ),
     recovered(
         id="angles.recovered",
@@ -274,6 +311,7 @@ FIGURES = (
         published=tuple(ANGLES.tolist()),
         tolerance=(7.3e-6, 1.4e-6, 4.9e-6),
         obtain=lambda scene: _of_law(scene, slice(6, 9)),
+        nominal=(90.0, 90.0, 90.0),
     ),
     recovered(
         id="time-shift.recovered",
@@ -284,6 +322,21 @@ FIGURES = (
         # The last printed digit; 0.1 nT over a day tell 0.2 ms.
         tolerance=0.0005,
         obtain=time_shift,
+        nominal=0.0,
+    ),
+    recovered(
+        id="standard.twelve-recovered",
+        what="twelve of the standard calibration from 15 days: the nine, time shift, bias, lag of the coil",
+        unit="1, deg, nT, s, nT, s",
+        source="Yin 2010, sections 3.1 and 3.3; the bias of section 2.5",
+        published=(*champ_parameters(_STANDARD_DAY).tolist(), *_THREE),
+        # Three times the inverse of the columns' information, four seeds.
+        tolerance=(
+            *(2.2e-7, 1.03e-6, 1.15e-7, 2.0e-5, 8.4e-6, 1.28e-5),
+            *(1.44e-3, 7.6e-3, 1.14e-3, 8.5e-5, 5.5e-3, 0.131),
+        ),
+        obtain=twelve,
+        nominal=(1.0, 1.0, 1.0, 90.0, 90.0, 90.0, *(0.0,) * 6),
     ),
     recovered(
         id="jump.intervals",
@@ -296,6 +349,7 @@ FIGURES = (
         # Three times what the noise of 15 days leaves of the mean scale, mostly of the weak y.
         tolerance=0.03,
         obtain=lambda scene: tuple(jump_of_intervals(scene, boundary) for boundary in _BOUNDARIES),
+        nominal=(0.0, 0.0),
         printed=False,
         why="The 15-day product steps by what the sensor aged from middle to middle.",
     ),
@@ -320,6 +374,7 @@ FIGURES = (
         # Geometry scatters by days (0.655 to 0.68); noise of 0.0390 nT^2 tells itself to 0.00025 nT^2.
         tolerance=(0.0105, 0.0007),
         obtain=regression,
+        nominal=(2.0 / 3.0, 0.0),
         why="The noise was put in and is returned; the slope is geometry's own, see z-offset.slope.",
     ),
 )

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from inflight.mission_fit import WEEKDAYS, day_statistics, find_clock_faults, find_week_pattern, fit_slope
-from inflight.scorecard.figure import RECOVERED, PublishedFigure
+from inflight.scorecard.figure import RECOVERED, Estimate, PublishedFigure
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION
 from inflight.scorecard.scene import DAYS, SimulatedDays
@@ -27,15 +27,16 @@ _SIDE = 300
 WEDNESDAY = WEEKDAYS.index("Wednesday")
 
 
-def drift(scene: SimulatedDays) -> float:
+def drift(scene: SimulatedDays) -> Estimate:
     """Return the mean over seeds of a drift put into daily offsets, nT/d."""
     days = np.arange(204.5, 3204.5)
     found = []
     for seed in range(SEEDS):
         wave = _WAVE * np.cos(2.0 * np.pi * days / 260.5)
         value = _DRIFT * days + wave + np.random.default_rng([4, seed]).normal(0.0, _SCATTER, days.size)
-        found.append(fit_slope(days, value, np.full(days.size, _SCATTER), periods=(260.5,)).slope)
-    return float(np.mean(found))
+        fit = fit_slope(days, value, np.full(days.size, _SCATTER), periods=(260.5,))
+        found.append(Estimate.of(fit.slope, fit.sigma))
+    return Estimate.mean(found)
 
 
 def weekday_of_resets(scene: SimulatedDays) -> tuple[float, ...]:
@@ -67,9 +68,9 @@ def fault_of_clock(scene: SimulatedDays) -> tuple[float, float, float]:
     return float(first), float(last), float(size)
 
 
-def slopes_by_day_and_night(scene: SimulatedDays) -> tuple[float, float]:
+def slopes_by_day_and_night(scene: SimulatedDays) -> Estimate:
     """Return the slopes of dB on Bz/F by day and by night of a field that was put in, nT."""
-    sums = np.zeros((2, 2))
+    sums = np.zeros((2, 3))
     for seed in range(SEEDS):
         for mjd in DAYS:
             day = scene.day(mjd)
@@ -82,8 +83,9 @@ def slopes_by_day_and_night(scene: SimulatedDays) -> tuple[float, float]:
                     one = day_statistics(residual, day.direction, *day.span, good=side)
                     # A short night sees few directions: its slope says little.
                     weight = float((one["count"] * one["geometry"]).item())
-                    sums[index] += weight * np.array([float(one["slope"].item()), 1.0])
-    return float(sums[0, 0] / sums[0, 1]), float(sums[1, 0] / sums[1, 1])
+                    variance = float(one["covariance"].sel(statistic="slope", other="slope").item())
+                    sums[index] += weight * np.array([float(one["slope"].item()), 1.0, weight * variance])
+    return Estimate.of(sums[:, 0] / sums[:, 1], np.sqrt(sums[:, 2]) / sums[:, 1])
 
 
 recovered = partial(PublishedFigure, section=SECTION, basis="recovered_from_injection", why=RECOVERED)
@@ -98,6 +100,7 @@ FIGURES = (
         # Three times 2.1e-6, and the last printed digit is 1e-5.
         tolerance=0.000006,
         obtain=drift,
+        nominal=0.0,
     ),
     recovered(
         id="resets.recovered",
@@ -107,6 +110,7 @@ FIGURES = (
         published=(float(WEDNESDAY), float(WEDNESDAY)),
         tolerance=0.0,
         obtain=weekday_of_resets,
+        nominal=(float("nan"), float("nan")),
     ),
     recovered(
         id="clock-fault.recovered",
@@ -117,6 +121,7 @@ FIGURES = (
         # The days exactly, the shift to its last printed digit.
         tolerance=(0.0, 0.0, 0.0005),
         obtain=fault_of_clock,
+        nominal=(float("nan"),) * 3,
         why="Found without being told where: this proves the estimator, not the fault.",
     ),
     recovered(
@@ -128,5 +133,6 @@ FIGURES = (
         # Three times 0.7 pT, and the penumbra belongs to neither; half of the last printed digit.
         tolerance=0.005,
         obtain=slopes_by_day_and_night,
+        nominal=(0.0, 0.0),
     ),
 )

@@ -19,6 +19,7 @@ from inflight.scorecard import (
     spacecraft_fields,
     spin_angles,
     spin_tones,
+    two_sensors,
     zero_levels,
 )
 from inflight.scorecard.figure import PublishedFigure, ScorecardResult
@@ -31,6 +32,7 @@ SECTIONS = {
     "spacecraft-fields": "Fields of the spacecraft (Yin 2010, section 3.4)",
     "residual": "What the residual tells (Yin 2010, chapter 4)",
     "spin": "Calibration from the spin (Farrell et al. 1995, Plaschke et al. 2019)",
+    "two-sensors": "States of a spacecraft with two sensors (Venus Express)",
     "zero-level": "Zero levels from nature's statistics (Hedgecock; IMP-8 and Helios)",
 }
 _MODULES = (
@@ -44,6 +46,7 @@ _MODULES = (
     recovered_residual,
     spin_angles,
     spin_tones,
+    two_sensors,
     zero_levels,
 )
 

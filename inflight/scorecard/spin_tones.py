@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
+from inflight.scorecard.figure import RECOVERED, Estimate, PublishedFigure, ToleranceInterval
 from inflight.scorecard.scene import SimulatedDays
 from inflight.spin import (
     SPIN_RELATED,
@@ -34,6 +34,8 @@ THEMIS_C = (0.99998, 5e-4, 3e-4, -3e-5, -7e-5, -1.7e-4, -0.007, 0.036)
 ERRORS = (4e-5, 4e-4, 7e-4, 6e-5, 6e-5, 4e-5, 0.023, 0.025)
 #: Uncertainties of spin axis, elevations (rad) and offsets (nT) held, as in the paper.
 _HELD = {"spin axis": 6e-5, "elevations": 7e-4, "offsets": 0.025}
+#: Which of them is whose.
+_KIND = {"spin_axis": "spin axis", "elevation": "elevations", "offset": "offsets"}
 #: The best of the estimates of a region whose uncertainty is taken.
 _BEST = 0.1
 #: Near perigee is below this distance, Earth radii.
@@ -158,7 +160,7 @@ def below(scene: SimulatedDays, limit: float, name: str, *regions: str) -> float
     return float(np.mean(np.concatenate(each) < limit))
 
 
-def themis_c(scene: SimulatedDays) -> tuple[float, ...]:
+def themis_c(scene: SimulatedDays) -> Estimate:
     """Return the eight parameters from wind and perigee together, the paper's values put in."""
     wind, near = piece("wind", 2), piece("perigee", 2)
     turns = np.ceil((wind.phase[-1] - near.phase[0]) / (2.0 * np.pi))
@@ -167,7 +169,8 @@ def themis_c(scene: SimulatedDays) -> tuple[float, ...]:
     stamps = np.concatenate([wind.stamps, near.stamps + later])
     readings = _put_in().disturb(np.concatenate([wind.field, near.field]))
     layout = cut_into_blocks(readings, phase, stamps)
-    return tuple(estimate_jointly(readings, phase, stamps, layout, CalibrationParameters()).value)
+    found = estimate_jointly(readings, phase, stamps, layout, CalibrationParameters())
+    return Estimate.of(found.value, found.sigma)
 
 
 def _steady(hours: float) -> tuple[Floats, Floats]:
@@ -220,6 +223,8 @@ def _order(
         published=limit,
         tolerance=ToleranceInterval(0.0, limit),
         obtain=lambda scene: best_uncertainty(scene, region, *names),
+        # What is known beforehand; nothing of gain ratio and azimuth.
+        nominal=tuple(_HELD.get(_KIND.get(name.partition("[")[0], ""), float("inf")) for name in names),
         why=_SHOWN,
     )
 
@@ -326,6 +331,7 @@ FIGURES = (
         published=THEMIS_C,
         tolerance=ERRORS,
         obtain=lambda scene: scene.cached(themis_c),
+        nominal=tuple(CalibrationParameters().spin_related().tolist()),
     ),
     needs_data(
         id="themis-c.parameters",

@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
+import scipy
 
-from inflight.scorecard.figure import RECOVERED, PublishedFigure, ToleranceInterval
+from inflight.mission_fit import fit_slope
+from inflight.scorecard.figure import RECOVERED, Estimate, PublishedFigure, ToleranceInterval
 from inflight.scorecard.scene import SimulatedDays
 from inflight.scorecard.zero_level_studies import PUBLISHED, largest_leak
 from inflight.simulate.spinning import SPACECRAFT_PRESETS, solar_wind
@@ -32,6 +34,17 @@ SIX_BOTH = (0.0, 0.0, 0.0, 0.0, 0.03, 0.04, 0.09, 0.13, 0.06, 0.07, 0.17, 0.26)
 SIX_ONE = (0.0, 0.0, 0.0, 0.0, 0.02, 0.02, 0.06, 0.09, 0.04, 0.05, 0.12, 0.18)
 #: IMP-8: sets, averages of a set and their length (s), scatter of a set (nT).
 _SETS, _AVERAGE, _SCATTER = 72, 15.36, (0.25, 0.19, 0.24)
+#: Table 3: a (nT/d) and b (nT) of the algebraic corrections x, y, z, and the errors of both, of the algebraic
+#: and of the absolute values in turn.
+_SLOPES, _MEANS = (-0.00025, -0.00088, -0.00677), (-0.0183, -0.0298, -0.109)
+_SLOPE_ERRORS = (0.00343, 0.00264, 0.00305, 0.00218, 0.00178, 0.00198)
+_MEAN_ERRORS = (0.0301, 0.0231, 0.028, 0.0191, 0.0156, 0.0173)
+#: Means and scatter of the absolute values, x, y, z (0.142: the scan's 9.442).
+_SIZES = (0.191, 0.142, 0.222, 0.16, 0.13, 0.14)
+#: Corrections of x and of y smaller than each of these (nT), as the text counts them.
+_BOUNDS, _COUNTS = (0.2, 0.3), (44.0, 58.0, 55.0, 66.0)
+#: Gaps between the weeks (d) and seeds with which its slopes are put in; days of one set.
+_GAP, _SLOPE_SEEDS, _DAYS = 4.4, 16, SET * _AVERAGE * SECOND / DAY
 #: Stand-in for the lost table 2: fixed and turning errors, field (nT), spread of direction, seeds.
 _FIXED, _TURNING, _FIELD, _SPREAD, _SEEDS = (1.0, -1.0, 1.0), (2.0, 2.0), 6.0, 0.5, 4
 #: Offset put into simulated wind, nT; its cadence, length of intervals (s), and seeds.
@@ -66,9 +79,45 @@ def set_errors(scene: SimulatedDays) -> tuple[float, ...]:
     return tuple(one / np.sqrt(_SETS) for one in _SCATTER)
 
 
-def set_span(scene: SimulatedDays) -> float:
-    """Return the length of all sets, days."""
-    return float(_SETS * SET * _AVERAGE * SECOND / DAY)
+def set_spread(scene: SimulatedDays) -> tuple[float, ...]:
+    """Return the rms spread in time that the errors of b over those of a are, days; (6,)."""
+    return tuple((np.array(_MEAN_ERRORS) / np.array(_SLOPE_ERRORS)).tolist())
+
+
+def slope_errors(scene: SimulatedDays) -> tuple[float, ...]:
+    """Return the errors of a from those of b, the same sets and therefore one spread for all, nT/d; (6,)."""
+    return tuple((np.array(_MEAN_ERRORS) / np.median(set_spread(scene))).tolist())
+
+
+def slopes_of_sets(scene: SimulatedDays) -> Estimate:
+    """Return the mean over seeds of the slopes put into three separate weeks of sets, nT/d."""
+    number = np.arange(_SETS)
+    days = _DAYS * (number + 0.5) + _GAP * (number // (_SETS // 3))
+    days -= days.mean()
+    found = []
+    for seed in range(_SLOPE_SEEDS):
+        noise = np.random.default_rng([32, seed]).normal(size=(_SETS, 3)) * _SCATTER
+        values = np.array(_MEANS) + days[:, None] * _SLOPES + noise
+        each = [
+            fit_slope(days, one, np.full(_SETS, sigma)) for one, sigma in zip(values.T, _SCATTER, strict=True)
+        ]
+        found.append(Estimate.of(*np.array([(one.slope, one.sigma) for one in each]).T))
+    return Estimate.mean(found)
+
+
+def small_corrections(scene: SimulatedDays) -> tuple[float, ...]:
+    """Return how many of 72 normal corrections are below each bound, x and y in turn."""
+    spread = [scipy.stats.norm(mean, sigma) for mean, sigma in zip(_MEANS[:2], _SCATTER[:2], strict=True)]
+    return tuple(float(_SETS * (one.cdf(bound) - one.cdf(-bound))) for one in spread for bound in _BOUNDS)
+
+
+def absolute_corrections(scene: SimulatedDays) -> tuple[float, ...]:
+    """Return mean and scatter of the absolute values of normal corrections, x, y, z; nT."""
+    spread = [
+        scipy.stats.foldnorm(abs(mean) / sigma, scale=sigma)
+        for mean, sigma in zip(_MEANS, _SCATTER, strict=True)
+    ]
+    return tuple(float(part) for part in (*(one.mean() for one in spread), *(one.std() for one in spread)))
 
 
 def flipped(along_z: tuple[float, float], along_x: tuple[float, float]) -> tuple[float, ...]:
@@ -138,6 +187,7 @@ FIGURES = (
         published=0.1,
         tolerance=ToleranceInterval(0.0, 0.1),
         obtain=lambda scene: off_in_mean(scene, 6.0),
+        nominal=1.0,
         printed=False,
         why="Six seconds are whole spins and whole samples.",
     ),
@@ -149,6 +199,7 @@ FIGURES = (
         published=0.5,
         tolerance=ToleranceInterval(0.2, 0.65),
         obtain=lambda scene: off_in_mean(scene, 5.0),
+        nominal=1.0,
         printed=False,
         why="Five whole spins, but 3.33 samples of 1.5 s: a third of the turning part stays.",
     ),
@@ -164,14 +215,59 @@ FIGURES = (
     ),
     derived(
         id="imp8.span",
-        what="length of 72 sets of 1440 averages of 15.36 s",
+        what="rms spread in time of 72 sets, errors of b over those of a: more than of sets without a gap",
         unit="d",
-        source=f"{_REPORT}, on IMP-8",
-        published=18.4,
-        tolerance=0.05,
-        why="So long are the sets one after the other.",
-        obtain=set_span,
+        source=f"{_REPORT}, section 4.2: three separate weeks; table 3",
+        published=_SETS * _DAYS / np.sqrt(12.0),
+        # Without a gap, and in the four years between launch and report.
+        tolerance=ToleranceInterval(_SETS * _DAYS / np.sqrt(12.0), 700.0),
+        why="The weeks are separate: equal gaps of 4.4 d, 27 d in all, would spread them by 8.8 d.",
+        obtain=set_spread,
         printed=False,
+    ),
+    derived(
+        id="imp8.slope-errors",
+        what="errors of the slopes a, x, y, z of algebraic and of absolute values, from those of b",
+        unit="nT/d",
+        source=f"{_REPORT}, table 3",
+        published=_SLOPE_ERRORS,
+        # The last printed digits of both errors.
+        tolerance=(1.2e-5, 1.2e-5, 6.5e-5, 1.2e-5, 1.2e-5, 1.2e-5),
+        why="The third, 0.00305, is a misprint: the same sets make 0.0032; the other five agree.",
+        obtain=slope_errors,
+    ),
+    recovered(
+        id="imp8.slopes-recovered",
+        what="slopes a of corrections x, y, z put into 72 sets in three separate weeks",
+        unit="nT/d",
+        source=f"{_REPORT}, table 3",
+        published=_SLOPES,
+        # Three printed errors of the mean over 16 seeds.
+        tolerance=tuple(0.75 * one for one in _SLOPE_ERRORS[:3]),
+        obtain=slopes_of_sets,
+        nominal=(0.0, 0.0, 0.0),
+    ),
+    derived(
+        id="imp8.small",
+        what="corrections of 72 below 0.2 and 0.3 nT, x and y in turn",
+        unit="1",
+        source=f"{_REPORT}, section 4.2",
+        published=_COUNTS,
+        # Twice the binomial scatter.
+        tolerance=(8.4, 7.2, 7.8, 5.6),
+        why="Mean and scatter of table 3 and a normal distribution make as many.",
+        obtain=small_corrections,
+    ),
+    derived(
+        id="imp8.absolute",
+        what="means, then scatter, of the absolute corrections x, y, z",
+        unit="nT",
+        source=f"{_REPORT}, table 3",
+        published=_SIZES,
+        # The printed errors of the means; twice the scatter of a standard deviation of 72.
+        tolerance=(0.0191, 0.0156, 0.0173, 0.026, 0.022, 0.024),
+        why="Normal corrections with the mean and scatter of their algebraic values have such sizes.",
+        obtain=absolute_corrections,
     ),
     derived(
         id="flipper.first",
@@ -213,6 +309,7 @@ FIGURES = (
             published=limit,
             tolerance=ToleranceInterval(0.0, limit),
             obtain=partial(scatter_in_wind, hours=hours),
+            nominal=float(np.sqrt(np.mean(np.square(_OFFSET)))),
             why="The wind is simulated and Alfvenic throughout: real wind of all kinds is less kind.",
         )
         for name, (hours, limit) in zip(("day", "two-days"), PUBLISHED, strict=True)

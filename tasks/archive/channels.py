@@ -239,11 +239,10 @@ class DerivedChannels:
         self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
     ) -> dict[str, Floats]:
         """Return channels of a day by their derived names; (bin,) or (bin, axis)."""
-        out = {}
+        out, known = {}, set(self.reader.day(day)) | set(geometry)
         for name in names:
             if name in geometry or not name:
                 continue
-            known = set(self.reader.day(day)) | set(geometry)
             parts = (ChannelFactor(name),) if name in known else parse_channel(name).parts
             out[name] = channel_product([self._part(day, part, geometry) for part in parts])
         return out

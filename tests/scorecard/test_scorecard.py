@@ -14,6 +14,7 @@ from inflight.errors import SettingsError
 from inflight.mission_fit import crosstalk
 from inflight.scorecard import (
     SECTIONS,
+    Estimate,
     PublishedFigure,
     ScorecardResult,
     SimulatedDays,
@@ -33,9 +34,28 @@ CONTRADICTED = {
     "day-night.daytime",
     "day-night.full-sun",
     "day-night.xz",
+    "imp8.slope-errors",
     "signs.azimuth",
     "signs.phase",
     "spin-averages.five-one",
+}
+
+
+#: Recovered figures in which nothing is put in: that an estimator finds nothing is what they say.
+NOTHING_PUT_IN = {
+    "jump.continuous",
+    "themis-c.offset-sheath",
+    "themis-c.gains-elsewhere",
+    "themis-c.elevation-elsewhere",
+}
+#: Numbers of a figure that its data hardly tell: by their sigma, they could be nominal. Along y, which the
+#: field's direction hardly has on a polar orbit; and the law's factor, which geometry gives.
+WEAK = {
+    "solar.difference-recovered": {1},
+    "panels.recovered": {1, 4},
+    "torquer.recovered": {1, 5},
+    "z-offset.regression": {0},
+    "imp8.slopes-recovered": {0, 1},
 }
 
 
@@ -88,6 +108,31 @@ def test_a_figure_can_be_contradicted(reports, figure):
     )
     moved = dataclasses.replace(figure, published=away, tolerance=tolerance)
     assert ScorecardResult(moved, reports[figure.id].obtained).verdict == "contradicted"
+
+
+@pytest.mark.parametrize(
+    "figure",
+    [one for one in figures() if one.basis == "recovered_from_injection" and one.id not in NOTHING_PUT_IN],
+    ids=lambda figure: figure.id,
+)
+def test_an_estimator_that_returns_nominal_values_fails(reports, figure):
+    report = reports[figure.id]
+    assert dataclasses.replace(report, obtained=figure.nominal).verdict == "contradicted"
+    if report.sigma is not None:
+        away = np.abs(np.subtract(figure.nominal, figure.published)) / report.sigma
+        assert set(np.flatnonzero(away < 4.0)) == WEAK.get(figure.id, set())
+
+
+def test_a_sigma_that_is_too_large_or_too_small_does_not_help():
+    """The written tolerance holds whatever an estimator states, and what it states holds within it."""
+
+    def verdict(value, sigma):
+        return figure(obtain=lambda scene: Estimate.of(value, sigma)).report(SCENE).verdict
+
+    assert verdict(1.05, 0.02) == "reproduced"
+    assert verdict(1.05, 0.01) == "contradicted"
+    assert verdict(1.2, 10.0) == "contradicted"
+    assert verdict(1.0, float("nan")) == "contradicted"
 
 
 def test_obtained_values_come_from_formulas_not_from_the_published_ones(reports):
@@ -169,7 +214,11 @@ def test_what_was_tried_is_an_injection_that_is_there():
 
 def test_an_estimator_that_loses_the_sign_is_contradicted(monkeypatch):
     right = fields_module.fit_step
-    wrong = lambda epochs: SimpleNamespace(value=-right(epochs).value)  # noqa: E731
+
+    def wrong(epochs):
+        fit = right(epochs).fit
+        return SimpleNamespace(fit=SimpleNamespace(value=-fit.value, sigma=fit.sigma))
+
     monkeypatch.setattr(fields_module, "fit_step", wrong)
     assert run_scorecard(["camera.recovered"])[0].verdict == "contradicted"
 

@@ -28,6 +28,7 @@ from inflight.calibration import (
 )
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag, count_flags
+from inflight.mission_fit import held_products
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
 from inflight.tasks.pipelines.base import Batch
@@ -68,7 +69,8 @@ def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[st
     xarray.Dataset
         As `inflight.calibration.NormalEquations`, and the exact fit of the day: `fit` (block, column),
         `fit_covariance` (block, column, other), whose last column, the residual's, is NaN; `before` and
-        `after` (block), nT; `used` (block), a number of samples.
+        `after` (block), nT; `used` (block), a number of samples; `held` (block, number, column), where
+        numbers of the model have a sigma: products with one of each (`inflight.mission_fit.held_products`).
     dict
         As `FittedDay.report`.
 
@@ -82,6 +84,7 @@ def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[st
     equations = NormalEquations.from_fit(fit, fitted.reference, day_bounds(day), fitted.attributes)
     covariance = np.full((1, fit.value.size + 1, fit.value.size + 1), np.nan)
     covariance[0, :-1, :-1] = fit.covariance
+    held = held_products(batch.model, fitted.samples, fit.value, fit.count)
     own_fit = {
         "fit": (("block", "column"), np.append(fit.value, np.nan)[None]),
         "fit_covariance": (("block", "column", "other"), covariance),
@@ -89,6 +92,9 @@ def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[st
         "after": (("block",), np.array([fit.after])),
         "used": (("block",), np.array([fit.used], dtype=np.int64)),
     }
+    if held.size:
+        with_residual = np.append(held, np.zeros((len(held), 1)), axis=1)
+        own_fit["held"] = (("block", "number", "column"), with_residual[None])
     return equations.dataset.assign(own_fit), fitted.report
 
 

@@ -26,6 +26,7 @@ from inflight.calibration import (
 from inflight.catalog import Catalog, Day, DayData, Run, idempotency_key, write_segment
 from inflight.errors import CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
+from inflight.mission_fit import held_shifts
 from inflight.model import Model
 from inflight.time import day_bounds
 
@@ -130,6 +131,7 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
     data, bare = equations.dataset, equations.bare
     fit, covariance = data["fit"].values[:, :-1], data["fit_covariance"].values[:, :-1, :-1]
     used, before, after = (data[name].values for name in ("used", "before", "after"))
+    held = _held_products(equations)
     rows = []
     for index in range(len(equations)):
         one = bare.of_blocks(slice(index, index + 1))
@@ -150,6 +152,7 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
                 float(used[index]),
                 float(before[index]),
                 float(after[index]),
+                held=held_shifts(one, held[index : index + 1], prior.sigma, float(after[index])),
             )
         )
     return with_changes(
@@ -169,13 +172,20 @@ def window_table(
     How much parameters change is told by its own windows, or by those of `finer` where they are too few.
     """
     rows, bare, used = [], equations.bare, equations.dataset["used"].values
+    held = _held_products(equations)
     for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
         if inside.size:
             part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())
-            rows.append(_solved_interval(part, count, model, start, end))
+            rows.append(_solved_interval(part, held[inside], count, model, start, end))
     table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
     return with_changes(table, [table, *finer])
+
+
+def _held_products(equations: NormalEquations) -> Floats:
+    """Return products of the nine with one sigma of each held number; (block, number, 9), of none without."""
+    data = equations.dataset
+    return np.asarray(data["held"].values[..., :-1]) if "held" in data else np.zeros((len(equations), 0, 9))
 
 
 def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
@@ -196,7 +206,9 @@ def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -
     )
 
 
-def _solved_interval(part: NormalEquations, used: float, model: Model, start: int, end: int) -> Interval:
+def _solved_interval(
+    part: NormalEquations, held: Floats, used: float, model: Model, start: int, end: int
+) -> Interval:
     """Return the row of a span: the sum of its blocks, of so many samples, solved with the model's prior."""
     if not len(part.filled):
         return _prior_interval(part, model, start, end)
@@ -207,6 +219,7 @@ def _solved_interval(part: NormalEquations, used: float, model: Model, start: in
     solution = common.solve(prior.sigma, prior.value)
     value, covariance = common.physical(solution)
     gram, count = common.total, float(common.count.sum())
+    after = float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR
     return Interval(
         start,
         end,
@@ -216,8 +229,10 @@ def _solved_interval(part: NormalEquations, used: float, model: Model, start: in
         solution,
         used,
         float(np.sqrt(gram[-1, -1] / count)),
-        float(np.sqrt(residual_sum(gram, solution.value) / count)) / BIWEIGHT_RMS_FACTOR,
+        after,
         len(part),
+        # Days without data have no products.
+        held_shifts(common, held, prior.sigma, after),
     )
 
 

@@ -1,0 +1,273 @@
+"""Coverage of tables and products: short missions through every pipeline, errors in stated sigmas.
+
+Each seed is a mission of its own: what the ground states with a sigma is drawn anew (or, without an absolute
+instrument, the offset), days are simulated, ``reprocess`` makes tables and products, and both are held
+against the truth. A spinning sensor has a table of its own (`benchmarks.spin_coverage`), values that a
+search gives an effect another (`benchmarks.coverage`).
+
+``make coverage`` prints the table; docs/reference/coverage.md shows it.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import yaml
+
+from benchmarks.archive import simulated_workspace
+from benchmarks.coverage import intervals
+from inflight.arrays import Floats
+from inflight.calibration import mounting
+from inflight.catalog import Catalog, Workspace, shipped_missions
+from inflight.simulate import SimulationSettings, simulate_day
+from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.tasks.archive import ingest, simulate
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.base import newest_table
+
+#: Days of a mission, s between samples, and moments of a day at which its product is looked at.
+_DAYS, _CADENCE, _MOMENTS = 3, 10, 5
+#: What is wrong with the fluxgate and the scalar sensor; all else is left out, of the model, too.
+_WRONG = ("misalignment", "offset", "scalar_bias", "time_shift")
+#: Units that switch, on the boom; and what wanders there.
+_UNITS = ("transmitter", "spectrometer", "camera", "survival_heater")
+_DRIFTS = ("offset_drift", "thermal_drift")
+#: An instrument beside the two that knows the ambient field for a day.
+_MONITOR = """\
+  monitor:
+    role: vector
+    cadence: 10 s
+    files: {pattern: "mon/vex_mon_{day:%Y%m%d}_v*.cdf", reader: cdf, time: Epoch}
+    channels:
+      field: {variable: B, unit: nT, axes: [x, y, z], frame: spacecraft}
+"""
+
+#: Errors in stated sigmas, by what they are of; each (value,).
+Pulls = dict[str, Floats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableCoverage:
+    """Errors of one table or product of a pipeline in stated sigmas, mission by mission; (seed, value).
+
+    NaN where a mission gave no value.
+    """
+
+    pipeline: str
+    of: str
+    pulls: Floats
+
+    @property
+    def within(self) -> tuple[float, float]:
+        """Shares within one and two sigmas, of the values that there are."""
+        there = np.abs(self.pulls[np.isfinite(self.pulls)])
+        return float(np.mean(there < 1.0)), float(np.mean(there < 2.0))
+
+    def is_right(self) -> bool:
+        """Return whether both shares lie where right ones do, all but one in a hundred; missions count."""
+        shares = zip(self.within, intervals(len(self.pulls), 0.01), strict=True)
+        return all(low <= share <= high for share, (low, high) in shares)
+
+
+def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of nine parameters and of the field, beside a scalar sensor."""
+    generator = np.random.default_rng([seed, 1])
+    standard = set(SimulationSettings.standard_effects)
+    settings = SimulationSettings(
+        seed=seed,
+        start=dt.date(2005, 1, 1),
+        days=_DAYS,
+        cadence=_CADENCE,
+        defects=(),
+        without=tuple(sorted(standard - {*_WRONG, "external_field"})),
+        include=("scalar_bias",),
+        # As the model says: 0 +- 0.2 nT and 14.5 +- 2 ms.
+        overrides={
+            "scalar_bias": float(generator.normal(0.0, 0.2)),
+            "time_shift": float(generator.normal(0.0145, 0.002)),
+        },
+    )
+    cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
+    path = folder / "models" / "champ-preflight.yaml"
+    model = yaml.safe_load(path.read_text(encoding="utf-8"))
+    kept = ("vector_sensor", "scalar_bias", "time_shift")
+    model["effects"] = [one for one in model["effects"] if one["effect"] in kept]
+    path.write_text(yaml.safe_dump(model, sort_keys=False), encoding="utf-8")
+    truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
+    # Without ageing, all days have the same nine.
+    nine = np.concatenate(list(json.loads(truth[settings.day_list[0]].attrs["nine_parameters"]).values()))
+    out: dict[str, Pulls] = {}
+    for tag, table in (("scalar", "window"), ("mission", "continuous")):
+        _reprocess(cat, table=table, trend="constant")
+        names = ("daily", "window", "span") if tag == "scalar" else ("continuous",)
+        out[tag] = {f"{name} table": _table_pulls(cat, f"main-{name}", nine) for name in names}
+        out[tag]["product"] = _field_pulls(cat, "l2/field", truth)
+    return out
+
+
+def field_model(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of what a sensor is, and of the field, against a model of the main field."""
+    offset = np.random.default_rng([seed, 2]).normal(0.0, 30.0, 3)
+    standard = set(SimulationSettings.standard_effects)
+    settings = SimulationSettings(
+        seed=seed,
+        start=dt.date(2005, 1, 1),
+        days=_DAYS,
+        cadence=_CADENCE,
+        defects=(),
+        without=tuple(sorted(standard - {"misalignment", "offset", "external_field"})),
+        overrides={"offset": offset.tolist()},
+    )
+    cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
+    path = folder / "mission.yaml"
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith(("comparisons:", "preflight:"))]
+    comparison = "comparisons: {main: {kind: field_model, vector: fgm, external: 5}}\n"
+    path.write_text("".join([*kept, comparison]), encoding="utf-8")
+    _reprocess(cat)
+    truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
+    nine = json.loads(truth[settings.day_list[0]].attrs["nine_parameters"])
+    # Scale factors, angles, the sensor's axes on the body, offsets.
+    expected = np.concatenate([nine["scale_factor"], nine["misalignment"], np.zeros(3), nine["offset"]])
+    pulls: Pulls = {}
+    for name in ("daily", "window", "span"):
+        table = newest_table(cat, f"main-{name}")
+        rows = []
+        for row in range(table.sizes["interval"] if table is not None else 0):
+            value, sigma = mounting(*(table[part].values[row] for part in ("value", "covariance")))
+            rows.append((np.array(list(value.values())) - expected) / list(sigma.values()))
+        pulls[f"{name} table"] = np.ravel(rows)
+    pulls["product"] = _field_pulls(cat, "l2/field", truth)
+    return {"field_model": pulls}
+
+
+def zero_level(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of an offset from the wind alone, and of the field without it."""
+    offset = np.random.default_rng([seed, 3]).uniform(-8.0, 8.0, 3)
+    settings = DualSettings(
+        days=_DAYS,
+        seed=seed,
+        without=(*_UNITS, *_DRIFTS),
+        overrides={"cadence": float(_CADENCE), "offset_outboard": offset.tolist()},
+    )
+    comparison = "  zero: {kind: zero_level, vector: outboard, step: 6 h}\nrelease:\n"
+    cat = _boom(folder, settings, ("release:\n", comparison))
+    _reprocess(cat, comparison="zero")
+    truth = {day: simulate_dual_day(settings, day).truth for day in settings.day_list}
+    names = ("daily", "window", "span", "steps")
+    pulls = {f"{name} table": _table_pulls(cat, f"zero-{name}", offset) for name in names}
+    return {"zero_level": {**pulls, "product": _field_pulls(cat, "l2/field-zero", truth)}}
+
+
+def states(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of the field of two sensors, the ambient field known for the first day."""
+    settings = DualSettings(
+        days=2,
+        seed=seed,
+        without=(*_DRIFTS, "offset"),
+        include=("monitor",),
+        overrides={"cadence": float(_CADENCE)},
+    )
+    known = ("    outboard: outboard\n", "    outboard: outboard\n    ambient: monitor\n")
+    cat = _boom(folder, settings, known, ("comparisons:\n", f"{_MONITOR}comparisons:\n"))
+    _reprocess(cat)
+    truth = {day: simulate_dual_day(settings, day).truth for day in settings.day_list}
+    return {"states": {"product": _field_pulls(cat, "l2/field", truth)}}
+
+
+#: Pipelines by what makes their missions.
+CASES: Mapping[tuple[str, ...], Callable[[int, Path], dict[str, Pulls]]] = {
+    ("scalar", "mission"): scalar_and_mission,
+    ("states",): states,
+    ("zero_level",): zero_level,
+    ("field_model",): field_model,
+}
+
+
+def table_coverage(seeds: int = 12, only: str = "") -> Iterator[TableCoverage]:
+    """Yield the errors of every table and product of the pipelines, pipeline by pipeline.
+
+    Parameters
+    ----------
+    seeds : int
+        Missions of each pipeline.
+    only : str
+        Pipelines whose tag holds this.
+    """
+    for tags, make in CASES.items():
+        if not any(only in tag for tag in tags):
+            continue
+        missions = []
+        for seed in range(seeds):
+            with tempfile.TemporaryDirectory() as scratch:
+                missions.append(make(seed, Path(scratch) / "w"))
+        for tag in tags:
+            for of in missions[0][tag]:
+                pulls = np.array([one[tag][of] for one in missions])
+                yield TableCoverage(pipeline=tag, of=of, pulls=pulls)
+
+
+def _boom(folder: Path, settings: DualSettings, *changes: tuple[str, str]) -> Catalog:
+    """Return the catalog of a workspace with days of two sensors, the mission's text changed."""
+    text = shipped_missions()["venus-express"].read_text(encoding="utf-8")
+    text = text.replace("cadence: 1 s", f"cadence: {_CADENCE} s")
+    for old, new in changes:
+        text = text.replace(old, new)
+    source = folder.parent / "mission.yaml"
+    source.write_text(text, encoding="utf-8")
+    made = Workspace.create(folder, source)
+    simulate(settings, made.data, workers=1)
+    cat = Catalog(made.root)
+    ingest(cat, made.mission(), made.data)
+    return cat
+
+
+def _reprocess(cat: Catalog, **settings: Any) -> None:
+    """Make tables and products; a mission of which no day could be made has no errors to count."""
+    reprocess(cat, Workspace.open(cat.workspace).mission(), settings=ReprocessSettings(**settings))
+
+
+def _table_pulls(cat: Catalog, name: str, truth: Floats) -> Floats:
+    """Return the errors of a table's parameters in its sigmas, NaN where it says not determined."""
+    table = newest_table(cat, name)
+    if table is None:
+        return np.full(truth.size, np.nan)
+    pulls = (table["value"].values - truth) / table["sigma"].values
+    if "determined" in table and table["determined"].dims == table["value"].dims:
+        pulls = np.where(table["determined"].values, pulls, np.nan)
+    return np.asarray(pulls.ravel())
+
+
+def _field_pulls(cat: Catalog, dataset: str, truth: Mapping[np.datetime64, xr.Dataset]) -> Floats:
+    """Return the errors of the field at some moments of each day in its uncertainty, by component."""
+    pulls = []
+    for day, one in truth.items():
+        stamps = one["Epoch"].values.astype(np.int64)
+        product = cat.read_day(dataset, day)
+        at = np.linspace(0, stamps.size - 1, _MOMENTS + 2)[1:-1].astype(np.int64)
+        rows = np.clip(np.searchsorted(product["tt2000"].values, stamps[at]), 0, product.sizes["time"] - 1)
+        there = product["tt2000"].values[rows] == stamps[at]
+        off = product["field_spacecraft"].values[rows] - one["FIELD"].values[at]
+        pulls.append(np.where(there[:, None], off / product["uncertainty"].values[rows], np.nan))
+    return np.concatenate(pulls).ravel()
+
+
+def table(found: list[TableCoverage]) -> Iterator[str]:
+    """Yield the lines of the table, as Markdown: shares within one and two sigmas, rms errors in sigmas."""
+    yield "| pipeline | errors of | missions | values | 1 sigma | 2 sigma | rms |"
+    yield "|---|---|---|---|---|---|---|"
+    for one in found:
+        there = one.pulls[np.isfinite(one.pulls)]
+        shares = " | ".join(f"{share:.1%}" for share in one.within) if there.size else "- | -"
+        rms = f"{np.sqrt(np.mean(there**2)):.2f}{'' if one.is_right() else ' *'}" if there.size else "-"
+        yield f"| `{one.pipeline}` | {one.of} | {len(one.pulls)} | {there.size} | {shares} | {rms} |"
+    yield ""
+    yield "`*`: outside the interval that holds 99 of 100 right counts of so many missions."

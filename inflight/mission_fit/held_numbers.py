@@ -1,0 +1,116 @@
+"""What the errors of numbers that a calibration holds do to the parameters that it fits.
+
+Takes a model whose numbers have a sigma, and a day's samples; makes products of their columns with those of
+the nine parameters (`held_products`), and of sums of these how far a sigma of each moves the nine
+(`held_shifts`). With X the columns of the nine and z that of a number, which is off by c, least squares moves
+the nine by ``(X^T X)^-1 X^T z c`` (see `inflight.mission_fit.crosstalk`). The error is the same at all times:
+no number of days makes it smaller.
+
+Only numbers of the scalar sensor: its clock, bias and the fields at it. Those of the vector sensor change the
+corrected field themselves, too, and the nine make most of that good: for them errors of the nine alone would
+make the field's too large.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import PARAMETER_SCALE, NormalEquations, vector_sensor_of
+from inflight.design import DesignRows, Term, design_matrix, sensor_matrices
+from inflight.frames import direction_of
+from inflight.lsq import solve_scaled
+from inflight.mission_fit.daily_equations import free_terms, with_nine_parameters
+from inflight.model import Model, rows_of
+
+#: Rows of a day that products are made of: a minute apart, fields of an orbit and its rates are the same.
+_ROWS = 1440
+
+
+def held_terms(model: Model) -> tuple[Term, ...]:
+    """Return the numbers of the scalar sensor that have a sigma, whether or not a fit may move them."""
+    found = []
+    for entry in model.effects:
+        if entry.sensor.role != "scalar":
+            continue
+        known = {
+            name: timed.sigma[:, 0]
+            for name, timed in entry.parameters.items()
+            if timed.time == "constant" and np.all(np.isfinite(timed.sigma)) and np.any(timed.sigma > 0)
+        }
+        if known:
+            sigma = tuple(float(one) for each in known.values() for one in each)
+            found.append(Term(entry.name, entry, tuple(known), sigma))
+    return tuple(found)
+
+
+def held_products(model: Model, samples: xr.Dataset, value: Floats, count: float) -> Floats:
+    """Return products of the columns of the nine with one sigma of each held number.
+
+    Parameters
+    ----------
+    model : Model
+    samples : xarray.Dataset
+        Aligned raw samples of a day.
+    value : ndarray, shape (9,)
+        The day's own nine, physical units.
+    count : float
+        Sum of the weights of the day's Gram matrix, to which the products are scaled.
+
+    Returns
+    -------
+    ndarray, shape (number, 9)
+        nT^2, columns of the nine scaled as in `NormalEquations.from_fit`; in the order of `held_terms`.
+    """
+    terms = held_terms(model)
+    numbers = sum(len(term.sigma) for term in terms)
+    if not numbers or not count:
+        return np.zeros((numbers, PARAMETER_SCALE.size))
+    fitted = with_nine_parameters(model, value)
+    few = samples.isel(time=slice(None, None, max(1, samples.sizes["time"] // _ROWS)))
+    rows = rows_of(fitted, few)
+    stamps = np.asarray(few["tt2000"].values)
+    seen = rows.good & np.isfinite(rows.residual).all(axis=1)
+    field = np.where(seen[:, None], rows.field, 1.0)
+    along = direction_of(field)
+    at = few.assign(
+        field=(("time", "axis"), field, {"units": "nT"}),
+        field_direction=(("time", "axis"), along, {"units": "1"}),
+    )
+    matrices = sensor_matrices(fitted, int(stamps[stamps.size // 2]))
+    binned = DesignRows(at, rows.residual, rows.directions, matrices, seen.astype(np.float64))
+    own = next(term for term in free_terms(fitted) if term.entry.name == vector_sensor_of(fitted).name)
+    columns = design_matrix([own, *held_terms(fitted)], binned)[seen, 0]
+    nine, others = columns[:, : PARAMETER_SCALE.size], columns[:, PARAMETER_SCALE.size :]
+    # In units of their steps: from those to one sigma, and to the scale of the nine.
+    sigma = np.array([one / step for term in terms for one, step in zip(term.sigma, term.scale, strict=True)])
+    scale = PARAMETER_SCALE / np.array(own.scale)
+    return np.asarray((others * sigma).T @ (nine * scale) * (count / max(int(seen.sum()), 1)))
+
+
+def held_shifts(equations: NormalEquations, products: Floats, prior_sigma: Floats, noise: float) -> Floats:
+    """Return by how much one sigma of each held number moves the nine, fitted to all blocks together.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of the nine.
+    products : ndarray, shape (block, number, 9)
+        Of the same blocks.
+    prior_sigma : ndarray, shape (9,)
+        What is known of the nine beforehand, physical units; 0 fixes one.
+    noise : float
+        Of a row, nT.
+
+    Returns
+    -------
+    ndarray, shape (number, 9)
+        Physical units. Their outer products, summed, are what the numbers add to the covariance.
+    """
+    if not products.size:
+        return np.zeros(products.shape[1:])
+    with np.errstate(divide="ignore"):
+        precision = (noise * PARAMETER_SCALE / np.asarray(prior_sigma)) ** 2
+    found = solve_scaled(equations.total[:-1, :-1], products.sum(axis=0).T, cut=0.0, precision=precision)
+    return np.asarray(found.T * PARAMETER_SCALE)

@@ -1,0 +1,99 @@
+"""Numbers that a calibration holds: what their errors do to the nine parameters is in the covariance."""
+
+import numpy as np
+import xarray as xr
+from calibration_cases import TRUTH, measure, polar_orbit
+
+from inflight.calibration import NormalEquations, fit_block, reference_of, remove_other_effects
+from inflight.mission import Mission
+from inflight.mission_fit import held_products, held_shifts
+from inflight.model import Model
+from inflight.time import SECOND
+
+MISSION = Mission.parse("""
+mission: held
+instruments:
+  fgm:
+    role: vector
+    cadence: 40 s
+    files: {pattern: "a", reader: table, time: t}
+    channels: {field: {variables: [x, y, z], unit: nT}}
+  ovm:
+    role: scalar
+    cadence: 40 s
+    files: {pattern: "b", reader: table, time: t}
+    channels: {field: {variable: f, unit: nT}}
+comparisons: {main: {kind: scalar, vector: fgm, scalar: ovm}}
+""")
+MODEL = """
+model: held
+mission: held
+comparison: main
+effects:
+  - effect: vector_sensor
+    sensor: fgm
+    scale_factor: {time: block, unit: "1", value: [1, 1, 1], sigma: [0.005, 0.005, 0.005]}
+    misalignment: {time: block, unit: deg, value: [90, 90, 90], sigma: [0.5, 0.5, 0.5]}
+    offset: {time: block, unit: nT, value: [0, 0, 0], sigma: [100, 100, 100]}
+  - {effect: time_shift, sensor: ovm, seconds: {unit: s, value: 0.0, sigma: 0.002}}
+  - {effect: heading, sensor: ovm, vector: {unit: nT, value: [0, 0, 0], sigma: [0, 0, 0.3], free: false}}
+  - {effect: scalar_bias, sensor: ovm, bias: {unit: nT, value: 0.0, sigma: 0.2}}
+"""
+#: One sigma of each: clock (s), fields along x, y, z and bias (nT).
+SIGMA = np.array([0.002, 0.0, 0.0, 0.3, 0.2])
+ORBIT = polar_orbit(2160, 40.0)
+
+
+def fitted(errors, seed=0):
+    """Return model, samples, the fit and its equations where the held numbers are off by so much."""
+    model = Model.parse(MODEL, MISSION)
+    strength = np.linalg.norm(ORBIT, axis=1)
+    noise = np.random.default_rng(seed).normal(0.0, 0.1, strength.size)
+    made = measure(ORBIT, TRUTH, noise)
+    # The scalar sensor reads earlier, and too high, by what the model does not know.
+    along = ORBIT / strength[:, None]
+    scalar = made.scalar - errors[0] * np.gradient(strength, 40.0) + along @ errors[1:4] + errors[4]
+    stamps = 40 * SECOND * np.arange(strength.size) + 700_000_000 * SECOND
+    samples = xr.Dataset(
+        {
+            "vector": (("time", "axis"), made.reading, {"units": "nT"}),
+            "scalar": ("time", scalar, {"units": "nT"}),
+            "flag": ("time", np.zeros(strength.size, dtype=np.uint32)),
+            "tt2000": ("time", stamps),
+        }
+    )
+    prior = reference_of(model, int(stamps[0]))
+    fit = fit_block(*remove_other_effects(model, samples), np.ones(strength.size, dtype=bool), prior)
+    span = int(stamps[0]), int(stamps[-1]) + 1
+    return model, samples, fit, NormalEquations.from_fit(fit, prior, span, {"comparison": "main"}), prior
+
+
+def test_what_one_sigma_of_each_number_does_is_what_it_does():
+    model, samples, fit, equations, prior = fitted(np.zeros(5))
+    products = held_products(model, samples, fit.value, fit.count)
+    shifts = held_shifts(equations, products[None], prior.sigma, fit.after)
+    assert shifts.shape == (5, 9)
+    assert np.all(shifts[1:3] == 0.0)
+    for number in (0, 3, 4):
+        moved = fitted(SIGMA * (np.arange(5) == number))[2].value - fit.value
+        size = np.abs(shifts[number])
+        clear = size > 0.3 * fit.sigma
+        assert clear.any()
+        # Of either sign: only squares are used. The fit weighs rows robustly, the products do not.
+        np.testing.assert_allclose(np.abs(moved)[clear], size[clear], rtol=0.15)
+
+
+def test_the_errors_of_twelve_seeds_are_covered_with_them_and_not_without():
+    model, samples, fit, equations, prior = fitted(np.zeros(5))
+    shifts = held_shifts(
+        equations, held_products(model, samples, fit.value, fit.count)[None], prior.sigma, fit.after
+    )
+    whole = np.sqrt(fit.sigma**2 + np.sum(shifts**2, axis=0))
+    off = []
+    for seed in range(12):
+        errors = SIGMA * np.random.default_rng([1, seed]).normal(size=5)
+        off.append(fitted(errors, seed)[2].value - TRUTH)
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    # Chi-square of twelve: 0.55 to 1.5 hold 99 of 100.
+    assert np.all((rms / whole > 0.45) & (rms / whole < 1.6))
+    assert (rms / fit.sigma).max() > 5.0
