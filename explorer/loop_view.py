@@ -120,7 +120,9 @@ class LoopView:
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
         self._other = pn.widgets.TextInput(
-            name="Effect", placeholder="a channel, an effect, an entry", sizing_mode="stretch_width"
+            name="Effect",
+            placeholder="a channel, an effect, an entry, or = a formula of channels",
+            sizing_mode="stretch_width",
         )
         self._own = pn.widgets.Select(name="Effect of the model", options=[], sizing_mode="stretch_width")
         self._try, self._add, self._undo, self._drop, self._reprocess = (

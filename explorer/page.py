@@ -19,6 +19,14 @@ from inflight.figures import paragraph
 from inflight.tasks import error_fields
 
 _COLOUR = "#1f3a52"
+#: For a reader who asks for a dark page: lightness is turned over, hues stay, on canvases as well; the header
+#: is turned over twice.
+_DARK = """
+@media (prefers-color-scheme: dark) {
+  html { background: #fff; filter: invert(0.92) hue-rotate(180deg) }
+  #header { filter: invert(1) hue-rotate(180deg) }
+}
+"""
 
 
 class Page:
@@ -74,12 +82,14 @@ class Page:
             self._facts,
             sizing_mode="stretch_width",
         )
-        return pn.template.BootstrapTemplate(
+        made = pn.template.BootstrapTemplate(
             title=f"{self._mission.mission}: in-flight calibration",
             site="Inflight",
             header_background=_COLOUR,
             main=[pn.Column(chosen, self._hint, self._tabs, sizing_mode="stretch_width")],
         )
+        made.config.raw_css = [_DARK]
+        return made
 
     def _choose(self, keep: bool = False) -> None:
         """Show the chosen comparison as the catalog has it now; `keep` the chosen span."""

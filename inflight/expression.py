@@ -1,7 +1,8 @@
-"""Small expressions over named arrays, as a mission YAML states them in ``good_when``.
+"""Small expressions over named arrays: ``good_when`` of a mission YAML, and formulas of channels.
 
-Only comparisons, arithmetic, ``and or not & | ~``, numbers, names and ``name[column]`` are allowed; the
-text is parsed into a tree whose every node is checked, and none of it is run as Python.
+Only comparisons, arithmetic, ``and or not & | ~``, numbers, names, ``name[column]`` and a few functions
+(`FUNCTIONS`) are allowed; the text is parsed into a tree whose every node is checked, and none of it is run
+as Python.
 """
 
 from __future__ import annotations
@@ -40,6 +41,11 @@ _UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
 }
 
+#: What may be called, by name: functions of one array.
+FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    name: getattr(np, name) for name in ("abs", "sqrt", "exp", "log", "sin", "cos")
+}
+
 
 class Expression:
     """One expression, checked when it is made.
@@ -66,6 +72,7 @@ class Expression:
         ast.Name,
         ast.Attribute,
         ast.Subscript,
+        ast.Call,
         ast.Constant,
         ast.Load,
         *_BINARY,
@@ -93,11 +100,38 @@ class Expression:
             known = isinstance(node.slice, ast.Constant) and isinstance(node.slice.value, int)
         if isinstance(node, ast.Attribute | ast.Subscript):
             known = known and isinstance(node.value, ast.Name | ast.Attribute)
+        if isinstance(node, ast.Call):
+            named = isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS
+            known = named and len(node.args) == 1 and not node.keywords
         if not known:
             raise ValueError(
-                f"{self.text!r}: {type(node).__name__} is not allowed; "
-                "use comparisons, + - * /, & | ~, and or not, numbers and names of variables"
+                f"{self.text!r}: {type(node).__name__} is not allowed; use comparisons, + - * /, & | ~, "
+                f"and or not, numbers, names of variables, and of one of them {', '.join(FUNCTIONS)}"
             )
+
+    def compute(self, values: dict[str, Values]) -> npt.NDArray[np.float64]:
+        """Return the value of the expression, as numbers; true is 1, false 0.
+
+        Parameters
+        ----------
+        values : dict of ndarray
+            As `evaluate` takes them.
+
+        Returns
+        -------
+        ndarray of float
+            NaN wherever a variable is NaN, comparisons too: what is not known is no number.
+
+        Raises
+        ------
+        ValueError
+            As `evaluate`.
+        """
+        found = np.array(self._value(values), dtype=np.float64)
+        for one in (values[name] for name in self.names):
+            missing = np.isnan(one) if one.ndim == 1 else np.isnan(one).any(axis=1)
+            found[missing] = np.nan
+        return found
 
     def evaluate(self, values: dict[str, Values]) -> npt.NDArray[np.bool_]:
         """Return where the expression is true.
@@ -117,9 +151,12 @@ class Expression:
         ValueError
             When the arrays cannot be combined so (text compared with numbers, bits of fractions).
         """
+        return np.asarray(self._value(values)).astype(bool)
+
+    def _value(self, values: dict[str, Values]) -> Any:
         try:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                return np.asarray(_evaluate(self._tree, values)).astype(bool)
+            with np.errstate(all="ignore"):
+                return _evaluate(self._tree, values)
         except TypeError as error:
             raise ValueError(f"{self.text!r} cannot be computed: {error}") from None
 
@@ -127,6 +164,8 @@ class Expression:
 def _names(node: ast.AST) -> list[str]:
     if isinstance(node, ast.Name | ast.Attribute):
         return [ast.unparse(node)]
+    if isinstance(node, ast.Call):
+        return [name for argument in node.args for name in _names(argument)]
     return [name for child in ast.iter_child_nodes(node) for name in _names(child)]
 
 
@@ -138,6 +177,8 @@ def _evaluate(node: ast.AST, values: dict[str, Values]) -> Any:
         result = values[ast.unparse(node)]
     elif isinstance(node, ast.Subscript):
         result = _evaluate(node.value, values)[:, ast.literal_eval(node.slice)]
+    elif isinstance(node, ast.Call):
+        result = FUNCTIONS[ast.unparse(node.func)](_evaluate(node.args[0], values))
     elif isinstance(node, ast.BinOp):
         result = _BINARY[type(node.op)](_evaluate(node.left, values), _evaluate(node.right, values))
     elif isinstance(node, ast.UnaryOp):

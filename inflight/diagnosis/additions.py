@@ -437,6 +437,8 @@ class AdditionMaker:
         parts = [origin.effect.label()]
         if "channel" in origin.effect.given:
             parts += [part.channel for part in parse_channel(origin.effect.channels[0]).parts]
+        elif "formula" in origin.effect.given:
+            parts += origin.effect.channels
         title = "_".join("".join(c if c.isalnum() else "_" for c in part) for part in parts)
         return self.free_name(title)
 

@@ -155,6 +155,8 @@ def _lasting(maker: AdditionMaker, name: str, at: list[int]) -> list[int]:
 def parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
     """Return an entry of the model's file as a mapping, any other text as it is.
 
+    ``= FORMULA`` is the entry of a `formula_field`.
+
     Raises
     ------
     ModelError
@@ -162,6 +164,8 @@ def parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
     """
     if not isinstance(effect, str):
         return dict(effect)
+    if effect.lstrip().startswith("="):
+        return {"effect": "formula_field", "formula": effect.strip().removeprefix("=").strip()}
     if "effect:" not in effect:
         return effect.strip()
     try:

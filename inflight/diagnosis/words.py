@@ -19,6 +19,7 @@ _KINDS = {
     "channel_matrix": "fields of the currents {channels}",
     "function_of_channel": "a field that is some function of {channels}",
     "function_of_two": "a field that is some function of {channels} together",
+    "formula_field": "a field that follows a formula of {channels}",
     "hysteresis": "a field that follows {channels} with play (hysteresis)",
     "channel_scale": "scale factors that follow {channels}",
     "channel_angle": "angles between the axes that follow {channels}",

@@ -32,6 +32,7 @@ from inflight.effects.base import (
 from inflight.effects.families import channels_of, channels_of_kind, options_of_channels
 from inflight.effects.sensors import ANGLES, VECTOR_ROLES
 from inflight.errors import ModelError
+from inflight.expression import Expression
 from inflight.mission import Mission, Sensor
 
 if TYPE_CHECKING:
@@ -253,6 +254,49 @@ class FunctionOfTwo(Effect):
         """Return the product of splines of each pair of knots; (time, source)."""
         first, second = (spline_basis(self.series(samples, i), knots) for i, knots in enumerate(self._knots))
         return np.asarray(np.einsum("ti,tk->tik", first, second).reshape(len(first), -1))
+
+
+class FormulaField(Effect):
+    """A field proportional to a formula of channels: ``coefficient * formula``.
+
+    Option ``formula`` is an expression of channels in the units of the mission YAML (`Expression`), such as
+    ``heater_current * (boom_temperature < 10)``; of a channel of several components ``name[0]`` is the first.
+    """
+
+    family = "unknown"
+    options: ClassVar[tuple[str, ...]] = ("formula",)
+    # The unit of a formula is the user's own: of its size nothing is known beforehand.
+    coefficient = Parameter("nT", AXES, sigma=1e5)
+
+    def prepare(self) -> None:
+        """Read the formula; its variables are the channels."""
+        text = str(self.required("formula"))
+        try:
+            self._formula = Expression(text)
+        except ValueError as error:
+            raise ModelError(
+                f"'{self.name}': formula: {error}",
+                remedy="write such as heater_current * (boom_temperature < 10)",
+            ) from None
+        self.channels = self._formula.names
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``coefficient * formula``; (time, axis) nT, missing where a channel is."""
+        return times_axes(self.along_axes(samples, "coefficient"), values["coefficient"])
+
+    def along_axes(self, samples: xr.Dataset, parameter: str) -> Floats:
+        """Return the formula's value; (time,)."""
+        series = {name: self.series(samples, index) for index, name in enumerate(self.channels)}
+        try:
+            found = self._formula.compute(series)
+        except (ValueError, IndexError) as error:
+            raise ModelError(f"'{self.name}': formula: {error}", remedy="use channels of numbers") from None
+        if found.ndim != 1:
+            raise ModelError(
+                f"'{self.name}': the formula {self._formula.text!r} has several components",
+                remedy="name one of a channel's, such as channel[0]",
+            )
+        return found
 
 
 def knots_of(effect: Effect, key: str) -> Floats:

@@ -59,6 +59,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     channels.Hysteresis,
     channels.FunctionOfChannel,
     channels.FunctionOfTwo,
+    channels.FormulaField,
     environment.DayNight,
     environment.SunDirectionField,
     environment.OrbitPeriodic,

@@ -62,7 +62,7 @@ def dependence_figure(
             earlier.mean[known],
             color=BETWEEN,
             line_dash="dashed",
-            legend_label=f"{name}: rms {earlier.amplitude:.3f}",
+            legend_label=f"{name}: rms {with_error(earlier.amplitude, earlier.sigma_amplitude)} nT",
         )
     loop = found.loop
     if loop is not None and loop.is_open:

@@ -59,6 +59,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
             "second_knots": [0.0, 3e3, 1e4],
         },
     ),
+    "formula_field": ("fgm", {"formula": "solar_current * (coil_temperature < 15) + torquer_current[1]"}),
     "day_night": ("fgm", {}),
     "sun_direction_field": ("fgm", {"degree": 2}),
     "orbit_periodic": ("fgm", {"order": 3}),

@@ -27,6 +27,7 @@ VALUES = {
         ("~(a == 1)", [True, False, True, True]),
         ("m[1] > 3", [False, False, True, True]),
         ("-a < -1", [False, False, True, True]),
+        ("abs(a - 2) <= 1", [False, True, True, True]),
     ],
 )
 def test_expressions_mean_what_they_say(text, expected):
