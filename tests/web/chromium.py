@@ -61,7 +61,7 @@ class Chromium:
         self._number = itertools.count(1)
         self.requests: list[str] = []
         self.complaints: list[str] = []
-        self._socket = connect(self._address(profile), max_size=None, compression=None)
+        self._socket = connect(self._address(profile), max_size=None, compression=None, ping_interval=None)
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
         self.call("Page.addScriptToEvaluateOnNewDocument", source=_DEEP)
