@@ -171,7 +171,7 @@ class LoopState:
             at = "at" if floor and size <= AT_FLOOR * floor else "above"
             state += f", {at} the noise floor of {floor:.4g} nT." if floor else ", and has no noise floor."
         else:
-            state += ": what it leaves has not been measured yet."
+            state += ": what it leaves of days not used in a fit has not been measured yet."
         if self.stale_products:
             state += f" {self.stale_products} of {self.products} days of products are of another model."
         return state, self._next_step(size, floor)
