@@ -184,23 +184,21 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     t, observed, flipped = [], [], []
     related: dict[str, list[np.ndarray]] = {option.name: [] for option in options}
     for label in ACTS_ON.values():
-        cells = _cells(search, data, label, driving_channels(data), held=True)
-        entries = [(one, entry) for one in cells if (entry := _entry(data, label, one)) is not None]
-        if not entries:
+        row = _TableRow.of(rows, label, _cells(search, data, label, driving_channels(data), held=True))
+        if row is None:
             continue
-        products = CellProducts.of(rows, entries[0][1], [one for one, _ in entries])
-        every = [products.places(number) for number in range(len(entries))]
+        products, every = row.products, row.places
         y, present = products.residuals[0], search.present_in(products)
         t.append(score(products, present, every, y, folds).t)
         ratios = sign_flip_ratios(products, present, every, y, signs, units)
         observed.append(ratios[0])
         flipped.append(ratios[1])
-        names += [f"{label}({one.name})" for one, _ in entries]
+        names += [f"{label}({one.name})" for one in row.cells]
         for option in options:
             present = search.present_in(products, option)
             own = score(products, present, [products.index(option.columns)], y, folds)
             found = score(products, present, every, y, folds)
-            same = np.array([one.channel in option.channels for one, _ in entries])
+            same = np.array([one.channel in option.channels for one in row.cells])
             related[option.name].append(same | (found.gain > FORM_SETTINGS.related * own.gain[0]))
     if not names:
         return {}
@@ -237,12 +235,13 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
             for one in _cells(search, data, label, channels, held=True)
             if one.name not in tried and not {f"{label}({one.name})", _core_name(label, one)} & options
         ]
-        entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
-        if not entries:
+        if not cells:
             continue
         rows = rows or CellRows(search, data)
-        products = CellProducts.of(rows, next(iter(entries.values())), list(entries))
-        every = [products.places(number) for number in range(len(entries))]
+        row = _TableRow.of(rows, label, cells)
+        if row is None:
+            continue
+        products, every = row.products, row.places
         residual = products.residuals[0]
         together = score(products, search.present_in(products), [], residual, folds).loss0
         for without in sets:
@@ -253,7 +252,7 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
             if not as_well.any():
                 continue
             best = int(np.argmax(np.where(as_well, found.gain, -np.inf)))
-            name = f"{label}({list(entries)[best].name})"
+            name = f"{label}({row.cells[best].name})"
             for one in without:
                 out[one.name] = max(out.get(one.name, (0.0, "")), (float(found.gain[best]), name))
     return {name: cell for name, (_, cell) in out.items()}
@@ -363,15 +362,14 @@ def _option(search: Search, data: DiagnosisData, cell: Followed, entry: ModelEff
 
 def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[_Shortlisted]:
     """Return cells that nearly pass beside the model, or do as well as an effect of it, with their gain."""
-    search, data = rows.search, rows.data
-    entries = {one: entry for one in cells if (entry := _entry(data, label, one)) is not None}
-    if not entries:
+    search = rows.search
+    row = _TableRow.of(rows, label, cells)
+    if row is None:
         return []
-    products = CellProducts.of(rows, next(iter(entries.values())), list(entries))
+    products, every = row.products, row.places
     rules, folds = search.rules, make_folds(len(products))
-    every = [products.places(number) for number in range(len(entries))]
     together = score(products, search.present_in(products), [], products.residuals[0], folds).loss0
-    gains, alone = np.zeros(len(entries)), np.zeros(len(entries), dtype=bool)
+    gains, alone = np.zeros(len(every)), np.zeros(len(every), dtype=bool)
     taken = [[one] for one in search.accepted if one.change is None and one.channels]
     # Beside the model, in the place of each effect of it, and in the place of all of them.
     for without in ([], *taken, *([list(search.accepted)] if len(search.accepted) > 1 else [])):
@@ -390,7 +388,7 @@ def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[
             alone = passing & (hac_t(found.loss - together[:, None]) < rules.rival_t)
     return [
         _Shortlisted(float(gain), cell, entry, bool(as_well))
-        for gain, as_well, (cell, entry) in zip(gains, alone, entries.items(), strict=True)
+        for gain, as_well, (cell, entry) in zip(gains, alone, row.entries.items(), strict=True)
         if gain > 0
     ]
 
@@ -516,6 +514,32 @@ class CellProducts:
         if first.size and first[0] < len(self.names):
             return np.stack([self.table[:, group][:, :, group] for group in groups], axis=1)
         return self.inner[:, (first - len(self.names)) // self.inner.shape[2]]
+
+
+@dataclass(frozen=True, eq=False)
+class _TableRow:
+    """Cells of one row of the table that the mission has a sensor for, with their effects and products."""
+
+    entries: Mapping[Followed, ModelEffect]
+    products: CellProducts
+
+    @classmethod
+    def of(cls, rows: CellRows, label: str, cells: Sequence[Followed]) -> _TableRow | None:
+        """Return the row of an effect; None where the mission has a sensor for none of its cells."""
+        entries = {one: entry for one in cells if (entry := _entry(rows.data, label, one)) is not None}
+        if not entries:
+            return None
+        return cls(entries, CellProducts.of(rows, next(iter(entries.values())), list(entries)))
+
+    @property
+    def cells(self) -> list[Followed]:
+        """Which they are."""
+        return list(self.entries)
+
+    @property
+    def places(self) -> list[Index]:
+        """Places of the columns of each among the products."""
+        return [self.products.places(number) for number in range(len(self.entries))]
 
 
 def _marginalise(search: Search, cross: Floats, given: Floats, inner: Floats, base: int) -> None:
