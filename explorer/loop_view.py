@@ -107,7 +107,6 @@ class LoopView:
         self._diagnosis_pane = JobPane(self._session.background)
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._diagnose.on_click(lambda event: self._begin_diagnosis())
-        self._table: pn.widgets.Tabulator | None = None
         self._middle = (
             _heading("Which effect is missing"),
             self._diagnose,
@@ -282,7 +281,6 @@ class LoopView:
         if self._other.value in names:
             table.selection = [names.index(self._other.value)]
         table.param.watch(lambda event: self._chosen(event.new), "selection")
-        self._table = table
         parts = [] if not fields.get("stale") else [panes.hint(_of_another_model(fields))]
         return pn.Column(*parts, table, sizing_mode="stretch_width")
 

@@ -32,6 +32,7 @@ from inflight.tasks.analysis import (
 from inflight.tasks.pipelines import (
     CompareResult,
     ReprocessSettings,
+    last_run,
     product_of,
     reprocess,
     table_sections,
@@ -207,13 +208,9 @@ class ExplorerSession:
         MissionError, ModelError, CatalogError
             As `inflight.tasks.pipelines.reprocess`.
         """
-        done = [
-            run.settings
-            for run in self.cat.runs("reprocess")
-            if run.state == "done" and run.settings.get("comparison") == comparison
-        ]
+        run = last_run(self.cat, comparison)
         known = ReprocessSettings.model_fields.keys() - {"use_table", "context"}
-        last = {name: value for name, value in (done[-1] if done else {}).items() if name in known}
+        last = {name: value for name, value in (run.settings if run else {}).items() if name in known}
         settings = ReprocessSettings.model_validate(last | {"comparison": comparison})
         with lazy_client(self.workers) as client:
             made: dict[str, Any] = reprocess(

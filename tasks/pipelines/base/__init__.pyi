@@ -53,7 +53,14 @@ from .publication import (
     reuse_interrupted_days,
     rounded,
 )
-from .reprocessing import product_batch, product_key, report_if_unchanged, residual_of_days, run_plan
+from .reprocessing import (
+    last_run,
+    product_batch,
+    product_key,
+    report_if_unchanged,
+    residual_of_days,
+    run_plan,
+)
 from .stored_table import FITTED, MODEL, pinned_name, pinned_tables
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
@@ -102,6 +109,7 @@ __all__ = [
     "history_section",
     "is_certified",
     "iter_digests",
+    "last_run",
     "make_days",
     "models_to_use",
     "month_edges",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.catalog import Catalog, Day, RunRecord, idempotency_key
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import spin_problems, substitution_problems
@@ -83,19 +83,24 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     return report
 
 
+def last_run(cat: Catalog, comparison: str) -> RunRecord | None:
+    """Return the last `reprocess` of a comparison that was done; None without any."""
+    runs = [
+        run
+        for run in cat.runs("reprocess")
+        if run.state == "done" and run.settings.get("comparison") == comparison
+    ]
+    return runs[-1] if runs else None
+
+
 def report_if_unchanged(pipeline: Pipeline, cat: Catalog, plan: Plan) -> RunReport | None:
     """Return the report of a plan that has nothing to do; None when a run may make something.
 
     It has nothing to do when the last run of the comparison had the same plan and all its days, and all that
     it made is published as it left it.
     """
-    comparison = plan.settings.comparison
-    runs = [
-        run
-        for run in cat.runs("reprocess")
-        if run.state == "done" and run.settings.get("comparison") == comparison
-    ]
-    last = cat.run_report(runs[-1].id) if runs else None
+    run = last_run(cat, plan.settings.comparison)
+    last = cat.run_report(run.id) if run else None
     if (
         not last
         or last["plan"] != _hash_of_plan(pipeline, plan)
