@@ -80,14 +80,9 @@ class TableCoverage:
 def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
     """Return the errors of nine parameters and of the field, beside a scalar sensor."""
     generator = np.random.default_rng([seed, 1])
-    standard = set(SimulationSettings.standard_effects)
-    settings = SimulationSettings(
-        seed=seed,
-        start=dt.date(2005, 1, 1),
-        days=_DAYS,
-        cadence=_CADENCE,
-        defects=(),
-        without=tuple(sorted(standard - {*_WRONG, "external_field"})),
+    settings = _champ(
+        seed,
+        {*_WRONG, "external_field"},
         include=("scalar_bias",),
         # As the model says: 0 +- 0.2 nT and 14.5 +- 2 ms.
         overrides={
@@ -116,16 +111,8 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
 def field_model(seed: int, folder: Path) -> dict[str, Pulls]:
     """Return the errors of what a sensor is, and of the field, against a model of the main field."""
     offset = np.random.default_rng([seed, 2]).normal(0.0, 30.0, 3)
-    standard = set(SimulationSettings.standard_effects)
-    settings = SimulationSettings(
-        seed=seed,
-        start=dt.date(2005, 1, 1),
-        days=_DAYS,
-        cadence=_CADENCE,
-        defects=(),
-        without=tuple(sorted(standard - {"misalignment", "offset", "external_field"})),
-        overrides={"offset": offset.tolist()},
-    )
+    wrong = {"misalignment", "offset", "external_field"}
+    settings = _champ(seed, wrong, overrides={"offset": offset.tolist()})
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
     path = folder / "mission.yaml"
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -213,6 +200,20 @@ def table_coverage(seeds: int = 12, only: str = "") -> Iterator[TableCoverage]:
             for of in missions[0][tag]:
                 pulls = np.array([one[tag][of] for one in missions])
                 yield TableCoverage(pipeline=tag, of=of, pulls=pulls)
+
+
+def _champ(seed: int, kept: set[str], **more: Any) -> SimulationSettings:
+    """Return the settings of a low orbit in which some of the usual effects are there and no other."""
+    standard = set(SimulationSettings.standard_effects)
+    return SimulationSettings(
+        seed=seed,
+        start=dt.date(2005, 1, 1),
+        days=_DAYS,
+        cadence=_CADENCE,
+        defects=(),
+        without=tuple(sorted(standard - kept)),
+        **more,
+    )
 
 
 def _boom(folder: Path, settings: DualSettings, *changes: tuple[str, str]) -> Catalog:

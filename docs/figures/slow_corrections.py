@@ -17,7 +17,7 @@ import xarray as xr
 from bokeh.plotting import figure
 
 from benchmarks.archive import simulated_workspace
-from docs.figures.stray_fields import TrueError, half_hour_errors
+from docs.figures.stray_fields import MODEL, TrueError, half_hour_errors
 from docs.make_pictures import screenshot
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Workspace
@@ -47,18 +47,6 @@ SETTINGS = SimulationSettings(
     include=("offset_drift",),
     overrides={"offset_axes": (0.0, 0.0, 1.0), "offset_drift_rms": 1.0},
 )
-
-#: What the ground tests know of it.
-MODEL = """model: champ-preflight
-version: 1
-mission: champ
-effects:
-  - effect: vector_sensor
-    sensor: fgm
-    scale_factor: {time: block, value: [1.00139, 1.00223, 1.00221], sigma: 2.0e-3}
-    misalignment: {time: block, unit: deg, value: [90.0225, 90.0640, 90.0350], sigma: 0.05}
-    offset: {time: block, unit: nT, value: [23.0, 24.5, 19.0], sigma: 10.0}
-"""
 
 #: Only the field of the body is wrong: it changes within weeks as it does in years.
 BODY_SETTINGS = SETTINGS.model_copy(

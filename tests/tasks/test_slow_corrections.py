@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.archive import simulated_workspace
 from docs.figures.slow_corrections import BODY_EFFECT, BODY_MODEL, BODY_SETTINGS, fitted_eta
-from docs.figures.stray_fields import TrueError
+from docs.figures.stray_fields import MODEL, TrueError
 from inflight.catalog import Workspace
 from inflight.catalog.workspace import find_mission
 from inflight.errors import CatalogError
@@ -29,18 +29,6 @@ SETTINGS = SimulationSettings(
     include=("offset_drift",),
     overrides={"offset_axes": (0.0, 0.0, 1.0), "offset_drift_rms": 1.5},
 )
-MODEL = """model: champ-preflight
-version: 1
-mission: champ
-effects:
-  - effect: vector_sensor
-    sensor: fgm
-    scale_factor: {time: block, value: [1.00139, 1.00223, 1.00221], sigma: 2.0e-3}
-    misalignment: {time: block, unit: deg, value: [90.0225, 90.0640, 90.0350], sigma: 0.05}
-    offset: {time: block, unit: nT, value: [23.0, 24.5, 19.0], sigma: 10.0}
-"""
-
-
 CHAMP = find_mission("champ").read_text(encoding="utf-8")
 
 
