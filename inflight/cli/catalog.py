@@ -7,6 +7,7 @@ import datetime as dt
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -252,6 +253,48 @@ def _summary_of_report(report: Mapping[str, Any]) -> str:
         f"{count} {why.replace('_', ' ')} dropped" for why, count in (report.get("dropped") or {}).items()
     ]
     return "; ".join(parts)
+
+
+@verb(group, "lineage")
+def lineage(
+    command: Command,
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="l2/field@2005-01-10, main-window:4, a delivered file, release:1.0, model:2, context:NAME "
+            "or a lineage id (day:12)."
+        ),
+    ],
+    *,
+    up: Annotated[bool, typer.Option("--up", help="Only what it was made from.")] = False,
+    down: Annotated[bool, typer.Option("--down", help="Only what was made from it.")] = False,
+    svg: Annotated[
+        Path | None, typer.Option(help="Draw it into this file.", metavar="FILE", show_default=False)
+    ] = None,
+) -> None:
+    """Show what something was made from and what was made from it, both ways to the end."""
+    graph = command.open_catalog().lineage_graph(name, "both" if up == down else "up" if up else "down")
+    if svg is not None:
+        svg.write_text(graph.svg(), "utf-8")
+    nodes = [_plain_fields(node) | {"text": node.text} for node in graph.nodes]
+    for node in nodes:
+        node["items"] = [_plain_fields(item) for item in node["items"]]
+    links = [
+        {
+            "parent": link.parent,
+            "child": link.child,
+            "parents": [item.id for item in link.parents],
+            "children": [item.id for item in link.children],
+        }
+        for link in graph.links
+    ]
+
+    def show(console: Console) -> None:
+        console.print(graph.text(), markup=False, soft_wrap=True)
+        if svg is not None:
+            console.print(f"drawn: {svg}", markup=False, soft_wrap=True)
+
+    command.emit({"command": "catalog lineage", "name": graph.name, "nodes": nodes, "links": links}, show)
 
 
 @verb(group, "approve")
