@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any, Final, Literal, NamedTuple
 
-import numpy as np
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
@@ -48,6 +47,15 @@ _DAY_KINDS: Final = {
     "l2": "product",
     "equations": "normal equations",
     "comparison": "kept of a comparison",
+}
+#: What several things are called, by the kind of their ids.
+_THINGS: Final = {
+    "day": "days",
+    "file": "files",
+    "table": "tables",
+    "context": "contexts",
+    "model": "versions",
+    "release": "releases",
 }
 #: Okabe and Ito's colours, darkened where text has them.
 _COLOURS: Final = {
@@ -145,14 +153,19 @@ def describe_items(items: Sequence[LineageItem]) -> str:
     """Return in words which things of one kind and name these are."""
     if len(items) == 1:
         return items[0].name
-    text = f"{len(items)}"
+    things = _THINGS.get(items[0].id.partition(":")[0], "things")
+    text = f"{len(items)} {things}"
     if days := {item.first for item in items if item.first is not None}:
         last = max(item.last for item in items if item.last is not None)
         same = len(days) == len(items) or not items[0].id.startswith("day:")
-        text += "" if same else f" revisions of {len(days)} days"
+        text = text if same else f"{len(items)} revisions of {len(days)} days"
         text += f", {min(days)} to {last}"
     else:
-        text += f": {items[0].name} … {items[-1].name}" if len(items) > 2 else f": {items[0].name}, {items[1].name}"
+        text += (
+            f": {items[0].name} … {items[-1].name}"
+            if len(items) > 2
+            else f": {items[0].name}, {items[1].name}"
+        )
     used = sum(item.in_use for item in items)
     return text if used == len(items) else f"{text}; {used or 'none'} in use"
 
@@ -172,7 +185,11 @@ def lineage_graph(session: Session, named: str, direction: str) -> LineageGraph:
     known = _known_items(session, sides)
     groups: dict[tuple[Side, str, str], list[LineageItem]] = {}
     for item, side in sides.items():
-        kind, title, record = known.get(item) or ("unknown", "not in the catalog", LineageItem(id=item, name=item))
+        kind, title, record = known.get(item) or (
+            "unknown",
+            "not in the catalog",
+            LineageItem(id=item, name=item),
+        )
         groups.setdefault((side, kind, title), []).append(record)
     nodes = tuple(
         LineageNode(key=f"{side}:{kind}:{title}", kind=kind, title=title, items=_sorted(items), side=side)
@@ -218,8 +235,8 @@ def lineage_ids(session: Session, named: str) -> tuple[list[str], str]:
     ----------
     named : str
         ``l2/field@2005-01-10`` (its present revision) or ``l2/field`` (all of them), ``main-window:4`` or
-        ``main-window`` (its newest table), the name or path of a delivered file, ``model:2``, ``context:NAME``,
-        ``release:1.0``, or a lineage id such as ``day:12``.
+        ``main-window`` (its newest table), the name or path of a delivered file, ``model:2``,
+        ``context:NAME``, ``release:1.0``, or a lineage id such as ``day:12``.
 
     Raises
     ------
@@ -238,7 +255,9 @@ def lineage_ids(session: Session, named: str) -> tuple[list[str], str]:
     elif kind in finders:
         ids = finders[kind](session, rest)
     else:
-        ids = _days_named(session, named) or _tables_named(session, kind, rest) or _files_named(session, named)
+        ids = (
+            _days_named(session, named) or _tables_named(session, kind, rest) or _files_named(session, named)
+        )
     if not ids:
         raise CatalogError(
             f"the catalog knows no {named!r}",
@@ -265,7 +284,9 @@ def _days_named(session: Session, named: str) -> list[str]:
 
 
 def _tables_named(session: Session, name: str, number: str) -> list[str]:
-    query = select(TableRow.id).where(TableRow.name == name.removeprefix("tables/")).order_by(TableRow.id.desc())
+    query = (
+        select(TableRow.id).where(TableRow.name == name.removeprefix("tables/")).order_by(TableRow.id.desc())
+    )
     if number:
         query = query.where(TableRow.id == (int(number) if number.isdigit() else -1))
     return [f"table:{one}" for one in session.scalars(query.limit(1))]
@@ -278,13 +299,17 @@ def _files_named(session: Session, named: str) -> list[str]:
         return []
     found: dict[str, str] = {}
     for path, sha256 in session.execute(
-        select(FileRow.path, FileRow.sha256).where(FileRow.path.endswith(named, autoescape=True)).order_by(FileRow.id)
+        select(FileRow.path, FileRow.sha256)
+        .where(FileRow.path.endswith(named, autoescape=True))
+        .order_by(FileRow.id)
     ):
         if PurePath(path).parts[-len(PurePath(named).parts) :] == PurePath(named).parts:
             # One that was delivered again: the last one.
             found[path] = sha256
     if len(found) > 1:
-        raise CatalogError(f"{len(found)} files are called {named!r}", remedy=f"one of {', '.join(sorted(found)[:5])}")
+        raise CatalogError(
+            f"{len(found)} files are called {named!r}", remedy=f"one of {', '.join(sorted(found)[:5])}"
+        )
     return [f"file:{sha256}" for sha256 in found.values()]
 
 
@@ -372,8 +397,8 @@ def _known_items(session: Session, ids: Iterable[str]) -> dict[str, _Named]:
         "release": _named_releases,
     }
     found: dict[str, _Named] = {}
-    for kind, rest in by_kind.items():
-        for batch in _batches(rest) if kind in readers else ():
+    for kind, names in by_kind.items():
+        for batch in _batches(names) if kind in readers else ():
             found |= {one.item.id: one for one in readers[kind](session, batch)}
     return found
 
@@ -420,9 +445,7 @@ def _named_tables(session: Session, ids: Sequence[str]) -> Iterator[_Named]:
         session.scalars(select(CertificationRow.table_id).where(CertificationRow.table_id.in_(numbers)))
     )
     for row in session.scalars(select(TableRow).where(TableRow.id.in_(numbers))):
-        first, last = (
-            to_utc(edge).astype("datetime64[D]").astype(dt.date) for edge in (row.start, max(row.end - 1, row.start))
-        )
+        first, last = (as_date(to_utc(edge)) for edge in (row.start, max(row.end - 1, row.start)))
         valid = row.id in certified
         name = f"table {row.id}, {first} to {last}"
         item = LineageItem(
@@ -437,7 +460,9 @@ def _named_tables(session: Session, ids: Sequence[str]) -> Iterator[_Named]:
 
 def _named_contexts(session: Session, ids: Sequence[str]) -> Iterator[_Named]:
     names: dict[str, list[str]] = {}
-    query = select(NamedContextRow.context_id, NamedContextRow.name).where(NamedContextRow.context_id.in_(ids))
+    query = select(NamedContextRow.context_id, NamedContextRow.name).where(
+        NamedContextRow.context_id.in_(ids)
+    )
     for context, name in session.execute(query):
         names.setdefault(context, []).append(name)
     for row in session.scalars(select(ContextRow).where(ContextRow.id.in_(ids))):
@@ -502,7 +527,7 @@ def _branch(
         above = " (see above)" if repeated else ""
         yield f"{'  ' * depth}{node.heading}: {describe_items(_sorted(part.values()))}{of}{above}"
         if not part.keys() <= before:
-            before |= part.keys()
+            before.update(part)
             yield from _branch(part.values(), near, place, shown, depth + 1)
 
 

@@ -55,7 +55,6 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
-from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,
@@ -133,6 +132,8 @@ __all__ = [
     "PLANES",
     "REFERENCE",
     "THUMBNAIL_BINS",
+    "Arrow",
+    "Box",
     "CalendarDay",
     "LazySection",
     "Panel",
@@ -178,6 +179,7 @@ __all__ = [
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",
+    "graph_picture",
     "heat_map_figures",
     "histogram_figure",
     "html_page",

@@ -1,4 +1,4 @@
-"""A picture of what leads to what: boxes in columns, from left to right, joined by curves; SVG without scripts.
+"""A picture of what leads to what: boxes in columns, from left to right, joined by curves; without scripts.
 
 In go boxes and arrows between them; out comes an SVG as text, always the same for the same boxes.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from textwrap import shorten
 
 from inflight.figures.page import render
@@ -130,7 +131,7 @@ def _order(columns: list[list[int]], paths: Sequence[Sequence[int]]) -> None:
     before: dict[int, list[int]] = {}
     after: dict[int, list[int]] = {}
     for path in paths:
-        for one, other in zip(path, path[1:], strict=False):
+        for one, other in pairwise(path):
             before.setdefault(other, []).append(one)
             after.setdefault(one, []).append(other)
     for sweep in range(_SWEEPS):
@@ -138,10 +139,12 @@ def _order(columns: list[list[int]], paths: Sequence[Sequence[int]]) -> None:
         place = {node: at / max(len(column), 1) for column in columns for at, node in enumerate(column)}
         for column in columns if sweep % 2 == 0 else reversed(columns):
             mean = {
-                node: sum(place[one] for one in near) / len(near) if (near := neighbours.get(node)) else place[node]
+                node: sum(place[one] for one in near) / len(near)
+                if (near := neighbours.get(node))
+                else place[node]
                 for node in column
             }
-            column.sort(key=lambda node: (mean[node], place[node]))  # noqa: B023
+            column.sort(key=lambda node: (mean[node], place[node]))
             place |= {node: at / max(len(column), 1) for at, node in enumerate(column)}
 
 
