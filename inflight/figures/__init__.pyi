@@ -55,6 +55,7 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
+from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,

@@ -27,9 +27,10 @@ def file_of(day, run):
     )
 
 
-@pytest.fixture
-def chain(catalog) -> Catalog:
-    """Three days from file to release; the product of the last day was made anew since."""
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory) -> Catalog:
+    """Three days from file to release; the product of the last day was made anew since. It is only read."""
+    catalog = Catalog(tmp_path_factory.mktemp("lineage"))
     with catalog.run("ingest") as run:
         records = [file_of(day, run) for day in DAYS]
         catalog.record_files(run, records)
