@@ -86,9 +86,11 @@ from .parameters import (
 from .quicklook import (
     THUMBNAIL_BINS,
     CalendarDay,
+    ChangePanel,
     Panel,
     by_day_picture,
     calendar_page,
+    changes_picture,
     day_picture,
     ranges,
 )
@@ -136,6 +138,7 @@ __all__ = [
     "Arrow",
     "Box",
     "CalendarDay",
+    "ChangePanel",
     "LazySection",
     "Panel",
     "Section",
@@ -152,6 +155,7 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "changes_picture",
     "clock_figure",
     "coefficient_figures",
     "comparison_figure",
