@@ -181,7 +181,7 @@ def lineage_graph(session: Session, named: str, direction: str) -> LineageGraph:
         found = list(_walk(session, ids, up=side == "up"))
         edges |= dict.fromkeys(found)
         for edge in found:
-            sides.setdefault(edge.parent if side == "up" else edge.child, side)  # type: ignore[arg-type]
+            sides.setdefault(edge.parent if side == "up" else edge.child, side)
     known = _known_items(session, sides)
     groups: dict[tuple[Side, str, str], list[LineageItem]] = {}
     for item, side in sides.items():

@@ -55,7 +55,7 @@ from .table import (
     table_boundary_steps,
     trend_jumps,
 )
-from .table_changes import ParameterChange, TableChanges, table_changes
+from .table_comparison import ParameterChange, TableChanges, table_changes
 
 __all__ = [
     "CHANGE",

@@ -558,7 +558,7 @@ def _table_diff(
 
     old, new = (find_table(catalog, name.removeprefix("tables/")) for name in names)
     labels = [f"{one.name}:{one.id}" for one in (old, new)]
-    found = table_changes(*(catalog.table_by_id(one.id) for one in (old, new)), strength)
+    found = table_changes(catalog.table_by_id(old.id), catalog.table_by_id(new.id), strength)
     rows = found.rows()
     if svg is not None:
         svg.write_text(_picture_of_table(" to ".join(labels), found), "utf-8")
@@ -577,9 +577,9 @@ def _table_diff(
 
     def show(console: Console) -> None:
         console.print(f"{' and '.join(labels)}, {fields['start']} to {fields['end']}", soft_wrap=True)
-        for what in ("gained", "lost"):
-            if fields[what]:
-                console.print(f"parameters {what}: {', '.join(fields[what])}", markup=False, soft_wrap=True)
+        for what, names_of in (("gained", found.gained), ("lost", found.lost)):
+            if names_of:
+                console.print(f"parameters {what}: {', '.join(names_of)}", markup=False, soft_wrap=True)
         if not rows:
             console.print("the parameters of both have the same values")
             return
