@@ -356,8 +356,10 @@ def _walk(session: Session, ids: Sequence[str], *, up: bool) -> Iterator[Edge]:
         return
     edges = walk(session, start, up=False)
     yield from edges
-    days = sorted({int(one[4:]) for one in (*ids, *(edge.child for edge in edges)) if one.startswith("day:")})
-    for batch in _batches(days):
+    numbers = sorted(
+        {int(one[4:]) for one in (*ids, *(edge.child for edge in edges)) if one.startswith("day:")}
+    )
+    for batch in _batches(numbers):
         held_by = (
             select(ReleaseDayRow.day_id, ReleaseRow.version)
             .join(ReleaseRow, ReleaseRow.id == ReleaseDayRow.release_id)

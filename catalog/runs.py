@@ -463,7 +463,8 @@ def close_run(
     row = session.get_one(RunRow, run_id)
     started = dt.datetime.fromisoformat(row.started)
     ended = max(present_time(), started) if elapsed is None else started + dt.timedelta(seconds=elapsed)
-    row.state, row.cause, row.message, row.report = state, cause, message, report
+    row.state, row.cause, row.message = state, cause, message
+    row.report = None if report is None else dict(report)
     row.ended = ended.isoformat(timespec="microseconds")
     session.flush()
     if state == "failed":
