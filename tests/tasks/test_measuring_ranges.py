@@ -11,8 +11,8 @@ from inflight.mission import Mission
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
-DAYS = np.datetime64(TINY_START, "D") + np.arange(3)
-#: Offsets (nT) and gains of both ranges; the second holds for five hours of day 2 and all of day 3.
+DAYS = np.datetime64(TINY_START, "D") + np.arange(2)
+#: Offsets (nT) and gains of both ranges; the second holds for five hours of day 1 and all of day 2.
 OFFSETS = np.array([[20.0, -10.0, 5.0], [-35.0, 60.0, 15.0]])
 GAINS = np.array([[1.0002, 0.9999, 1.0001], [0.9985, 1.0012, 1.0004]])
 RANGES = """\
@@ -36,7 +36,7 @@ YAML = TINY_YAML.partition("comparisons:")[0].replace(
 def range_at(times):
     """The range (1 or 2) at UTC times; 3 is the second one's other code."""
     hours = (times - DAYS[0]) / np.timedelta64(1, "h")
-    return np.where(hours >= 48, 3, np.where((hours >= 30.03) & (hours < 35), 2, 1))
+    return np.where(hours >= 24, 3, np.where((hours >= 6.03) & (hours < 11), 2, 1))
 
 
 @pytest.fixture(scope="module")
