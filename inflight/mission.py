@@ -121,6 +121,11 @@ class MeasuringRange(Strict):
     #: What it reads in this range.
     value: Annotated[list[float], BeforeValidator(_values), Field(min_length=1)]
 
+    @property
+    def words(self) -> str:
+        """The range in words: ``fgm_range = 2 or 3``."""
+        return f"{self.channel} = {' or '.join(f'{one:g}' for one in self.value)}"
+
 
 class ScalarComparison(Strict):
     """|B_vector| minus the field strength of an absolute instrument (one row a sample, nT)."""

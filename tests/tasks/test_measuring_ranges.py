@@ -76,6 +76,8 @@ def test_a_sample_is_calibrated_in_the_product_of_its_range_alone(calibrated):
     found = []
     for day in DAYS:
         products = [calibrated.read_day(name, day) for name in ("l2/field", "l2/field-coarse")]
+        told = [one.attrs["calibration_range"] for one in products]
+        assert told == ["measuring_range = 1", "measuring_range = 2 or 3"]
         other = [(one["flag"].values & np.uint32(Flag.OTHER_RANGE)) > 0 for one in products]
         field = [one["field_sensor"].values for one in products]
         for own, values in zip(other, field, strict=True):

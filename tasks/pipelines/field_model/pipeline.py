@@ -105,7 +105,7 @@ class FieldModelPipeline(Pipeline):
     """Twelve parameters of a vector sensor, ``B = M E + b``, against a model of the main field."""
 
     tag = "field_model"
-    versions = Versions(statistics=1, tables=1, products=1)
+    versions = Versions(statistics=1, tables=1, products=2)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison with a field model."""
