@@ -449,6 +449,12 @@ class RegistryContract:
             ("file:" + "1" * 64, raw.id),
         }
         assert [edge.child for edge in catalog.lineage("file:" + "1" * 64, up=False)] == [raw.id, product.id]
+        for named in ("a.cdf", "file:" + "1" * 64, NAME, product.id, "model:1", f"context:{context[:8]}"):
+            graph = catalog.lineage_graph(named)
+            found = {node.kind: node.text for node in graph.nodes if node.side != "here"}
+            assert found.get("product", "2005-12-30 v01.00") == "2005-12-30 v01.00"
+            assert {"product", "archive", "delivered files", "model", "context"} >= set(found), named
+            assert graph.edges
         assert catalog.verify() == []
 
 
