@@ -55,6 +55,7 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
+from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,
@@ -85,9 +86,11 @@ from .parameters import (
 from .quicklook import (
     THUMBNAIL_BINS,
     CalendarDay,
+    ChangePanel,
     Panel,
     by_day_picture,
     calendar_page,
+    changes_picture,
     day_picture,
     ranges,
 )
@@ -132,7 +135,10 @@ __all__ = [
     "PLANES",
     "REFERENCE",
     "THUMBNAIL_BINS",
+    "Arrow",
+    "Box",
     "CalendarDay",
+    "ChangePanel",
     "LazySection",
     "Panel",
     "Section",
@@ -149,6 +155,7 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "changes_picture",
     "clock_figure",
     "coefficient_figures",
     "comparison_figure",
@@ -177,6 +184,7 @@ __all__ = [
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",
+    "graph_picture",
     "heat_map_figures",
     "histogram_figure",
     "html_page",
