@@ -12,6 +12,7 @@ from inflight.explorer import panes
 from inflight.explorer.diagnosis_view import DiagnosisView
 from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
+from inflight.explorer.products_view import ProductsView
 from inflight.explorer.session import Days, ExplorerSession
 from inflight.explorer.view_state import ViewState
 from inflight.explorer.views import MeasurementView, TablesView, View
@@ -54,6 +55,7 @@ class Page:
             LoopView(session, self._state, self._model_changed, self._select_days),
             MeasurementView(session),
             DiagnosisView(session),
+            ProductsView(session, self._state),
             TablesView(session),
         )
         self._tabs = pn.Tabs(

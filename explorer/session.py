@@ -13,12 +13,23 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog, Workspace
-from inflight.explorer.background import Background
+from inflight.explorer.background import Background, BackgroundJob
+from inflight.explorer.product_day import product_day_sections
+from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest, plan_work
 from inflight.figures import LazySection, Section
 from inflight.flows import lazy_client
 from inflight.mission import Mission
 from inflight.model import parse_tree
-from inflight.tasks import ModelHistory, Progress, find_model
+from inflight.tasks import (
+    CoverageDay,
+    ModelHistory,
+    Progress,
+    RunProgress,
+    coverage_days,
+    find_model,
+    run_log,
+    runs_progress,
+)
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -34,7 +45,6 @@ from inflight.tasks.pipelines import (
     ReprocessSettings,
     last_run,
     product_of,
-    reprocess,
     table_sections,
 )
 
@@ -71,11 +81,14 @@ class ExplorerSession:
         self.background = Background()
         #: Makes figures while `background` does what takes long.
         self.figure_background = Background()
+        #: What was begun last by `begin_work`, for all pages.
+        self.work: tuple[InOwnProcess, BackgroundJob] | None = None
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
     def close(self) -> None:
-        """Cancel jobs that have not begun."""
+        """Cancel jobs that have not begun, and stop the work of other processes."""
+        self.stop_work()
         self.background.close()
         self.figure_background.close()
 
@@ -184,15 +197,8 @@ class ExplorerSession:
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
-        history = ModelHistory(self.cat, self.mission(), comparison)
         days = self.cat.days(product_of(comparison), states=("published",))
-        contexts = {name: self.cat.context(name) for name in {day.context for day in days} if name}
-        stale = {
-            name
-            for name, made in contexts.items()
-            if made.model_name != history.used.name
-            or not history.same(made.model_version, history.used.version)
-        }
+        stale = ModelHistory(self.cat, self.mission(), comparison).stale_contexts(days)
         return sum(day.context in stale for day in days)
 
     def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
@@ -208,15 +214,77 @@ class ExplorerSession:
         MissionError, ModelError, CatalogError
             As `inflight.tasks.pipelines.reprocess`.
         """
+        request = WorkRequest("reprocess", settings=self.reprocess_settings(comparison))
+        return InOwnProcess(self.workspace.root, request, self.workers)(progress)
+
+    def reprocess_settings(self, comparison: str) -> dict[str, Any]:
+        """Return the settings of the last `inflight reprocess` of a comparison, or the defaults."""
         run = last_run(self.cat, comparison)
         known = ReprocessSettings.model_fields.keys() - {"use_table", "context"}
         last = {name: value for name, value in (run.settings if run else {}).items() if name in known}
-        settings = ReprocessSettings.model_validate(last | {"comparison": comparison})
-        with lazy_client(self.workers) as client:
-            made: dict[str, Any] = reprocess(
-                self.cat, self.mission(), settings=settings, client=client, progress=progress
-            ).as_json()
-        return made
+        return last | {"comparison": comparison}
+
+    # Products and runs.
+
+    def datasets(self) -> list[str]:
+        """Return the datasets of products and of the archive, products first."""
+        names = [one["dataset"] for one in self.cat.inventory()]
+        return [name for kind in ("l2/", "l1/") for name in names if name.startswith(kind)]
+
+    def coverage(self, dataset: str, progress: Progress) -> list[CoverageDay]:
+        """Return what became of each day of a dataset, and why."""
+        progress("coverage", 0, 1)
+        return coverage_days(self.cat, self.mission(), dataset)
+
+    def product_day(self, dataset: str, day: np.datetime64, progress: Progress) -> list[Section]:
+        """Return what there is of a day: its samples, its flags, its versions side by side.
+
+        Raises
+        ------
+        IntegrityError
+            When its store is damaged.
+        """
+        progress("day", 0, 1)
+        return product_day_sections(self.cat, dataset, day)
+
+    def runs(self, last: int) -> list[RunProgress]:
+        """Return how far the last runs are, whoever began them, the newest first."""
+        found = runs_progress(self.cat, last)
+        if any(one.record.state == "running" for one in found):
+            # Opening a catalog closes the runs of processes that are gone.
+            self.cat = Catalog(self.workspace.root)
+        return found
+
+    def run_log(self, run: str) -> list[str]:
+        """Return the log of a run; that of work begun here has the times of its stages, too."""
+        record = next((one for one in self.cat.runs() if one.id == run), None)
+        if record is None:
+            return []
+        work, job = self.work or (None, None)
+        stages = work.log if work and job and (job.result or {}).get("run") == run else []
+        return [*run_log(self.cat, record), *stages]
+
+    def plan(self, request: WorkRequest, progress: Progress) -> WorkPlan:
+        """Return what a request would do, and what it costs.
+
+        Raises
+        ------
+        SettingsError, CatalogError
+            As `plan_work`.
+        """
+        progress("plan", 0, 1)
+        return plan_work(self.workspace, request)
+
+    def begin_work(self, request: WorkRequest) -> BackgroundJob:
+        """Begin what was planned, behind the work that was begun before; every page shows its progress."""
+        work = InOwnProcess(self.workspace.root, request, self.workers)
+        self.work = work, self.background.begin(request.name, work)
+        return self.work[1]
+
+    def stop_work(self) -> None:
+        """Stop what was begun last, if it is not finished."""
+        if self.work is not None:
+            self.work[0].stop()
 
     def open_equations(self, comparison: str, progress: Progress) -> None:
         """Open the workbench of the last diagnosis, so that the next change need not wait for it."""

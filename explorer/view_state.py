@@ -15,6 +15,8 @@ class ViewState(param.Parameterized):
     tab = param.String(default="", doc="Heading of the tab in words of the address.")
     channel = param.String(default="", doc="What the residual is drawn against.")
     candidate = param.String(default="", doc="The chosen candidate.")
+    dataset = param.String(default="", doc="Dataset whose calendar is shown; the product when empty.")
+    day = param.String(default="", doc="The day chosen in it, YYYY-MM-DD.")
 
     def follow_address(self) -> None:
         """Take what the address says, and write what is chosen into it from now on."""
@@ -28,4 +30,4 @@ class ViewState(param.Parameterized):
         pn.state.location.update_query(**chosen)
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate")
+_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate", "dataset", "day")

@@ -1,4 +1,4 @@
-"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``gc`` and the rest."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``log``, ``diff``, ``verify``, ``gc`` ..."""
 
 from __future__ import annotations
 
@@ -434,6 +434,31 @@ def runs(
             console.print(f"the last {SHOWN_DAYS} of {len(items)} runs; --json lists all")
 
     command.emit({"command": "catalog runs", "items": items}, show)
+
+
+@verb(group, "log")
+def log(
+    command: Command,
+    run: Annotated[
+        str | None,
+        typer.Argument(help="Of 'catalog runs', or how it begins (default: the last).", show_default=False),
+    ] = None,
+) -> None:
+    """Show the log of a run: what it was asked to do, what became of its days, errors with what to do."""
+    from inflight.errors import CatalogError
+    from inflight.tasks import run_log
+
+    catalog = command.open_catalog()
+    found = [record for record in catalog.runs() if record.id.startswith(run or "")]
+    if not found:
+        raise CatalogError(f"there is no run {run or ''}", remedy="'inflight catalog runs' lists them")
+    lines = run_log(catalog, found[-1])
+
+    def show(console: Console) -> None:
+        for line in lines:
+            console.print(line, soft_wrap=True, markup=False)
+
+    command.emit({"command": "catalog log", "run": found[-1].id, "lines": lines}, show)
 
 
 def _run_fields(record: RunRecord) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from .causes import (
     torquer_mean_figures,
     with_and_without_figure,
 )
+from .coverage import COVERAGE_COLOURS, coverage_figure, coverage_legend
 from .dependence import (
     along_field_figures,
     axis_figure,
@@ -127,6 +128,7 @@ __all__ = [
     "AFTER",
     "BEFORE",
     "COMPONENTS",
+    "COVERAGE_COLOURS",
     "HIGHLIGHT",
     "PARTS",
     "PLANES",
@@ -155,6 +157,8 @@ __all__ = [
     "continuous_figure",
     "correction_figure",
     "correlation_figure",
+    "coverage_figure",
+    "coverage_legend",
     "cross_talk_figure",
     "daily_figure",
     "day_night_figure",

@@ -4,10 +4,10 @@ import signal
 from urllib.parse import urlsplit
 
 import pytest
-from heated_mission import make_heated_workspace
+from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
 
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Workspace
 from inflight.tasks.pipelines import reprocess
 
 #: What the figure of the falling error has drawn: bars by change, and the noise floor.
@@ -115,3 +115,30 @@ def test_ctrl_c_ends_the_server_without_an_error(serve, tmp_path):
     _, complaints = served.process.communicate(timeout=60)
     assert served.process.returncode == 0, complaints
     assert "Traceback" not in complaints
+
+
+def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heated):
+    """The fifth day is delivered late; another page shows the run, and answers meanwhile."""
+    deliver_heated_day(Workspace.open(heated).data, "2024-03-05", heater_field)
+    browser.open(f"{address}?tab=products-and-runs")
+    browser.wait_for_text("Click one to see it.", 120)
+    browser.fill("What", "Backfill")
+    browser.fill("Reason", "delivered late")
+    browser.fill("to, included", "2024-03-05")
+    browser.press("button", "Plan")
+    browser.wait_for_text("files were delivered that are not in the archive", 60)
+    assert browser.evaluate("pick('button').find((one) => one.textContent.trim() === 'Stop').disabled")
+    runs = len(Catalog(heated).runs())
+    browser.press("button", "Start")
+    browser.wait_for_text("Backfill 2024-03-01 to 2024-03-05: ", 60)
+    browser.press(".bk-tab", "Diagnosis")
+    browser.wait_for_text("All figures of this diagnosis", 10)
+    browser.press(".bk-tab", "Products and runs")
+    browser.wait_for_text("Backfill 2024-03-01 to 2024-03-05 is finished.", 120)
+    assert "5 days made, 0 unchanged, 0 failed" in browser.text()
+    assert [one.kind for one in Catalog(heated).runs()[runs:]] == ["ingest", "reprocess"]
+    # Its log, and the day it made.
+    browser.wait_for_text("reason: delivered late")
+    browser.wait_for_text("l2/field: 5 published; 2024-03-01 to 2024-03-05")
+    browser.wait_for_text("quick-look 5")
+    assert browser.complaints == []

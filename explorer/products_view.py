@@ -1,0 +1,122 @@
+"""The tab of products and runs: which days there are and why others are missing, and what makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import panel as pn
+
+from inflight.explorer import panes
+from inflight.explorer.job_pane import JobPane
+from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.runs_panel import RunsPanel
+from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.view_state import ViewState
+from inflight.figures import coverage_figure, coverage_legend, paragraph
+from inflight.tasks import CoverageDay
+from inflight.tasks.pipelines import product_of
+
+
+class ProductsView:
+    """A calendar of each dataset, the day chosen in it, and the runs.
+
+    Parameters
+    ----------
+    session : ExplorerSession
+    state : ViewState
+        Dataset and day chosen are kept in it.
+    """
+
+    title = "Products and runs"
+
+    def __init__(self, session: ExplorerSession, state: ViewState) -> None:
+        self._session, self._state = session, state
+        self._days: list[CoverageDay] = []
+        self._comparison = ""
+        self._dataset = pn.widgets.Select(name="Dataset", options=[], width=220)
+        self._calendar = JobPane(session.figure_background)
+        self._day = JobPane(session.figure_background)
+        self._runs = RunsPanel(session, self._show_calendar)
+        self._dataset.param.watch(lambda event: self._choose(event.new), "value")
+        left = pn.Column(
+            panes.text(paragraph("", bold="What there is")),
+            self._dataset,
+            self._calendar.panel,
+            self._day.panel,
+            styles={"flex": "1.4 1 0", "min-width": "0"},
+            sizing_mode="stretch_width",
+        )
+        self.panel = pn.Row(left, self._runs.panel, sizing_mode="stretch_width")
+
+    def show(self, overview: ComparisonOverview, days: Days | None) -> None:
+        """Show the products of a comparison; the calendar has its own span."""
+        names, own = self._session.datasets(), product_of(overview.comparison)
+        wanted = [self._state.dataset, own] if overview.comparison == self._comparison else [own]
+        if not self._comparison:
+            wanted = [self._state.dataset, own]
+        self._comparison = overview.comparison
+        chosen = next((name for name in (*wanted, *names) if name in names), None)
+        before = self._dataset.value
+        self._dataset.param.update(options=names, value=chosen)
+        if chosen == before or chosen is None:
+            self._show_calendar()
+        self._runs.show(overview, days)
+        if self._state.day:
+            self._show_day(self._state.day)
+
+    def _choose(self, dataset: str | None) -> None:
+        if dataset:
+            self._state.dataset = dataset
+            self._show_calendar()
+
+    def _show_calendar(self) -> None:
+        dataset = self._dataset.value
+        if dataset is None:
+            self._calendar.put(panes.hint("The archive is empty: 'inflight ingest' fills it."))
+            return
+        self._calendar.begin(
+            "Coverage", lambda progress: self._session.coverage(dataset, progress), self._drawn
+        )
+
+    def _drawn(self, days: list[CoverageDay]) -> pn.viewable.Viewable:
+        self._days = days
+        if not days:
+            return panes.hint("Nothing is known of this dataset.")
+        plot, source = coverage_figure(
+            f"{self._dataset.value}: {days[0].day} to {days[-1].day}",
+            [(one.day, one.kind, one.why) for one in days],
+        )
+        plot.sizing_mode, plot.toolbar_location = "stretch_width", "right"
+        plot.toolbar.autohide = True
+        source.selected.on_change("indices", lambda name, old, new: self._tapped(new))
+        return pn.Column(
+            pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4),
+            panes.text(
+                coverage_legend([one.kind for one in days]),
+                paragraph(f"{len(days)} days. Click one to see it.", kind="quiet"),
+            ),
+            sizing_mode="stretch_width",
+        )
+
+    def _tapped(self, selected: Sequence[int]) -> None:
+        if selected:
+            self._show_day(str(self._days[selected[0]].day))
+
+    def _show_day(self, day: str) -> None:
+        dataset = self._dataset.value
+        try:
+            date = np.datetime64(day, "D")
+        except ValueError:
+            return
+        if dataset is None:
+            return
+        self._state.day = day
+        why = next((one.why for one in self._days if one.day == date), "")
+        self._day.begin(
+            f"{dataset} {day}",
+            lambda progress: self._session.product_day(dataset, date, progress),
+            lambda sections: pn.Column(
+                *([panes.text(paragraph(why, kind="quiet"))] if why else []), panes.sections(sections)
+            ),
+        )

@@ -1,0 +1,117 @@
+"""Products and runs: why a day is missing, what a run did, versions side by side, work planned and done."""
+
+import numpy as np
+import pytest
+
+from inflight.catalog import Catalog, DayData, Workspace, write_segment
+from inflight.errors import CatalogError, SettingsError
+from inflight.explorer.product_day import product_day_sections
+from inflight.explorer.work import InOwnProcess, WorkRequest, plan_work
+from inflight.flows import plan_span
+from inflight.tasks import coverage_days, run_log, runs_progress
+
+PROBLEM = {"day": "2024-03-05", "channel": "turning", "message": "too hot", "remedy": "let it cool"}
+EXCLUSION = """
+exclusions:
+  - {instrument: turning, start: 2024-03-02T06:00, end: 2024-03-02T12:00, author: A. Person, reason: tests}
+"""
+
+
+def nobody(stage, done, total):
+    """Take progress that nobody watches."""
+
+
+def test_each_day_of_the_calendar_says_what_became_of_it_and_why(workspace):
+    cat = Catalog(workspace.root)
+    text = workspace.mission_file.read_text(encoding="utf-8") + EXCLUSION
+    workspace.mission_file.write_text(text, encoding="utf-8")
+    with cat.run("reprocess") as run:
+        run.record("l2/field", "2024-03-05", "failed", "repeatable", "too hot", {"problem": PROBLEM})
+        run.record_no_work("l2/field", {"2024-03-07": "no measurements of turning"})
+    told = coverage_days(cat, workspace.mission(), "l2/field")
+    assert [str(one.day) for one in told] == [f"2024-03-0{day}" for day in range(1, 8)]
+    kinds = ["quick-look", "excluded", "quick-look", "quick-look", "failed", "missing", "missing"]
+    assert [one.kind for one in told] == kinds
+    whys = [one.why for one in told]
+    assert "2024-03-02T06:00" in whys[1]
+    assert "tests (A. Person)" in whys[1]
+    assert "too hot What to do: let it cool" in whys[4]
+    assert "not calibrated yet" in whys[5]
+    assert "no measurements of turning" in whys[6]
+    assert {one.kind for one in coverage_days(cat, workspace.mission(), "l1/absolute")} == {"archived"}
+
+
+def test_the_log_of_a_run_says_what_was_asked_what_came_of_it_and_what_to_do(workspace):
+    cat = Catalog(workspace.root)
+    settings = {"comparison": "main", "days_planned": 3, "reason": "late files"}
+    with cat.run("reprocess", settings) as run:
+        run.record("l2/field", "2024-03-05", "failed", "repeatable", "too hot", {"problem": PROBLEM})
+        going = runs_progress(cat, 1)[0]
+        assert (going.record.state, going.days_text(), going.failed) == ("running", "l2/field: 1 of 3", 1)
+    text = "\n".join(run_log(cat, cat.runs()[-1]))
+    for part in ("reason: late files", "comparison: main", "3 days to do", "1 failed; 2024-03-05"):
+        assert part in text
+    assert "day 2024-03-05, channel 'turning': failed (same again until you fix it): too hot" in text
+    assert "What to do: let it cool" in text
+    assert " done after " in text
+    with pytest.raises(CatalogError), cat.run("reprocess"):
+        raise CatalogError("no product is published", remedy="ingest first")
+    ended = run_log(cat, cat.runs(last=1)[0])
+    assert " failed (same again until you fix it) after " in ended[-2]
+    assert ended[-1] == "CatalogError: no product is published; ingest first"
+
+
+def test_versions_of_a_day_stand_side_by_side_with_their_differences(workspace):
+    cat = Catalog(workspace.root)
+    day = np.datetime64("2024-03-02")
+    changed = cat.read_day("l2/field", day).drop_vars("time")
+    changed["field_sensor"] = changed["field_sensor"] + np.array([0.0, 3.0, 4.0])
+    with cat.run("reprocess", {"reason": "a trial"}) as run:
+        run.attach(write_segment(cat.workspace, run.id, "l2/field", [DayData(day, changed, key="other")]))
+        run.publish()
+    sections = {heading: "".join(parts) for heading, parts, _ in product_day_sections(cat, "l2/field", day)}
+    assert "v01.00</th><th>v01.01" in sections["Versions"]
+    assert "a trial" in sections["Versions"]
+    assert "<td>change: field_sensor, nT</td><td></td><td>5, at most 5</td>" in sections["Versions"]
+    assert "<svg" in sections["The day"]
+    assert "no attitude</td><td>1440" in sections["The day"]
+
+
+def test_a_plan_is_that_of_the_verb_and_writes_nothing(workspace):
+    runs = len(Catalog(workspace.root).runs())
+    # Another mission file: every day has to be made anew.
+    text = workspace.mission_file.read_text(encoding="utf-8") + EXCLUSION
+    workspace.mission_file.write_text(text, encoding="utf-8")
+    settings = {"comparison": "main", "table": "daily"}
+    request = WorkRequest("reprocess", "2024-03-02", "2024-03-05", settings)
+    plan = plan_work(workspace, request)
+    told = plan_span(workspace, "2024-03-02", "2024-03-05", settings)
+    assert plan.fields == told
+    assert told["days"]["planned"] == 3
+    assert f"{told['cost']['seconds']:.0f} s and" in plan.lines[1]
+    release = plan_work(workspace, WorkRequest("release", version="1.0"))
+    assert "release 1.0 (preliminary): 16 days" in release.lines[0]
+    assert release.objections == []
+    with pytest.raises(SettingsError, match="needs a version"):
+        plan_work(workspace, WorkRequest("release"))
+    assert len(Catalog(workspace.root).runs()) == runs
+
+
+@pytest.mark.slow
+def test_a_release_is_made_by_a_process_of_its_own_and_its_errors_come_back(workspace):
+    stages = []
+    made = InOwnProcess(workspace.root, WorkRequest("release", version="1.0"), 1)
+    report = made(lambda *told: stages.append(told))
+    assert report["outputs"] == ["releases/1.0"]
+    assert (Workspace.open(workspace.root).root / "releases/1.0/RELEASE_NOTES.md").exists()
+    again = InOwnProcess(workspace.root, WorkRequest("release", version="1.0"), 1)
+    with pytest.raises(CatalogError, match=r"1\.0"):
+        again(nobody)
+
+
+def test_work_that_was_stopped_says_so(workspace):
+    work = InOwnProcess(workspace.root, WorkRequest("release", version="2.0"), 1)
+    work.stop()
+    with pytest.raises(Exception, match="was stopped; what is published is unchanged"):
+        work(nobody)
+    assert not (workspace.root / "releases/2.0").exists()
