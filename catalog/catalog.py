@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from inflight.catalog.days import (
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
 from inflight.catalog.garbage import Garbage, collect_garbage
+from inflight.catalog.lineage import LineageGraph, lineage_graph
 from inflight.catalog.location import is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
@@ -546,6 +547,28 @@ class Catalog:
         ``model:<name>@<version>``.
         """
         return self._database.read(walk, [id.id if isinstance(id, Day) else id], up=up)
+
+    def lineage_graph(
+        self, named: str | Day, direction: Literal["up", "down", "both"] = "both"
+    ) -> LineageGraph:
+        """Return what something was made from (``up``), what was made from it (``down``), or both, in words.
+
+        Its methods ``text()`` and ``svg()`` show it.
+
+        Parameters
+        ----------
+        named : str or Day
+            ``l2/field@2005-01-10``, ``main-window:4``, the name of a delivered file, ``release:1.0``,
+            ``model:2``, ``context:NAME``, or a lineage id; a dataset or table alone is all its days, or its
+            newest table.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such thing.
+        """
+        name = named.id if isinstance(named, Day) else named
+        return self._database.read(lineage_graph, name, direction)
 
     # --- upkeep and releases -----------------------------------------------------------------------
 

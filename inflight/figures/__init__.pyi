@@ -56,6 +56,7 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
+from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,
@@ -86,9 +87,11 @@ from .parameters import (
 from .quicklook import (
     THUMBNAIL_BINS,
     CalendarDay,
+    ChangePanel,
     Panel,
     by_day_picture,
     calendar_page,
+    changes_picture,
     day_picture,
     ranges,
 )
@@ -134,7 +137,10 @@ __all__ = [
     "PLANES",
     "REFERENCE",
     "THUMBNAIL_BINS",
+    "Arrow",
+    "Box",
     "CalendarDay",
+    "ChangePanel",
     "LazySection",
     "Panel",
     "Section",
@@ -151,6 +157,7 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "changes_picture",
     "clock_figure",
     "coefficient_figures",
     "comparison_figure",
@@ -181,6 +188,7 @@ __all__ = [
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",
+    "graph_picture",
     "heat_map_figures",
     "histogram_figure",
     "html_page",
