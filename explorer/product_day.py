@@ -1,4 +1,4 @@
-"""A day of a dataset: its samples with flags, what it was made with, its versions side by side."""
+"""A day of a dataset: its samples with flags, its versions side by side, what it was made from."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MADE_WITH = {
 
 
 def product_day_sections(cat: Catalog, dataset: str, day: np.datetime64) -> list[Section]:
-    """Return what there is of a day: the day itself, and its versions.
+    """Return what there is of a day: the day itself, its versions, and what it was made from.
 
     Raises
     ------
@@ -37,7 +37,8 @@ def product_day_sections(cat: Catalog, dataset: str, day: np.datetime64) -> list
     revisions = cat.revisions(dataset, day)
     sections: list[Section] = [("The day", _day(cat, found[0]), [])]
     if revisions:
-        sections.append(("Versions", _versions(cat, revisions), []))
+        picture = _drawing(cat.lineage_graph(found[0], "up").svg(), scaled=False)
+        sections += [("Versions", _versions(cat, revisions), []), ("Made from", [picture], [])]
     return sections
 
 
@@ -72,8 +73,7 @@ def _day(cat: Catalog, day: Day) -> list[str]:
         part = (dataset["tt2000"].values - start) / (end - start)
         unusable = (flags & np.uint32(UNUSABLE)) != 0
         picture = day_picture(f"{day.dataset} {day.day} {day.version}", part, panels, unusable)
-        # Made by this project's own template, which escapes what it is given.
-        parts.append(Markup('<div style="max-width:1040px">{}</div>').format(_scaled(picture)))
+        parts.append(_drawing(picture, scaled=True))
     parts.append(
         html_table(["flag", "samples", "part"], rows)
         if rows
@@ -82,9 +82,11 @@ def _day(cat: Catalog, day: Day) -> list[str]:
     return parts
 
 
-def _scaled(picture: str) -> Markup:
-    """Return an SVG that takes the width there is."""
-    return Markup(picture.replace("<svg ", '<svg style="width:100%;height:auto" ', 1))
+def _drawing(picture: str, *, scaled: bool) -> Markup:
+    """Return an SVG of the project's own templates, in the width there is or to be scrolled."""
+    width = "max-width:100%;height:auto" if scaled else "max-width:none"
+    drawn = picture[picture.index("<svg ") :].replace("<svg ", f'<svg style="{width}" ', 1)
+    return Markup(f'<div style="overflow-x:auto">{drawn}</div>')
 
 
 def _versions(cat: Catalog, revisions: Sequence[Day]) -> list[str]:

@@ -26,6 +26,8 @@ _PRIORITIES = {"after live days": 10, "last of all": 19, "at once": 0}
 _TABLE_STYLE = """
 .tabulator .tabulator-row .tabulator-cell, .tabulator .tabulator-header .tabulator-col {
   font-size: 13px; padding: 3px 5px; white-space: normal !important; height: auto !important }
+.tabulator .tabulator-col:not([tabulator-field]) { display: none }
+.tabulator .tabulator-tableholder { overflow-x: hidden }
 """
 _LOG_STYLE = "white-space:pre-wrap;overflow-wrap:anywhere;font:12px/1.45 ui-monospace,monospace;margin:0"
 _COLUMNS = {"began": 92, "what": None, "state": 68, "days": None, "took": 84}

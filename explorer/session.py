@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from inflight.calibration import TableChanges, table_changes
 from inflight.catalog import Catalog, Workspace
 from inflight.explorer.background import Background, BackgroundJob
 from inflight.explorer.product_day import product_day_sections
@@ -138,6 +139,18 @@ class ExplorerSession:
         """
         progress("tables", 0, 1)
         return table_sections(self.cat, self.mission(), comparison)
+
+    def table_changes(self, before: str, after: str, progress: Progress) -> TableChanges:
+        """Return what changed from one table to another, named as ``main-window:4``.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such table, or it is damaged.
+        """
+        progress("tables", 0, 2)
+        old, new = (self.cat.table_by_id(int(name.rpartition(":")[2])) for name in (before, after))
+        return table_changes(old, new)
 
     # The missing effect.
 

@@ -635,17 +635,9 @@ def _table_diff(
 
 def _picture_of_table(title: str, found: TableChanges) -> str:
     from inflight.errors import CatalogError
-    from inflight.figures import ChangePanel, changes_picture
-    from inflight.time import to_utc
+    from inflight.figures import changes_picture, table_change_panels
 
-    start, end = to_utc(found.start), to_utc(found.end)
-    together = ChangePanel("all parameters together, rms over directions", "nT", start, end, found.field)
-    panels = [together] if found.field_rms() == found.field_rms() else []
-    for one in found.rows():
-        at = found.parameters.index(one.parameter)
-        panels.append(
-            ChangePanel(one.parameter, one.unit, start, end, found.change[:, at], found.sigma[:, at])
-        )
+    panels = table_change_panels(found)
     if not panels:
         raise CatalogError("no values differ: there is nothing to draw", remedy="leave out --svg")
     return changes_picture(f"{title}: changes; the band is one sigma", panels)

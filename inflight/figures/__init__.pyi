@@ -94,6 +94,7 @@ from .quicklook import (
     changes_picture,
     day_picture,
     ranges,
+    table_change_panels,
 )
 from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
@@ -231,6 +232,7 @@ __all__ = [
     "stack_figures",
     "strongest_pairs",
     "switching_steps_figure",
+    "table_change_panels",
     "temperature_figure",
     "text_style",
     "timeline_figure",

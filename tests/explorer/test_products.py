@@ -6,6 +6,8 @@ import pytest
 from inflight.catalog import Catalog, DayData, Workspace, write_segment
 from inflight.errors import CatalogError, SettingsError
 from inflight.explorer.product_day import product_day_sections
+from inflight.explorer.session import ExplorerSession
+from inflight.explorer.table_versions import list_of_tables, tables_of, told_changes
 from inflight.explorer.work import InOwnProcess, WorkRequest, plan_work
 from inflight.flows import plan_span
 from inflight.tasks import coverage_days, run_log, runs_progress
@@ -67,14 +69,43 @@ def test_versions_of_a_day_stand_side_by_side_with_their_differences(workspace):
     changed = cat.read_day("l2/field", day).drop_vars("time")
     changed["field_sensor"] = changed["field_sensor"] + np.array([0.0, 3.0, 4.0])
     with cat.run("reprocess", {"reason": "a trial"}) as run:
-        run.attach(write_segment(cat.workspace, run.id, "l2/field", [DayData(day, changed, key="other")]))
+        parents = (cat.current("l2/field", day).id,)
+        data = DayData(day, changed, key="other", parents=parents)
+        run.attach(write_segment(cat.workspace, run.id, "l2/field", [data]))
         run.publish()
     sections = {heading: "".join(parts) for heading, parts, _ in product_day_sections(cat, "l2/field", day)}
     assert "v01.00</th><th>v01.01" in sections["Versions"]
     assert "a trial" in sections["Versions"]
     assert "<td>change: field_sensor, nT</td><td></td><td>5, at most 5</td>" in sections["Versions"]
     assert "<svg" in sections["The day"]
+    # To the delivered files.
+    assert "Lineage of l2/field: 2024-03-02 v01.01" in sections["Made from"]
     assert "no attitude</td><td>1440" in sections["The day"]
+
+
+def test_tables_are_listed_with_where_they_hold_and_two_stand_side_by_side(workspace):
+    session = ExplorerSession(workspace, workers=1)
+    try:
+        cat = session.cat
+        (old,) = cat.tables("main-span")
+        table = cat.table_by_id(old.id)
+        offset = table["parameter"].values.tolist().index("vector_sensor.offset[x]")
+        values = table["value"].values.copy()
+        values[0, offset] += 2.5
+        table["value"] = table["value"].copy(data=values)
+        with cat.run("reprocess") as run:
+            start, end = old.start, old.end
+            number = run.stage_table("main-span", table.drop_attrs(), start=start, end=end)
+            run.publish(certify=[(number, start, end, None)], supersede=True)
+        rows = "".join(list_of_tables(cat, tables_of(cat, workspace.mission(), "main")))
+        assert f"main-span:{number}" in rows
+        title = f"main-span:{old.id} to main-span:{number}"
+        told = "".join(told_changes(title, session.table_changes(*title.split(" to "), nobody)))
+    finally:
+        session.close()
+    assert "<td>vector_sensor.offset[x]</td><td>+2.5</td><td>2.5</td><td>nT</td>" in told
+    assert told.count("<td>vector_sensor") == 1
+    assert "<svg" in told
 
 
 def test_a_plan_is_that_of_the_verb_and_writes_nothing(workspace):
