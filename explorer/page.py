@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import traceback
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,30 @@ _DARK = """
   #header { filter: invert(1) hue-rotate(180deg) }
 }
 """
+
+
+def open_page(session: ExplorerSession) -> pn.template.BootstrapTemplate:
+    """Return the page of a browser; where the workspace cannot be read, one that says what to do."""
+    try:
+        return Page(session).template()
+    except Exception as error:
+        fields = error_fields(error)
+        if fields["message"].startswith("unexpected"):
+            traceback.print_exc()
+        hint = panes.hint("Mend the workspace and load this page again.")
+        return _template(session.workspace.root.name, panes.error(fields), hint)
+
+
+def _template(title: str, *parts: pn.viewable.Viewable) -> pn.template.BootstrapTemplate:
+    """Return a page; it asks nothing of any other server."""
+    made = pn.template.BootstrapTemplate(
+        title=title,
+        site="Inflight",
+        header_background=_COLOUR,
+        main=[pn.Column(*parts, sizing_mode="stretch_width")],
+    )
+    made.config.raw_css = [_DARK]
+    return made
 
 
 class Page:
@@ -75,7 +100,7 @@ class Page:
         self._choose(keep=True)
 
     def template(self) -> pn.template.BootstrapTemplate:
-        """Return the page; it asks nothing of any other server."""
+        """Return the page."""
         chosen = pn.Row(
             self._comparison,
             self._first,
@@ -84,14 +109,8 @@ class Page:
             self._facts,
             sizing_mode="stretch_width",
         )
-        made = pn.template.BootstrapTemplate(
-            title=f"{self._mission.mission}: in-flight calibration",
-            site="Inflight",
-            header_background=_COLOUR,
-            main=[pn.Column(chosen, self._hint, self._tabs, sizing_mode="stretch_width")],
-        )
-        made.config.raw_css = [_DARK]
-        return made
+        title = f"{self._mission.mission}: in-flight calibration"
+        return _template(title, chosen, self._hint, self._tabs)
 
     def _choose(self, keep: bool = False) -> None:
         """Show the chosen comparison as the catalog has it now; `keep` the chosen span."""

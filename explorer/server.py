@@ -9,10 +9,11 @@ import panel as pn
 
 from inflight.catalog import Workspace
 from inflight.errors import SettingsError
-from inflight.explorer.page import Page
+from inflight.explorer.access import TOKEN, new_token, require_token
+from inflight.explorer.page import open_page
 from inflight.explorer.session import ExplorerSession
 
-#: Local only: the page changes models and has no log-in.
+#: Local only: the page changes models.
 ADDRESS = "127.0.0.1"
 
 
@@ -27,6 +28,8 @@ class Server:
         0 takes a free one.
     workers : int, optional
         Dask processes of a pass.
+    with_token : bool
+        Show the page only to who has the token of its address.
 
     Raises
     ------
@@ -34,11 +37,13 @@ class Server:
         When the port is taken.
     """
 
-    def __init__(self, workspace: Workspace, port: int = 0, workers: int | None = None) -> None:
+    def __init__(
+        self, workspace: Workspace, port: int = 0, workers: int | None = None, *, with_token: bool = True
+    ) -> None:
         self.session = ExplorerSession(workspace, workers)
 
         def page() -> Any:
-            return Page(self.session).template()
+            return open_page(self.session)
 
         try:
             self._server = pn.serve(
@@ -56,6 +61,10 @@ class Server:
                 remedy="name another port, or none to take a free one",
             ) from None
         self.url = f"http://{ADDRESS}:{self._server.port}/"
+        if with_token:
+            token = new_token()
+            require_token(self._server._tornado, token, self._server.port)
+            self.url += f"?{TOKEN}={token}"
 
     def run(self, ready: Callable[[str], None]) -> None:
         """Serve until interrupted; `ready` is called with the address first.

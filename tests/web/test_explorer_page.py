@@ -1,11 +1,15 @@
 """The explorer in a real browser: found by clicks, added, seen to fall, taken back; nothing asked outside."""
 
 import signal
+import urllib.error
+import urllib.request
 from urllib.parse import urlsplit
 
 import pytest
 from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks.pipelines import reprocess
@@ -73,7 +77,7 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
 
 
 def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browser, address):
-    browser.open(f"{address}?tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
+    browser.open(f"{address}&tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
     browser.wait_for_text("Drag over days of the map", 120)
     browser.wait_for("pick('select').some((one) => one.value === 'boom_temperature')")
     assert browser.evaluate("pick('input').some((one) => one.value === 'scale_drift')")
@@ -87,6 +91,33 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.drag((x, places[0]), (x, places[1]))
     browser.wait_for("location.search.includes('first=2024-03-02')")
     browser.wait_for("location.search.includes('last=2024-03-03')")
+
+
+def test_who_has_no_token_is_shown_how_to_get_it_and_nothing_else(address):
+    place = urlsplit(address)
+    root, token = f"http://{place.netloc}", place.query.partition("=")[2]
+
+    def status(path: str, **headers: str) -> tuple[int, str]:
+        try:
+            with urllib.request.urlopen(urllib.request.Request(root + path, headers=headers)) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    cookie = f"inflight-{place.port}="
+    for path in ("/", "/?token=wrong", "/static/js/bokeh.min.js", "/autoload.js", "/no-such-page"):
+        code, page = status(path, Cookie=f"{cookie}wrong")
+        assert (code, "inflight explore --no-token" in page) == (403, True), path
+        assert "tiny" not in page
+    assert status("/", Cookie=f"{cookie}{token}")[0] == 200
+    socket = f"ws://{place.netloc}/ws"
+    with pytest.raises(InvalidStatus) as refused:
+        connect(socket, subprotocols=["bokeh", "anything"], origin=root)
+    assert refused.value.response.status_code == 403
+    # Who has it is let in, and asked for the session of a page.
+    known = connect(socket, origin=root, additional_headers={"Cookie": f"{cookie}{token}"})
+    with known, pytest.raises(ConnectionClosed):
+        known.recv(timeout=10)
 
 
 def test_an_error_is_told_with_what_to_do_and_the_page_goes_on(browser, address):
@@ -120,7 +151,7 @@ def test_ctrl_c_ends_the_server_without_an_error(serve, tmp_path):
 def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heated):
     """The fifth day is delivered late; another page shows the run, and answers meanwhile."""
     deliver_heated_day(Workspace.open(heated).data, "2024-03-05", heater_field)
-    browser.open(f"{address}?tab=products-and-runs")
+    browser.open(f"{address}&tab=products-and-runs")
     browser.wait_for_text("Click one to see it.", 120)
     browser.fill("What", "Backfill")
     browser.fill("Reason", "delivered late")
