@@ -30,17 +30,26 @@ class Server:
         Dask processes of a pass.
     with_token : bool
         Show the page only to who has the token of its address.
+    allow_code : bool
+        Run the files of Python that the mission names.
 
     Raises
     ------
     SettingsError
-        When the port is taken.
+        When the port is taken, or the mission names files of Python that may not be run.
     """
 
     def __init__(
-        self, workspace: Workspace, port: int = 0, workers: int | None = None, *, with_token: bool = True
+        self,
+        workspace: Workspace,
+        port: int = 0,
+        workers: int | None = None,
+        *,
+        with_token: bool = True,
+        allow_code: bool = False,
     ) -> None:
-        self.session = ExplorerSession(workspace, workers)
+        self.session = ExplorerSession(workspace, workers, allow_code=allow_code)
+        self.session.mission()
 
         def page() -> Any:
             return open_page(self.session)

@@ -6,6 +6,7 @@ function behind the verb of the same name. Results are cached until the data the
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from inflight.calibration import TableChanges, table_changes
 from inflight.catalog import Catalog, Workspace
+from inflight.errors import SettingsError
 from inflight.explorer.background import Background, BackgroundJob
 from inflight.explorer.product_day import product_day_sections
 from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest, plan_work
@@ -74,10 +76,12 @@ class ExplorerSession:
         Opened.
     workers : int, optional
         Dask processes of a pass; the cores when absent.
+    allow_code : bool
+        Run the files of Python that the mission names (`effects`).
     """
 
-    def __init__(self, workspace: Workspace, workers: int | None = None) -> None:
-        self.workspace, self.workers = workspace, workers
+    def __init__(self, workspace: Workspace, workers: int | None = None, *, allow_code: bool = False) -> None:
+        self.workspace, self.workers, self.allow_code = workspace, workers, allow_code
         self.cat = Catalog(workspace.root)
         self.background = Background()
         #: Makes figures while `background` does what takes long.
@@ -94,8 +98,23 @@ class ExplorerSession:
         self.figure_background.close()
 
     def mission(self) -> Mission:
-        """Return the mission as its file is now."""
-        return self.workspace.mission()
+        """Return the mission as its file is now.
+
+        Raises
+        ------
+        MissionError, WorkspaceError
+            As `Workspace.mission`.
+        SettingsError
+            When it names files of Python, and the page may run none.
+        """
+        mission = self.workspace.mission()
+        if mission.effects and not self.allow_code:
+            raise SettingsError(
+                f"the mission names effects in Python: {', '.join(mission.effects)}; this page runs none",
+                remedy="look into these files, then start 'inflight explore --allow-code'",
+                file=str(self.workspace.mission_file),
+            )
+        return mission
 
     # Model against measurement.
 
@@ -314,7 +333,7 @@ class ExplorerSession:
         """
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
-            found: dict[str, Any] = bench.preview(effect).as_json()
+            found: dict[str, Any] = bench.preview(self._entry(effect)).as_json()
         return found
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
@@ -340,14 +359,40 @@ class ExplorerSession:
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
             try:
-                revision = bench.undo() if verb == "undo" else getattr(bench, verb)(effect)
+                revision = bench.undo() if verb == "undo" else getattr(bench, verb)(self._entry(effect))
             except Exception:
                 # The workbench may hold half a change.
                 self._bench = None
                 raise
         change: dict[str, Any] = revision.as_json()
         self._bench = (self._workbench_key(comparison), bench)
+        if verb == "add" and effect.lstrip().startswith("="):
+            self._save_formula(comparison, effect)
         return change
+
+    def _save_formula(self, comparison: str, effect: str) -> None:
+        """Save a formula that was added as a file of the workspace, under the name it has in the model."""
+        name = self.versions(comparison)[1][-1]
+        path = self.workspace.root / "effects" / f"{name}.yaml"
+        formula = json.dumps(effect.strip().removeprefix("=").strip(), ensure_ascii=False)
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(
+            f"# A formula of channels: 'inflight add effects/{path.name}', or this path in the explorer.\n"
+            f"effect: formula_field\nformula: {formula}\n",
+            encoding="utf-8",
+        )
+
+    def _entry(self, effect: str) -> str:
+        """Return what an effect's name stands for: of a saved formula, what its file holds."""
+        if not effect.endswith((".yaml", ".yml")):
+            return effect
+        path = (self.workspace.root / effect).resolve()
+        if path.parent != (self.workspace.root / "effects").resolve() or not path.is_file():
+            raise SettingsError(
+                f"{effect}: the workspace has no such file of an effect",
+                remedy="name one of its folder 'effects', such as effects/NAME.yaml",
+            )
+        return path.read_text(encoding="utf-8")
 
     def _workbench(self, comparison: str, client: Any, progress: Progress) -> Workbench:
         """Return the cached workbench, or a new one when mission, model or last diagnosis changed since."""
