@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from markupsafe import Markup
 
-from inflight.catalog import Catalog, Day, DayChange, measured_changes
+from inflight.catalog import Catalog, Day, DayChange, components, measured_changes
 from inflight.figures import Section, day_picture, facts_table, html_table, paragraph
 from inflight.flags import UNUSABLE, Flag
 from inflight.tasks import failure_lines, in_plain_words, panels_of_day
@@ -37,7 +39,9 @@ def product_day_sections(cat: Catalog, dataset: str, day: np.datetime64) -> list
     revisions = cat.revisions(dataset, day)
     sections: list[Section] = [("The day", _day(cat, found[0]), [])]
     if revisions:
-        picture = _drawing(cat.lineage_graph(found[0], "up").svg(), scaled=False)
+        picture = _drawing(
+            cat.lineage_graph(found[0], "up").svg(), f"{_file_name(found[0])}-made-from", scaled=False
+        )
         sections += [("Versions", _versions(cat, revisions), []), ("Made from", [picture], [])]
     return sections
 
@@ -73,7 +77,7 @@ def _day(cat: Catalog, day: Day) -> list[str]:
         part = (dataset["tt2000"].values - start) / (end - start)
         unusable = (flags & np.uint32(UNUSABLE)) != 0
         picture = day_picture(f"{day.dataset} {day.day} {day.version}", part, panels, unusable)
-        parts.append(_drawing(picture, scaled=True))
+        parts.append(_drawing(picture, _file_name(day), scaled=True))
     parts.append(
         html_table(["flag", "samples", "part"], rows)
         if rows
@@ -82,11 +86,37 @@ def _day(cat: Catalog, day: Day) -> list[str]:
     return parts
 
 
-def _drawing(picture: str, *, scaled: bool) -> Markup:
+def _drawing(picture: str, name: str, *, scaled: bool) -> Markup:
     """Return an SVG of the project's own templates, in the width there is or to be scrolled."""
     width = "max-width:100%;height:auto" if scaled else "max-width:none"
     drawn = picture[picture.index("<svg ") :].replace("<svg ", f'<svg style="{width}" ', 1)
-    return Markup(f'<div style="overflow-x:auto">{drawn}</div>')
+    address = f"data:image/svg+xml;base64,{b64encode(picture.encode()).decode()}"
+    link = f'<a class="quiet" download="{name}.svg" href="{address}">Save as SVG</a>'
+    return Markup(f'<div style="overflow-x:auto">{drawn}</div>{link}')
+
+
+def _file_name(day: Day) -> str:
+    return f"{day.dataset.replace('/', '-')}-{day.day}-{day.version}"
+
+
+def day_table(cat: Catalog, dataset: str, day: np.datetime64) -> str:
+    """Return the samples of a day as CSV, components in columns of their own; times are ISO 8601, UTC.
+
+    Raises
+    ------
+    CatalogError
+        When the day has no samples.
+    """
+    read = cat.read_day(dataset, day)
+    columns: dict[str, np.ndarray] = {}
+    for name in map(str, read.variables):
+        values = read[name].values
+        if read[name].dims == ("time",):
+            columns[name] = values
+        elif read[name].dims[:1] == ("time",) and values.ndim == 2:
+            parts = components(read[name], read)
+            columns |= {f"{name}_{part}": values[:, at] for at, part in enumerate(parts)}
+    return str(pd.DataFrame(columns).to_csv(index=False))
 
 
 def _versions(cat: Catalog, revisions: Sequence[Day]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ import panel as pn
 from inflight.explorer import panes
 from inflight.explorer.job_pane import JobPane
 from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.product_day import day_table
 from inflight.explorer.runs_panel import RunsPanel
 from inflight.explorer.session import Days, ExplorerSession
 from inflight.explorer.view_state import ViewState
@@ -87,11 +89,11 @@ class ProductsView:
             f"{self._dataset.value}: {days[0].day} to {days[-1].day}",
             [(one.day, one.kind, one.why) for one in days],
         )
-        plot.sizing_mode, plot.toolbar_location = "stretch_width", "right"
+        plot.sizing_mode = "stretch_width"
         plot.toolbar.autohide = True
         source.selected.on_change("indices", lambda name, old, new: self._tapped(new))
         return pn.Column(
-            pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4),
+            panes.picture(plot),
             panes.text(
                 coverage_legend([one.kind for one in days]),
                 paragraph(f"{len(days)} days. Click one to see it.", kind="quiet"),
@@ -117,6 +119,17 @@ class ProductsView:
             f"{dataset} {day}",
             lambda progress: self._session.product_day(dataset, date, progress),
             lambda sections: pn.Column(
-                *([panes.text(paragraph(why, kind="quiet"))] if why else []), panes.sections(sections)
+                *([panes.text(paragraph(why, kind="quiet"))] if why else []),
+                panes.sections(sections),
+                *([self._download(dataset, date)] if len(sections) > 1 else []),
             ),
+        )
+
+    def _download(self, dataset: str, day: np.datetime64) -> pn.viewable.Viewable:
+        """Return a button that gives the samples of a day as CSV."""
+        return pn.widgets.FileDownload(
+            label="Samples of this day as CSV",
+            filename=f"{dataset.replace('/', '-')}-{day}.csv",
+            callback=lambda: io.StringIO(day_table(self._session.cat, dataset, day)),
+            margin=(5, 10),
         )

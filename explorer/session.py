@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,9 @@ from inflight.tasks.analysis import (
     last_diagnosis,
     measure_comparison,
     open_workbench,
+    require_sampled,
 )
+from inflight.tasks.analysis import report as write_report
 from inflight.tasks.pipelines import (
     CompareResult,
     ReprocessSettings,
@@ -214,6 +217,28 @@ class ExplorerSession:
                 progress=progress,
             )
         return diagnosis_sections(*examined)
+
+    def write_report(self, comparison: str, progress: Progress) -> Path:
+        """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.
+
+        Raises
+        ------
+        SettingsError, CatalogError
+            As `inflight.tasks.analysis.report`.
+        """
+        mission, last = self.mission(), self._last_request(comparison)
+        require_sampled(mission, comparison)
+        span = last.get("start"), last.get("end")
+        page = self.workspace.reports / f"{'-'.join(['report', comparison, *filter(None, span)])}.html"
+        settings = _settings(last, comparison)
+        with lazy_client(self.workers) as client:
+            write_report(self.cat, mission, page, *span, settings, client=client, progress=progress)
+        return page
+
+    def model_file(self, comparison: str) -> tuple[str, str]:
+        """Return name and text of the model in use, as its YAML file would hold it."""
+        used = ModelHistory(self.cat, self.mission(), comparison).used
+        return f"{used.name}-{used.version}.yaml", used.text
 
     def _last_request(self, comparison: str) -> Mapping[str, Any]:
         """Return span and settings of the last diagnosis; empty without one."""

@@ -1,6 +1,7 @@
 """The explorer in a real browser: found by clicks, added, seen to fall, taken back; nothing asked outside."""
 
 import signal
+import time
 import urllib.error
 import urllib.request
 from urllib.parse import urlsplit
@@ -24,6 +25,12 @@ _ERROR = """(() => {
     values(one, 'change').map((name, at) => [name, values(one, 'after')[at]])));
   const floor = plot.at(-1).center.find((one) => one.type === 'Span');
   return {bars: found, floor: floor ? floor.location : null} })()"""
+
+#: Uses the tool of a kind of the calendar, as a click does.
+_EXPORT = """(() => {
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const tools = models.filter((one) => one.description === 'Save as KIND');
+  tools.at(-1).callback.execute(tools.at(-1), {}) })()"""
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +155,7 @@ def test_ctrl_c_ends_the_server_without_an_error(serve, tmp_path):
     assert "Traceback" not in complaints
 
 
-def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heated):
+def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heated, tmp_path):
     """The fifth day is delivered late; another page shows the run, and answers meanwhile."""
     deliver_heated_day(Workspace.open(heated).data, "2024-03-05", heater_field)
     browser.open(f"{address}&tab=products-and-runs")
@@ -172,4 +179,16 @@ def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heat
     browser.wait_for_text("reason: delivered late")
     browser.wait_for_text("l2/field: 5 published; 2024-03-01 to 2024-03-05")
     browser.wait_for_text("quick-look 5")
+    # What is drawn can be taken away.
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    for kind in ("SVG", "CSV"):
+        browser.evaluate(_EXPORT.replace("KIND", kind))
+    name = "l2-field-2024-03-01-to-2024-03-05"
+    end = time.monotonic() + 30
+    while not (tmp_path / f"{name}.svg").exists() or not (tmp_path / f"{name}.csv").exists():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    table = (tmp_path / f"{name}.csv").read_text(encoding="utf-8")
+    assert "65,2024,2024-03-05,quick-look,v01.00; 100.0% of the samples are there" in table
+    assert (tmp_path / f"{name}.svg").read_text(encoding="utf-8").startswith("<svg")
     assert browser.complaints == []
