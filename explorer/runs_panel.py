@@ -15,7 +15,7 @@ from inflight.explorer.background import BackgroundJob, duration_text
 from inflight.explorer.job_pane import JobPane
 from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.session import Days, ExplorerSession
-from inflight.explorer.work import WorkPlan, WorkRequest
+from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest
 from inflight.figures import paragraph
 from inflight.tasks import RunProgress
 
@@ -26,8 +26,8 @@ _PRIORITIES = {"after live days": 10, "last of all": 19, "at once": 0}
 _TABLE_STYLE = """
 .tabulator .tabulator-row .tabulator-cell, .tabulator .tabulator-header .tabulator-col {
   font-size: 13px; padding: 3px 5px; white-space: normal !important; height: auto !important }
-.tabulator .tabulator-col:not([tabulator-field]) { display: none }
-.tabulator .tabulator-tableholder { overflow-x: hidden }
+.tabulator .tabulator-col:not([tabulator-field]) { display: none !important }
+.tabulator .tabulator-tableholder { overflow-x: hidden !important }
 """
 _LOG_STYLE = "white-space:pre-wrap;overflow-wrap:anywhere;font:12px/1.45 ui-monospace,monospace;margin:0"
 _COLUMNS = {"began": 92, "what": None, "state": 68, "days": None, "took": 84}
@@ -47,6 +47,8 @@ class RunsPanel:
         self._session, self._notify = session, finished
         self._comparison = "main"
         self._plan: WorkPlan | None = None
+        #: What this page shows the progress of.
+        self._work: InOwnProcess | None = None
         self._runs: list[RunProgress] = []
         self._selected = ""
         self._seen: dict[str, tuple[dt.datetime, int]] = {}
@@ -93,7 +95,7 @@ class RunsPanel:
         self._work_pane = JobPane(self._session.background)
         self._ask.on_click(lambda event: self._begin_plan())
         self._start.on_click(lambda event: self._begin_work())
-        self._stop.on_click(lambda event: self._session.stop_work())
+        self._stop.on_click(lambda event: self._work.stop() if self._work else None)
         # A plan is of what was asked for then.
         for widget in (
             self._verb,
@@ -132,10 +134,10 @@ class RunsPanel:
         for picker, end in ((self._first, "first"), (self._last, "last")):
             if picker.value is None and days is not None:
                 picker.value = dt.date.fromisoformat(str(getattr(days, end)))
-        if self._session.work is not None and not self._work_pane.is_busy:
-            request, job = self._session.work[0].request, self._session.work[1]
+        if self._session.begun and not self._work_pane.is_busy:
+            work, job = self._session.begun[-1]
             if not job.is_finished:
-                self._follow(request, job)
+                self._follow(work, job)
         self._refresh()
         pn.state.onload(self._begin_to_refresh)
 
@@ -197,14 +199,14 @@ class RunsPanel:
             return
         request = self._plan.request
         self._forget_plan()
-        self._follow(request, self._session.begin_work(request))
+        self._follow(*self._session.begin_work(request))
 
-    def _follow(self, request: WorkRequest, job: BackgroundJob) -> None:
-        self._stop.disabled = False
-        self._work_pane.follow(job, lambda report: self._finished(request, report))
+    def _follow(self, work: InOwnProcess, job: BackgroundJob) -> None:
+        self._work, self._stop.disabled = work, False
+        self._work_pane.follow(job, lambda report: self._finished(work.request, report))
 
     def _finished(self, request: WorkRequest, report: Mapping[str, Any]) -> pn.viewable.Viewable:
-        self._stop.disabled = True
+        self._work, self._stop.disabled = None, True
         self._selected = report["run"] or self._selected
         self._refresh()
         self._notify()
@@ -218,8 +220,7 @@ class RunsPanel:
 
     def _refresh(self) -> None:
         """Show the runs as the catalog has them now; only what changed is sent to the browser."""
-        if self._session.work is None or self._session.work[1].is_finished:
-            self._stop.disabled = True
+        self._stop.disabled = not self._work_pane.is_busy
         self._runs = self._session.runs(_LISTED)
         frame = pd.DataFrame([self._row(one) for one in self._runs], columns=list(_COLUMNS))
         if not frame.equals(self._table.value):

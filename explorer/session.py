@@ -89,14 +89,15 @@ class ExplorerSession:
         self.background = Background()
         #: Makes figures while `background` does what takes long.
         self.figure_background = Background()
-        #: What was begun last by `begin_work`, for all pages.
-        self.work: tuple[InOwnProcess, BackgroundJob] | None = None
+        #: What was begun by `begin_work` from any page.
+        self.begun: list[tuple[InOwnProcess, BackgroundJob]] = []
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
     def close(self) -> None:
         """Cancel jobs that have not begun, and stop the work of other processes."""
-        self.stop_work()
+        for work, _ in self.begun:
+            work.stop()
         self.background.close()
         self.figure_background.close()
 
@@ -317,9 +318,8 @@ class ExplorerSession:
         record = next((one for one in self.cat.runs() if one.id == run), None)
         if record is None:
             return []
-        work, job = self.work or (None, None)
-        stages = work.log if work and job and (job.result or {}).get("run") == run else []
-        return [*run_log(self.cat, record), *stages]
+        stages = [work.log for work, job in self.begun if (job.result or {}).get("run") == run]
+        return [*run_log(self.cat, record), *(stages[0] if stages else ())]
 
     def plan(self, request: WorkRequest, progress: Progress) -> WorkPlan:
         """Return what a request would do, and what it costs.
@@ -332,16 +332,11 @@ class ExplorerSession:
         progress("plan", 0, 1)
         return plan_work(self.workspace, request)
 
-    def begin_work(self, request: WorkRequest) -> BackgroundJob:
+    def begin_work(self, request: WorkRequest) -> tuple[InOwnProcess, BackgroundJob]:
         """Begin what was planned, behind the work that was begun before; every page shows its progress."""
         work = InOwnProcess(self.workspace.root, request, self.workers)
-        self.work = work, self.background.begin(request.name, work)
-        return self.work[1]
-
-    def stop_work(self) -> None:
-        """Stop what was begun last, if it is not finished."""
-        if self.work is not None:
-            self.work[0].stop()
+        self.begun.append((work, self.background.begin(request.name, work)))
+        return self.begun[-1]
 
     def open_equations(self, comparison: str, progress: Progress) -> None:
         """Open the workbench of the last diagnosis, so that the next change need not wait for it."""

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from inflight.figures.page import render
 from inflight.figures.style import plain_figure
+from inflight.time import Int64
 
 #: Okabe and Ito's colours, told apart by colour-blind readers; grey where nothing is there.
 COVERAGE_COLOURS = {
@@ -67,13 +68,15 @@ def coverage_figure(
         x_range=(begin - 0.5, end + 0.5),
         y_range=(last + 0.5, first - 0.5),
     )
+    wide = end - begin < 2 * _LEAST_DAYS
     cells = plot.rect(
         "x",
         "year",
-        width=0.92 if end - begin < 2 * _LEAST_DAYS else 1.0,
+        width=0.92 if wide else 1.0,
         height=0.86,
         fill_color="colour",
-        line_color=None,
+        # Narrow cells without a line of their own leave seams.
+        line_color=None if wide else "colour",
         source=source,
         nonselection_fill_alpha=0.55,
         selection_line_color="black",
@@ -88,7 +91,7 @@ def coverage_figure(
     return plot, source
 
 
-def _name_months(plot: figure, begin: int, end: int, years: np.ndarray) -> None:
+def _name_months(plot: figure, begin: int, end: int, years: Int64) -> None:
     """Write months below the days, and the days themselves where there is room."""
     if end - begin < 2 * _LEAST_DAYS:
         new_year = np.datetime64(f"{int(years.min())}-01-01")
