@@ -15,7 +15,7 @@ from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
 from inflight.explorer.products_view import ProductsView
 from inflight.explorer.session import Days, ExplorerSession
-from inflight.explorer.view_state import ViewState
+from inflight.explorer.view_state import ViewState, parsed_day
 from inflight.explorer.views import MeasurementView, TablesView, View
 from inflight.figures import paragraph
 from inflight.tasks import error_fields
@@ -96,7 +96,7 @@ class Page:
         self._tabs.param.watch(lambda event: self._show_active(), "active")
         self._apply.on_click(lambda event: self._choose(keep=True))
         for picker, end in ((self._first, self._state.first), (self._last, self._state.last)):
-            picker.value = _parsed(end)
+            picker.value = parsed_day(end)
         self._choose(keep=True)
 
     def template(self) -> pn.template.BootstrapTemplate:
@@ -188,14 +188,6 @@ class Page:
             return None
         first, last = sorted((np.datetime64(first, "D"), np.datetime64(last, "D")))
         return Days(first, last)
-
-
-def _parsed(text: str) -> dt.date | None:
-    """Return a day of the address; None for none, and for what is no day."""
-    try:
-        return dt.date.fromisoformat(text)
-    except ValueError:
-        return None
 
 
 def _date(day: np.datetime64 | None) -> dt.date | None:

@@ -14,7 +14,7 @@ from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.product_day import day_table
 from inflight.explorer.runs_panel import RunsPanel
 from inflight.explorer.session import Days, ExplorerSession
-from inflight.explorer.view_state import ViewState
+from inflight.explorer.view_state import ViewState, parsed_day
 from inflight.figures import coverage_figure, coverage_legend, paragraph
 from inflight.tasks import CoverageDay
 from inflight.tasks.pipelines import product_of
@@ -37,13 +37,15 @@ class ProductsView:
         self._days: list[CoverageDay] = []
         self._comparison = ""
         self._dataset = pn.widgets.Select(name="Dataset", options=[], width=220)
+        self._date = pn.widgets.DatePicker(name="Day", width=130)
         self._calendar = JobPane(session.figure_background)
         self._day = JobPane(session.figure_background)
         self._runs = RunsPanel(session, self._show_calendar)
         self._dataset.param.watch(lambda event: self._choose(event.new), "value")
+        self._date.param.watch(lambda event: self._show_day(), "value")
         left = pn.Column(
             panes.text(paragraph("", bold="What there is")),
-            self._dataset,
+            pn.Row(self._dataset, self._date),
             self._calendar.panel,
             self._day.panel,
             styles={"flex": "1.4 1 0", "min-width": "0"},
@@ -64,13 +66,13 @@ class ProductsView:
         if chosen == before or chosen is None:
             self._show_calendar()
         self._runs.show(overview, days)
-        if self._state.day:
-            self._show_day(self._state.day)
+        self._date.value = parsed_day(self._state.day)
 
     def _choose(self, dataset: str | None) -> None:
         if dataset:
             self._state.dataset = dataset
             self._show_calendar()
+            self._show_day()
 
     def _show_calendar(self) -> None:
         dataset = self._dataset.value
@@ -103,23 +105,19 @@ class ProductsView:
 
     def _tapped(self, selected: Sequence[int]) -> None:
         if selected:
-            self._show_day(str(self._days[selected[0]].day))
+            self._date.value = parsed_day(str(self._days[selected[0]].day))
 
-    def _show_day(self, day: str) -> None:
-        dataset = self._dataset.value
-        try:
-            date = np.datetime64(day, "D")
-        except ValueError:
+    def _show_day(self) -> None:
+        dataset, day = self._dataset.value, self._date.value
+        if dataset is None or day is None:
             return
-        if dataset is None:
-            return
-        self._state.day = day
+        self._state.day, date = str(day), np.datetime64(day, "D")
         why = next((one.why for one in self._days if one.day == date), "")
         self._day.begin(
             f"{dataset} {day}",
             lambda progress: self._session.product_day(dataset, date, progress),
             lambda sections: pn.Column(
-                *([panes.text(paragraph(why, kind="quiet"))] if why else []),
+                *([panes.text(paragraph(why, kind="quiet"))] if why and len(sections) > 1 else []),
                 panes.sections(sections),
                 *([self._download(dataset, date)] if len(sections) > 1 else []),
             ),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+
 import panel as pn
 import param
 
@@ -28,6 +30,14 @@ class ViewState(param.Parameterized):
     def _write_address(self) -> None:
         chosen = {name: value for name in _IN_ADDRESS if (value := getattr(self, name))}
         pn.state.location.update_query(**chosen)
+
+
+def parsed_day(text: str) -> dt.date | None:
+    """Return a day of the address; None for none, and for what is no day."""
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        return None
 
 
 _IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate", "dataset", "day")

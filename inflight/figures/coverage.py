@@ -78,7 +78,8 @@ def coverage_figure(
         # Narrow cells without a line of their own leave seams.
         line_color=None if wide else "colour",
         source=source,
-        nonselection_fill_alpha=0.55,
+        nonselection_fill_alpha=1.0,
+        nonselection_line_alpha=1.0,
         selection_line_color="black",
     )
     hover = plot.select_one(HoverTool)

@@ -32,6 +32,12 @@ _EXPORT = """(() => {
   const tools = models.filter((one) => one.description === 'Save as KIND');
   tools.at(-1).callback.execute(tools.at(-1), {}) })()"""
 
+#: Chooses the last day of the calendar, as a click does.
+_CLICKED = """(() => {
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const cells = models.filter((one) => one.type === 'ColumnDataSource' && one.columns().includes('why'));
+  cells.at(-1).selected.indices = [4] })()"""
+
 
 @pytest.fixture(scope="module")
 def heated(tmp_path_factory):
@@ -179,6 +185,12 @@ def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heat
     browser.wait_for_text("reason: delivered late")
     browser.wait_for_text("l2/field: 5 published; 2024-03-01 to 2024-03-05")
     browser.wait_for_text("quick-look 5")
+    # A day that is clicked is shown, with its versions.
+    browser.evaluate(_CLICKED)
+    browser.wait_for_text("l2/field 2024-03-05")
+    browser.wait_for("location.search.includes('day=2024-03-05')")
+    browser.press(".bk-tab", "Made from")
+    browser.wait_for("pick('svg').some((one) => one.textContent.includes('Lineage of l2/field'))")
     # What is drawn can be taken away.
     browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     for kind in ("SVG", "CSV"):
