@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog, DayData, Workspace, write_segment
-from inflight.errors import CatalogError, SettingsError
+from inflight.catalog import Catalog, DayData, write_segment
+from inflight.errors import CatalogError, SettingsError, WorkerError
 from inflight.explorer.product_day import product_day_sections
 from inflight.explorer.session import ExplorerSession
 from inflight.explorer.table_versions import list_of_tables, tables_of, told_changes
@@ -129,20 +129,29 @@ def test_a_plan_is_that_of_the_verb_and_writes_nothing(workspace):
 
 
 @pytest.mark.slow
-def test_a_release_is_made_by_a_process_of_its_own_and_its_errors_come_back(workspace):
-    stages = []
-    made = InOwnProcess(workspace.root, WorkRequest("release", version="1.0"), 1)
-    report = made(lambda *told: stages.append(told))
-    assert report["outputs"] == ["releases/1.0"]
-    assert (Workspace.open(workspace.root).root / "releases/1.0/RELEASE_NOTES.md").exists()
-    again = InOwnProcess(workspace.root, WorkRequest("release", version="1.0"), 1)
-    with pytest.raises(CatalogError, match=r"1\.0"):
-        again(nobody)
+def test_work_is_done_by_a_process_of_its_own_stopped_and_taken_up_again(workspace):
+    text = workspace.mission_file.read_text(encoding="utf-8") + EXCLUSION
+    workspace.mission_file.write_text(text, encoding="utf-8")
+    request = WorkRequest("reprocess", settings={"comparison": "main", "batch_days": 1}, reason="a trial")
+    work = InOwnProcess(workspace.root, request, 1)
+    before = [day.id for day in Catalog(workspace.root).days("l2/field")]
+    with pytest.raises(WorkerError, match="was stopped; what is published is unchanged"):
+        work(lambda stage, done, total: work.stop() if (stage, done) == ("calibrate", 1) else None)
+    cat = Catalog(workspace.root)
+    stopped = cat.runs(last=1)[0]
+    assert (stopped.state, stopped.settings["reason"]) == ("failed", "a trial")
+    assert [day.id for day in cat.days("l2/field")] == before
+    report = InOwnProcess(workspace.root, request, 1)(nobody)
+    assert (report["days"]["done"], report["run"]) == (4, cat.runs(last=1)[0].id)
+    # An error of the step comes back as it is.
+    wrong = WorkRequest("reprocess", settings={"comparison": "main", "use_table": "main-span:99"})
+    with pytest.raises(CatalogError, match="99"):
+        InOwnProcess(workspace.root, wrong, 1)(nobody)
 
 
 def test_work_that_was_stopped_says_so(workspace):
     work = InOwnProcess(workspace.root, WorkRequest("release", version="2.0"), 1)
     work.stop()
-    with pytest.raises(Exception, match="was stopped; what is published is unchanged"):
+    with pytest.raises(WorkerError, match="was stopped; what is published is unchanged"):
         work(nobody)
     assert not (workspace.root / "releases/2.0").exists()
