@@ -166,6 +166,10 @@ class Catalog:
         """Return all runs, or the `last` ones, or those of one kind; oldest first, with state and cause."""
         return self._database.read(run_records, kind, last)
 
+    def close_dead_runs(self) -> list[str]:
+        """End the runs whose process is gone, as opening the catalog does; return their ids."""
+        return close_dead_runs(self.workspace, self._database)
+
     def days_of_run(self, run: str) -> list[Day]:
         """Return the days of a run, whatever became of them, by dataset and day."""
         return self._database.read(days_of_run, run)

@@ -80,7 +80,7 @@ class Page:
             LoopView(session, self._state, self._model_changed, self._select_days),
             MeasurementView(session),
             DiagnosisView(session),
-            ProductsView(session, self._state),
+            ProductsView(session, self._state, self._model_changed),
             TablesView(session),
         )
         self._tabs = pn.Tabs(
@@ -141,7 +141,7 @@ class Page:
         self._facts.objects = [panes.text(paragraph(text, kind="quiet"))]
 
     def _model_changed(self) -> None:
-        """Show which model is in use now; the view in which it was changed shows that, others anew."""
+        """Show model and products as they are now; the view in which they changed shows that, others anew."""
         if self._overview is not None:
             own = self._shown.get(self._tabs.active)
             self._shown = {} if own is None else {self._tabs.active: own}

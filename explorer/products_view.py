@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import panel as pn
@@ -28,19 +28,21 @@ class ProductsView:
     session : ExplorerSession
     state : ViewState
         Dataset and day chosen are kept in it.
+    changed : callable
+        Called when there may be other products.
     """
 
     title = "Products and runs"
 
-    def __init__(self, session: ExplorerSession, state: ViewState) -> None:
-        self._session, self._state = session, state
+    def __init__(self, session: ExplorerSession, state: ViewState, changed: Callable[[], None]) -> None:
+        self._session, self._state, self._notify = session, state, changed
         self._days: list[CoverageDay] = []
         self._comparison = ""
         self._dataset = pn.widgets.Select(name="Dataset", options=[], width=220)
         self._date = pn.widgets.DatePicker(name="Day", width=130)
         self._calendar = JobPane(session.figure_background)
         self._day = JobPane(session.figure_background)
-        self._runs = RunsPanel(session, self._show_calendar)
+        self._runs = RunsPanel(session, self._made)
         self._dataset.param.watch(lambda event: self._choose(event.new), "value")
         self._date.param.watch(lambda event: self._show_day(), "value")
         left = pn.Column(
@@ -56,9 +58,9 @@ class ProductsView:
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the products of a comparison; the calendar has its own span."""
         names, own = self._session.datasets(), product_of(overview.comparison)
-        wanted = [self._state.dataset, own] if overview.comparison == self._comparison else [own]
-        if not self._comparison:
-            wanted = [self._state.dataset, own]
+        # Of another comparison than before, its own product.
+        same = self._comparison in ("", overview.comparison)
+        wanted = [self._state.dataset, own] if same else [own]
         self._comparison = overview.comparison
         chosen = next((name for name in (*wanted, *names) if name in names), None)
         before = self._dataset.value
@@ -73,6 +75,12 @@ class ProductsView:
             self._state.dataset = dataset
             self._show_calendar()
             self._show_day()
+
+    def _made(self) -> None:
+        """Show what work has made, here and in what other tabs have of it."""
+        self._notify()
+        self._show_calendar()
+        self._show_day()
 
     def _show_calendar(self) -> None:
         dataset = self._dataset.value

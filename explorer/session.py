@@ -308,10 +308,8 @@ class ExplorerSession:
     def runs(self, last: int) -> list[RunProgress]:
         """Return how far the last runs are, whoever began them, the newest first."""
         found = runs_progress(self.cat, last)
-        if any(one.record.state == "running" for one in found):
-            # Opening a catalog closes the runs of processes that are gone.
-            self.cat = Catalog(self.workspace.root)
-        return found
+        is_running = any(one.record.state == "running" for one in found)
+        return runs_progress(self.cat, last) if is_running and self.cat.close_dead_runs() else found
 
     def run_log(self, run: str) -> list[str]:
         """Return the log of a run; that of work begun here has the times of its stages, too."""

@@ -50,6 +50,8 @@ def test_the_log_of_a_run_says_what_was_asked_what_came_of_it_and_what_to_do(wor
         run.record("l2/field", "2024-03-05", "failed", "repeatable", "too hot", {"problem": PROBLEM})
         going = runs_progress(cat, 1)[0]
         assert (going.record.state, going.days_text(), going.failed) == ("running", "l2/field: 1 of 3", 1)
+        # It lives: nobody ends it.
+        assert cat.close_dead_runs() == []
     text = "\n".join(run_log(cat, cat.runs()[-1]))
     for part in ("reason: late files", "comparison: main", "3 days to do", "1 failed; 2024-03-05"):
         assert part in text
