@@ -5,7 +5,7 @@ import pytest
 
 from inflight.catalog import Catalog, DayData, write_segment
 from inflight.errors import CatalogError, SettingsError, WorkerError
-from inflight.explorer.product_day import product_day_sections
+from inflight.explorer.product_day import day_table, product_day_sections
 from inflight.explorer.session import ExplorerSession
 from inflight.explorer.table_versions import list_of_tables, tables_of, told_changes
 from inflight.explorer.work import InOwnProcess, WorkRequest, plan_work
@@ -83,6 +83,11 @@ def test_versions_of_a_day_stand_side_by_side_with_their_differences(workspace):
     # To the delivered files.
     assert "Lineage of l2/field: 2024-03-02 v01.01" in sections["Made from"]
     assert "no attitude</td><td>1440" in sections["The day"]
+    head, first, *rest = day_table(cat, "l2/field", day).splitlines()
+    assert len(rest) == 1439
+    row = dict(zip(head.split(","), first.split(","), strict=True))
+    assert row["time"].startswith("2024-03-02 00:00")
+    assert float(row["field_sensor_z"]) == pytest.approx(changed["field_sensor"].values[0, 2])
 
 
 def test_tables_are_listed_with_where_they_hold_and_two_stand_side_by_side(workspace):
