@@ -7,6 +7,7 @@ kept twice: the log of a run is written from its days, their failures and its re
 from __future__ import annotations
 
 import datetime as dt
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -65,7 +66,8 @@ class RunProgress:
     def days_text(self) -> str:
         """Return the days done of days to do, by dataset."""
         of = "" if self.planned is None or self.record.state != "running" else f" of {self.planned}"
-        told = [f"{name.removeprefix('equations/')}: {count}{of}" for name, count in self._shown().items()]
+        short = {name: re.sub("^(equations|comparison)/", "", name) for name in self._shown()}
+        told = [f"{short[name]}: {count}{of}" for name, count in self._shown().items()]
         return ", ".join(told) or (f"0{of}" if of else "")
 
     def _shown(self) -> Mapping[str, int]:

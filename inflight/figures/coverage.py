@@ -13,12 +13,13 @@ from inflight.figures.page import render
 from inflight.figures.style import plain_figure
 from inflight.time import Int64
 
-#: Okabe and Ito's colours, told apart by colour-blind readers; grey where nothing is there.
+#: Okabe and Ito's colours, told apart by colour-blind readers; grey where nothing is there. A day of which a
+#: few samples lack something is pale: it is there.
 COVERAGE_COLOURS = {
     "failed": "#d55e00",
     "missing": "#c4c4c4",
     "excluded": "#cc79a7",
-    "partial": "#e69f00",
+    "partial": "#f5cf8a",
     "old model": "#f0e442",
     "quick-look": "#56b4e9",
     "preliminary": "#0072b2",
