@@ -45,8 +45,10 @@ from inflight.catalog.runs import (
     RunRate,
     baseline_of,
     close_dead_runs,
+    days_of_run,
     measured_rate,
     raise_baseline,
+    run_counts,
     run_records,
     run_report,
 )
@@ -160,9 +162,21 @@ class Catalog:
         why = {"reason": self.reason} if self.reason else {}
         return Run(self.workspace, self._database, kind, {**(settings or {}), **why}, context)
 
-    def runs(self, kind: str | None = None) -> list[RunRecord]:
-        """Return all runs, or those of one kind, oldest first, with state, cause and message."""
-        return self._database.read(run_records, kind)
+    def runs(self, kind: str | None = None, last: int | None = None) -> list[RunRecord]:
+        """Return all runs, or the `last` ones, or those of one kind; oldest first, with state and cause."""
+        return self._database.read(run_records, kind, last)
+
+    def close_dead_runs(self) -> list[str]:
+        """End the runs whose process is gone, as opening the catalog does; return their ids."""
+        return close_dead_runs(self.workspace, self._database)
+
+    def days_of_run(self, run: str) -> list[Day]:
+        """Return the days of a run, whatever became of them, by dataset and day."""
+        return self._database.read(days_of_run, run)
+
+    def run_counts(self, runs: Sequence[str]) -> dict[str, dict[str, dict[str, int]]]:
+        """Return how many days some runs have so far: run -> dataset -> state -> count."""
+        return self._database.read(run_counts, runs)
 
     def rate(self, kind: str) -> RunRate | None:
         """Return how long the largest run of a kind took and how much it wrote; None when none made a day."""

@@ -475,12 +475,39 @@ def close_run(
         )
 
 
-def run_records(session: Session, kind: str | None) -> list[RunRecord]:
-    """Return the records of runs, oldest first."""
-    query = select(RunRow).order_by(RunRow.started, RunRow.id)
+def run_records(session: Session, kind: str | None, last: int | None = None) -> list[RunRecord]:
+    """Return the records of all runs or of the `last`, oldest first."""
+    query = select(RunRow).order_by(RunRow.started.desc(), RunRow.id.desc()).limit(last)
     if kind is not None:
         query = query.where(RunRow.kind == kind)
-    return [row.as_record(RunRecord) for row in session.scalars(query)]
+    return [row.as_record(RunRecord) for row in session.scalars(query)][::-1]
+
+
+def days_of_run(session: Session, run_id: str) -> list[Day]:
+    """Return the days of a run, whatever became of them, by dataset and day."""
+    query = (
+        select(DayRow, StoreRow.path, DatasetRow.name)
+        .outerjoin(StoreRow, StoreRow.id == DayRow.store_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DayRow.run_id == run_id)
+        .order_by(DatasetRow.name, DayRow.day)
+    )
+    return [day_record(row, name, path) for row, path, name in session.execute(query)]
+
+
+def run_counts(session: Session, ids: Sequence[str]) -> dict[str, dict[str, dict[str, int]]]:
+    """Return how many days runs have by dataset and state: run -> dataset -> state -> count."""
+    query = (
+        select(DayRow.run_id, DatasetRow.name, DayRow.state, func.count())
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DayRow.run_id.in_(ids))
+        .group_by(DayRow.run_id, DatasetRow.name, DayRow.state)
+        .order_by(DatasetRow.name)
+    )
+    found: dict[str, dict[str, dict[str, int]]] = {one: {} for one in ids}
+    for run_id, name, state, count in session.execute(query):
+        found[run_id].setdefault(name, {})[state] = count
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``gc`` and the rest."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``log``, ``diff``, ``verify``, ``gc`` ..."""
 
 from __future__ import annotations
 
@@ -481,6 +481,31 @@ def runs(
     command.emit({"command": "catalog runs", "items": items}, show)
 
 
+@verb(group, "log")
+def log(
+    command: Command,
+    run: Annotated[
+        str | None,
+        typer.Argument(help="Of 'catalog runs', or how it begins (default: the last).", show_default=False),
+    ] = None,
+) -> None:
+    """Show the log of a run: what it was asked to do, what became of its days, errors with what to do."""
+    from inflight.errors import CatalogError
+    from inflight.tasks import run_log
+
+    catalog = command.open_catalog()
+    found = [record for record in catalog.runs() if record.id.startswith(run or "")]
+    if not found:
+        raise CatalogError(f"there is no run {run or ''}", remedy="'inflight catalog runs' lists them")
+    lines = run_log(catalog, found[-1])
+
+    def show(console: Console) -> None:
+        for line in lines:
+            console.print(line, soft_wrap=True, markup=False)
+
+    command.emit({"command": "catalog log", "run": found[-1].id, "lines": lines}, show)
+
+
 def _run_fields(record: RunRecord) -> dict[str, Any]:
     reason = str(record.settings.get("reason", ""))
     return {"run": record.id, **_plain_fields(record), "settings": dict(record.settings), "reason": reason}
@@ -610,17 +635,9 @@ def _table_diff(
 
 def _picture_of_table(title: str, found: TableChanges) -> str:
     from inflight.errors import CatalogError
-    from inflight.figures import ChangePanel, changes_picture
-    from inflight.time import to_utc
+    from inflight.figures import changes_picture, table_change_panels
 
-    start, end = to_utc(found.start), to_utc(found.end)
-    together = ChangePanel("all parameters together, rms over directions", "nT", start, end, found.field)
-    panels = [together] if found.field_rms() == found.field_rms() else []
-    for one in found.rows():
-        at = found.parameters.index(one.parameter)
-        panels.append(
-            ChangePanel(one.parameter, one.unit, start, end, found.change[:, at], found.sigma[:, at])
-        )
+    panels = table_change_panels(found)
     if not panels:
         raise CatalogError("no values differ: there is nothing to draw", remedy="leave out --svg")
     return changes_picture(f"{title}: changes; the band is one sigma", panels)

@@ -15,6 +15,7 @@ from .causes import (
     torquer_mean_figures,
     with_and_without_figure,
 )
+from .coverage import COVERAGE_COLOURS, coverage_figure, coverage_legend
 from .dependence import (
     along_field_figures,
     axis_figure,
@@ -93,6 +94,7 @@ from .quicklook import (
     changes_picture,
     day_picture,
     ranges,
+    table_change_panels,
 )
 from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
@@ -130,6 +132,7 @@ __all__ = [
     "AFTER",
     "BEFORE",
     "COMPONENTS",
+    "COVERAGE_COLOURS",
     "HIGHLIGHT",
     "PARTS",
     "PLANES",
@@ -162,6 +165,8 @@ __all__ = [
     "continuous_figure",
     "correction_figure",
     "correlation_figure",
+    "coverage_figure",
+    "coverage_legend",
     "cross_talk_figure",
     "daily_figure",
     "day_night_figure",
@@ -227,6 +232,7 @@ __all__ = [
     "stack_figures",
     "strongest_pairs",
     "switching_steps_figure",
+    "table_change_panels",
     "temperature_figure",
     "text_style",
     "timeline_figure",

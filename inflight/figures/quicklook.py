@@ -15,7 +15,9 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from inflight.arrays import Floats
+from inflight.calibration import TableChanges
 from inflight.figures.page import render
+from inflight.time import to_utc
 
 #: Okabe and Ito's colours for the axes: told apart by colour-blind readers.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
@@ -249,6 +251,18 @@ def changes_picture(title: str, panels: Sequence[ChangePanel]) -> str:
         )
         + "\n"
     )
+
+
+def table_change_panels(found: TableChanges) -> list[ChangePanel]:
+    """Return what changed from one calibration table to another: all parameters together, then each."""
+    start, end = to_utc(found.start), to_utc(found.end)
+    together = ChangePanel("all parameters together, rms over directions", "nT", start, end, found.field)
+    panels = [together] if np.isfinite(found.field_rms()) else []
+    for one in found.rows():
+        at = found.parameters.index(one.parameter)
+        change, sigma = found.change[:, at], found.sigma[:, at]
+        panels.append(ChangePanel(one.parameter, one.unit, start, end, change, sigma))
+    return panels
 
 
 def calendar_page(title: str, what: str, days: Mapping[np.datetime64, CalendarDay]) -> str:
