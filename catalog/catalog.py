@@ -77,7 +77,7 @@ if TYPE_CHECKING:
 
     from inflight.mission import Mission
 
-_FOLDERS = ("staging", "stores", "releases")
+_FOLDERS = ("stores", "releases")
 
 
 class Catalog:
@@ -94,7 +94,7 @@ class Catalog:
     Parameters
     ----------
     workspace : path
-        Folder that holds ``staging``, ``stores``, ``releases`` and ``catalog.db``, unless the catalog is in
+        Folder that holds ``stores``, ``releases`` and ``catalog.db``, unless the catalog is in
         PostgreSQL (`inflight.catalog.location` says where); or a release's folder.
     create : bool
         Make a workspace that is not there yet.
@@ -604,7 +604,7 @@ class Catalog:
         return repair(self.workspace, self._database, dry_run=dry_run)
 
     def gc(self, dry_run: bool = True, *, past: bool = False) -> list[Garbage]:
-        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to.
+        """List, and remove unless `dry_run`, the stores nothing refers to.
 
         Parameters
         ----------

@@ -16,7 +16,6 @@ POINTS: Final = (
     "segment_begun",
     "segment_written",
     "manifest_written",
-    "segment_renamed",
     "attach",
     "publish_begun",
     "publish_flushed",

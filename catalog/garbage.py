@@ -67,9 +67,9 @@ class Garbage:
 
 
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool, past: bool) -> list[Garbage]:
-    """Remove stores and staging folders that nothing needs; see `Catalog.gc`."""
+    """Remove stores that nothing needs; see `Catalog.gc`."""
     # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
-    present = sorted((workspace / "stores").glob("*/*.zarr")) + sorted((workspace / "staging").glob("*"))
+    present = sorted((workspace / "stores").glob("*/*.zarr"))
     paths = [folder.relative_to(workspace).as_posix() for folder in present]
     garbage = database.read(_find, paths, past) if dry_run else database.write(_forget, paths, past)
     garbage = [*garbage, *(Garbage(path=path) for path in _abandoned_releases(workspace))]

@@ -443,7 +443,6 @@ def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, d
         for part in (folder / "stores").iterdir():
             part.rename(folder / part.name)
         (folder / "stores").rmdir()
-    shutil.rmtree(folder / "staging", ignore_errors=True)
     ordered = sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day))
     _write_csv(
         folder / "days.csv",

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-import shutil
 import socket
 import subprocess
 import threading
@@ -59,7 +58,7 @@ from inflight.catalog.schema import (
     StoreRow,
     TableRow,
 )
-from inflight.catalog.segments import flush_segment, write_segment, write_table
+from inflight.catalog.segments import clear_unfinished, flush_segment, write_segment, write_table
 from inflight.catalog.spans import as_date
 from inflight.catalog.validity import Authority, Certification, certify_table
 from inflight.errors import CatalogError, InflightError, IntegrityError, StorageError
@@ -139,7 +138,7 @@ class Run:
         cause, message = (
             ("", "") if error is None else (failure_cause(error), f"{type(error).__name__}: {error}")
         )
-        shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
+        clear_unfinished(self.workspace, self.id)
         if self._pulse is not None:
             self._pulse.stop()
         report = None if error else self.report
@@ -550,24 +549,24 @@ def run_report(session: Session, run_id: str) -> Mapping[str, Any] | None:
 
 
 def close_dead_runs(workspace: Path, database: Database) -> list[str]:
-    """Close runs whose process is gone and clear the staging folders of ended runs; return their ids.
+    """Close runs whose process is gone, clear what runs that failed left unfinished; return their ids.
 
-    A worker of a run that was interrupted may have staged something after the run had cleared its folder.
+    A worker of a run that was interrupted may have begun a store after the run had cleared its own.
     """
-    staging = workspace / "staging"
-    staged = [folder.name for folder in staging.iterdir()] if staging.is_dir() else []
-    left, gone = database.read(_ended_runs, staged, database.backend)
+    of_runs = workspace / "stores"
+    there = [folder.name for folder in of_runs.iterdir()] if of_runs.is_dir() else []
+    left, gone = database.read(_failed_runs, there, database.backend)
     if gone:
         gone = database.write(_close_gone_runs, database.backend)
     for run_id in (*gone, *left):
-        shutil.rmtree(staging / run_id, ignore_errors=True)
+        clear_unfinished(workspace, run_id)
     return gone
 
 
-def _ended_runs(session: Session, staged: Sequence[str], backend: Backend) -> tuple[list[str], list[str]]:
-    """Return those of some runs that have ended, and those whose process is gone."""
-    ended = session.scalars(select(RunRow.id).where(RunRow.id.in_(staged), RunRow.state != "running"))
-    return list(ended) if staged else [], _gone_runs(session, backend)
+def _failed_runs(session: Session, there: Sequence[str], backend: Backend) -> tuple[list[str], list[str]]:
+    """Return those of some runs that failed, and the runs whose process is gone."""
+    failed = session.scalars(select(RunRow.id).where(RunRow.state == "failed"))
+    return sorted(set(failed).intersection(there)), _gone_runs(session, backend)
 
 
 def _gone_runs(session: Session, backend: Backend) -> list[str]:

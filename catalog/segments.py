@@ -11,15 +11,13 @@ segment.
 
 from __future__ import annotations
 
-import errno
 import itertools
 import os
 import re
 import shutil
-import uuid
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -40,7 +38,7 @@ from inflight.catalog.layout import (
     shared_attributes,
     variables,
 )
-from inflight.catalog.manifest import flush, flush_files, folder_bytes, write_manifest
+from inflight.catalog.manifest import MANIFEST, flush, flush_files, folder_bytes, write_manifest
 from inflight.catalog.records import DayData, Segment
 from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
 
@@ -71,8 +69,9 @@ def write_segment(
 ) -> Segment:
     """Write several days of one dataset as one immutable Zarr store.
 
-    Written below ``staging/<run_id>``, read back, hashed, then renamed into ``stores/<run_id>``; it is put on
-    the disk (`flush_segment`) before a catalog names it. Equal input gives equal bytes.
+    Written once, where it stays, below ``stores/<run_id>``: every file under its final name, read back and
+    hashed, its manifest last; it is put on the disk (`flush_segment`) before a catalog names it, and nobody
+    sees it until then. Equal input gives equal bytes.
 
     Parameters
     ----------
@@ -114,9 +113,9 @@ def write_segment(
         "variable_attributes": {item.name: list(item.by_day) for item in contents if item.by_day},
     }
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
-    with _staged(Path(workspace), run_id, label) as staged:
-        notes = _write_store(staged.folder, contents, layout, common, described, portable)
-        path, sha256, size = staged.finish()
+    with _begun(Path(workspace), run_id, label) as begun:
+        notes = _write_store(begun.folder, contents, layout, common, described, portable)
+        path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
 
@@ -141,9 +140,9 @@ def write_table(
     ]
     attributes = plain_attributes(dataset.attrs, f"dataset '{name}'")
     described: dict[str, Any] = {"row_dim": "", "chunk": 0, "days": [], "counts": []}
-    with _staged(Path(workspace), run_id, _label(name)) as staged:
-        notes = _write_store(staged.folder, contents, None, attributes, described, portable)
-        path, sha256, size = staged.finish()
+    with _begun(Path(workspace), run_id, _label(name)) as begun:
+        notes = _write_store(begun.folder, contents, None, attributes, described, portable)
+        path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
 
@@ -168,51 +167,55 @@ def flush_segment(workspace: Path, segment: Segment) -> None:
         ) from error
 
 
-class _Staged:
-    """One store on its way: written in `folder`, visible after `finish`."""
+class _Begun:
+    """One store on its way: whole when its manifest is there."""
 
     def __init__(self, workspace: Path, run_id: str, label: str) -> None:
-        self._workspace, self._run_id, self._label = workspace, run_id, label
-        self.folder = workspace / "staging" / run_id / f"{label}.{uuid.uuid4().hex[:12]}"
+        self._workspace = workspace
+        target = workspace / "stores" / run_id
+        for number in itertools.count(1):
+            self.folder = target / (f"{label}.zarr" if number == 1 else f"{label}-{number}.zarr")
+            # No store is ever replaced.
+            with suppress(FileExistsError):
+                self.folder.mkdir(parents=True)
+                break
 
     def finish(self) -> tuple[str, str, int]:
-        """Hash and rename; return path relative to the workspace, manifest sha256, bytes."""
+        """Hash; return path relative to the workspace, manifest sha256, bytes."""
         fault_point("segment_written")
         sha256 = write_manifest(self.folder)
         fault_point("manifest_written")
-        size = folder_bytes(self.folder)
-        target_folder = self._workspace / "stores" / self._run_id
-        target_folder.mkdir(parents=True, exist_ok=True)
-        for number in itertools.count(1):
-            name = self._label if number == 1 else f"{self._label}-{number}"
-            target = target_folder / f"{name}.zarr"
-            try:
-                self.folder.rename(target)  # refuses a folder with content: no store is ever replaced
-                break
-            except OSError as error:
-                if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
-                    raise
-        fault_point("segment_renamed")
-        return target.relative_to(self._workspace).as_posix(), sha256, size
+        return self.folder.relative_to(self._workspace).as_posix(), sha256, folder_bytes(self.folder)
 
 
 @contextmanager
-def _staged(workspace: Path, run_id: str, label: str) -> Iterator[_Staged]:
-    staged = _Staged(workspace, run_id, label)
+def _begun(workspace: Path, run_id: str, label: str) -> Iterator[_Begun]:
+    begun = None
     try:
-        staged.folder.mkdir(parents=True)
-        yield staged
+        begun = _Begun(workspace, run_id, label)
+        yield begun
     except InflightError:
         raise
     except (OSError, MemoryError) as error:
         reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
         raise StorageError(
             f"could not write: {reason}; nothing was published",
-            file=str(staged.folder),
+            file=str(begun.folder if begun else workspace),
             remedy=f"free space below {workspace} and run again",
         ) from error
     finally:
-        shutil.rmtree(staged.folder, ignore_errors=True)
+        clear_unfinished(workspace, run_id, [begun.folder] if begun else [])
+
+
+def clear_unfinished(workspace: Path, run_id: str, folders: Iterable[Path] | None = None) -> None:
+    """Remove stores of a run (or of some folders of it) without a manifest: nobody writes them any more."""
+    of_run = workspace / "stores" / run_id
+    for folder in of_run.glob("*.zarr") if folders is None else folders:
+        if not (folder / MANIFEST).exists():
+            shutil.rmtree(folder, ignore_errors=True)
+    # Refused where a store stays.
+    with suppress(OSError):
+        of_run.rmdir()
 
 
 def _write_store(

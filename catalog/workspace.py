@@ -4,7 +4,7 @@
 mission.yaml     the mission; written by hand or copied by `inflight new`
 models/          model files, the pre-flight calibration among them
 data/            delivered files, laid out as the mission's file patterns say
-catalog.db       the catalog, or catalog.yaml with its address; staging/, stores/ and releases/ are its own
+catalog.db       the catalog, or catalog.yaml with its address; stores/ and releases/ are its own
 reports/         pages written by `inflight compare`
 .prefect/        private home of the embedded Prefect server
 ```

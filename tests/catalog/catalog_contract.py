@@ -483,8 +483,9 @@ class UpkeepContract:
             waiting = run.stage("l1/ovm", samples(DAYS[0]), day=DAYS[0], key="new")
         publish(catalog, NAME, DAYS, seed=1)
         orphan = write_segment(catalog.workspace, "nobody", NAME, [DayData(DAYS[0], samples(DAYS[0]))])
-        (catalog.workspace / "staging" / "nobody" / "half").mkdir()
-        expected = sorted([superseded.segment, orphan.path, "staging/nobody"])
+        half = "stores/nobody/half.zarr"
+        (catalog.workspace / half).mkdir()
+        expected = sorted([superseded.segment, orphan.path, half])
         assert sorted(one.path for one in catalog.gc()) == expected
         assert (catalog.workspace / orphan.path).exists()
         assert sorted(one.path for one in catalog.gc(dry_run=False)) == expected

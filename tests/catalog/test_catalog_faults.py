@@ -23,6 +23,7 @@ from catalog_cases import (
     spawn,
     write_under_a_size_limit,
 )
+from store_cases import unfinished_stores
 
 from inflight.catalog import Catalog, DayData, write_segment
 from inflight.catalog.faultpoints import POINTS
@@ -43,11 +44,11 @@ def table_value(catalog):
 
 def assert_whole(catalog):
     assert [fault for fault in catalog.verify() if fault["item"] != "file:abc"] == []
-    assert list((catalog.workspace / "staging").iterdir()) == []
+    assert unfinished_stores(catalog.workspace) == []
     assert [run.state for run in catalog.runs() if run.state == "running"] == []
 
 
-@pytest.mark.parametrize("point", [*RUN_POINTS, "segment_written:2", "segment_renamed:3", "attach:2"])
+@pytest.mark.parametrize("point", [*RUN_POINTS, "segment_written:2", "manifest_written:3", "attach:2"])
 def test_a_kill_at_any_named_point_shows_all_old_or_all_new_and_a_rerun_completes(
     catalog, reopened_after_death, point
 ):
@@ -167,12 +168,8 @@ def test_a_file_size_limit_while_writing_publishes_nothing(catalog):
     assert ended(process) == 0
     assert (cause, remedy[:10]) == ("transient", "free space")
     assert generation_seen(catalog) == 0
-    assert_no_files(catalog.workspace / "staging")
+    assert unfinished_stores(catalog.workspace) == []
     assert not (catalog.workspace / "stores" / "run").exists()
-
-
-def assert_no_files(folder):
-    assert [path for path in folder.rglob("*") if path.is_file()] == []
 
 
 @pytest.fixture
@@ -222,7 +219,7 @@ def test_a_full_disk_stops_the_write_and_a_rerun_after_freeing_completes(small_d
     assert caught.value.cause == "transient"
     assert os.strerror(errno.ENOSPC) in str(caught.value)
     assert catalog.days("l1/fgm") == before
-    assert_no_files(catalog.workspace / "staging")
+    assert unfinished_stores(catalog.workspace) == []
     (small_disk / "ballast").unlink()
     publish(catalog, "l1/fgm", days, seed=1)
     assert {day.version for day in catalog.days("l1/fgm")} == {"v01.01"}

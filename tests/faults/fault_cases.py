@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from store_cases import unfinished_stores
 from tiny_mission import TINY_OFFSET, TINY_START, deliver_tiny_day
 
 from inflight.catalog import Catalog
@@ -71,5 +72,5 @@ def assert_whole(workspace: Path) -> None:
     """Nothing in use is damaged, nothing half-made lies about, no run seems to be going on."""
     catalog = Catalog(workspace)
     assert catalog.verify() == []
-    assert [path for path in (workspace / "staging").rglob("*") if path.is_file()] == []
+    assert unfinished_stores(workspace) == []
     assert [run.id for run in catalog.runs() if run.state == "running"] == []

@@ -5,12 +5,12 @@ import signal
 import pytest
 from fault_cases import BATCH, assert_whole, versions, view
 
-INGEST_POINTS = ["attach:2", "segment_renamed:4", "publish_begun", "publish_flushed", "published"]
+INGEST_POINTS = ["attach:2", "manifest_written:4", "publish_begun", "publish_flushed", "published"]
 # Two passes of equations (stores 1 to 4), three tables (5 to 7), two stores of products (8 and 9).
 REPROCESS_POINTS = [
     "attach:3",
     "attach:4",
-    "segment_renamed:6",
+    "manifest_written:6",
     "attach:6",
     "publish_flushed",
     "published",

@@ -79,9 +79,9 @@ def test_a_run_that_works_on_all_windows_at_once_leaves_the_same_bytes(archived,
     ("point", "windows", "products"),
     [
         # The second window's table is on disk and nobody knows it.
-        ("segment_renamed:2", 2, 3),
+        ("manifest_written:2", 2, 3),
         # All windows are learnt from, the first product is on disk and nobody knows it.
-        ("segment_renamed:4", 0, 3),
+        ("manifest_written:4", 0, 3),
         ("attach:3", 0, 1),
         ("publish_flushed", 0, 0),
         ("published", 0, 0),

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+from store_cases import unfinished_stores
 from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog
@@ -19,9 +20,9 @@ def test_an_interrupted_ingest_ends_soon_and_goes_on_where_it_was(tmp_path):
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
     until = time.monotonic() + 90
-    while time.monotonic() < until and running.poll() is None and not (root / "staging").is_dir():
+    while time.monotonic() < until and running.poll() is None and not (root / "stores").is_dir():
         time.sleep(0.05)
-    while running.poll() is None and not any((root / "staging").iterdir()) and time.monotonic() < until:
+    while running.poll() is None and not any((root / "stores").iterdir()) and time.monotonic() < until:
         time.sleep(0.01)
     os.killpg(running.pid, signal.SIGINT)
     said, _ = running.communicate(timeout=60)
@@ -31,4 +32,4 @@ def test_an_interrupted_ingest_ends_soon_and_goes_on_where_it_was(tmp_path):
     again = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "60 planned" in again.stdout or "120 planned" in again.stdout
     assert len(Catalog(root).days("l1/turning", states=("published",))) == 60
-    assert not any((root / "staging").iterdir())
+    assert unfinished_stores(root) == []

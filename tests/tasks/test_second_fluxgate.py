@@ -132,7 +132,7 @@ def test_diagnose_finds_between_the_fluxgates_what_is_nearer_to_one_of_them(cham
 
 def test_a_model_of_another_comparison_is_refused_where_it_is_stated(champ, tmp_path):
     copy = tmp_path / "w"
-    shutil.copytree(champ.root, copy, ignore=shutil.ignore_patterns("stores", "data", "staging"))
+    shutil.copytree(champ.root, copy, ignore=shutil.ignore_patterns("stores", "data"))
     text = champ.mission().text.replace("champ-second-preflight", "champ-preflight")
     with pytest.raises(MissionError, match=r"comparisons\.second\.preflight.*comparison 'main'"):
         preflight_model(Catalog(copy), Mission.parse(text), "second")
