@@ -37,6 +37,8 @@ from inflight.tasks.pipelines.base import newest_table
 _DAYS, _CADENCE, _MOMENTS = 3, 10, 5
 #: What is wrong with the fluxgate and the scalar sensor; all else is left out, of the model, too.
 _WRONG = ("misalignment", "offset", "scalar_bias", "time_shift")
+#: What a model of the main field lacks and what stays, nT along each Earth-fixed axis: drawn, and stated.
+_EXTERNAL_NT = 5.0
 #: Units that switch, on the boom; and what wanders there.
 _UNITS = ("transmitter", "spectrometer", "camera", "survival_heater")
 _DRIFTS = ("offset_drift", "thermal_drift")
@@ -110,14 +112,15 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
 
 def field_model(seed: int, folder: Path) -> dict[str, Pulls]:
     """Return the errors of what a sensor is, and of the field, against a model of the main field."""
-    offset = np.random.default_rng([seed, 2]).normal(0.0, 30.0, 3)
+    generator = np.random.default_rng([seed, 2])
+    drawn = {"offset": generator.normal(0.0, 30.0, 3), "steady_field": generator.normal(0.0, _EXTERNAL_NT, 3)}
     wrong = {"misalignment", "offset", "external_field"}
-    settings = _champ(seed, wrong, overrides={"offset": offset.tolist()})
+    settings = _champ(seed, wrong, overrides={name: one.tolist() for name, one in drawn.items()})
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
     path = folder / "mission.yaml"
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith(("comparisons:", "preflight:"))]
-    comparison = "comparisons: {main: {kind: field_model, vector: fgm, external: 5}}\n"
+    comparison = f"comparisons: {{main: {{kind: field_model, vector: fgm, external: {_EXTERNAL_NT}}}}}\n"
     path.write_text("".join([*kept, comparison]), encoding="utf-8")
     _reprocess(cat)
     truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
