@@ -76,7 +76,14 @@ from .torquers import (
 )
 from .trend_selection import RivalTrend, TrendComparison, fit_origin
 from .trends import TrendFit, fit_trends, make_trend
-from .two_fluxgates import CLUSTER_S, relation_grams, relation_of, three_cornered_hat, three_cornered_hat_sums
+from .two_fluxgates import (
+    CLUSTER_S,
+    relation_covariance,
+    relation_grams,
+    relation_of,
+    three_cornered_hat,
+    three_cornered_hat_sums,
+)
 from .z_offset import (
     OffsetsFromSpread,
     SpreadLaw,
@@ -169,6 +176,7 @@ __all__ = [
     "orbit_period",
     "orbit_plane_sun",
     "parameter_spectrum",
+    "relation_covariance",
     "relation_grams",
     "relation_of",
     "remanent_field",
