@@ -94,9 +94,7 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
         },
     )
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
-    _keep_effects(
-        folder / "models" / "champ-preflight.yaml", ("vector_sensor", "scalar_bias", "time_shift")
-    )
+    _keep_effects(folder / "models" / "champ-preflight.yaml", ("vector_sensor", "scalar_bias", "time_shift"))
     truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
     # Without ageing, all days have the same nine.
     nine = np.concatenate(list(json.loads(truth[settings.day_list[0]].attrs["nine_parameters"]).values()))

@@ -22,7 +22,7 @@ from .day_night import (
     sunlit_duty,
     switched_columns,
 )
-from .held_numbers import held_products, held_shifts, held_terms
+from .held_numbers import held_numbers_of, held_products, held_shifts, held_terms, with_held_numbers
 from .joint_effects import (
     JointDayNight,
     compare_temperatures_jointly,
@@ -162,6 +162,7 @@ __all__ = [
     "fit_step",
     "fit_trends",
     "free_terms",
+    "held_numbers_of",
     "held_products",
     "held_shifts",
     "held_terms",
@@ -195,5 +196,6 @@ __all__ = [
     "torquer_lines",
     "wide_and_auxiliary_equations",
     "with_auxiliary_columns",
+    "with_held_numbers",
     "with_nine_parameters",
 ]

@@ -155,8 +155,8 @@ def relation_covariance(
             change[row, column] = -value[row] * np.sin(np.deg2rad(value[place])) * np.deg2rad(1.0)
         wrong = to_spacecraft @ change @ inverse @ to_spacecraft.T
         turn = np.array([wrong[2, 1] - wrong[1, 2], wrong[0, 2] - wrong[2, 0], wrong[1, 0] - wrong[0, 1]])
-        even = 0.5 * (wrong + wrong.T)
-        slope[:9, place] = np.concatenate([np.rad2deg(0.5 * turn), even[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]])
+        even = 0.5 * (wrong + wrong.T)[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        slope[:9, place] = np.concatenate([np.rad2deg(0.5 * turn), even])
     slope[9:, 6:] = -to_spacecraft @ kernel
     return np.asarray(slope @ covariance @ slope.T)
 

@@ -78,7 +78,7 @@ def calibration_errors(
 
 
 def joint_errors(errors: Sequence[xr.Dataset]) -> Floats:
-    """Return what the calibrations do to the relation of all days; those of different intervals are independent."""
+    """Return what the calibrations do to the relation of all days; intervals are independent."""
     total = np.zeros(errors[0]["covariance"].shape[1:])
     for sensor in range(errors[0].sizes["sensor"]):
         begin = np.array([int(one["begin"][sensor]) for one in errors])

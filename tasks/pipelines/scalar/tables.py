@@ -26,7 +26,7 @@ from inflight.calibration import (
 from inflight.catalog import Catalog, Day, DayData, Run, idempotency_key, write_segment
 from inflight.errors import CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
-from inflight.mission_fit import held_shifts
+from inflight.mission_fit import held_numbers_of, held_shifts, with_held_numbers
 from inflight.model import Model
 from inflight.time import day_bounds
 
@@ -155,9 +155,13 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
                 held=held_shifts(one, held[index : index + 1], prior.sigma, float(after[index])),
             )
         )
-    return with_changes(
-        calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
-    )
+    return with_changes(_table_of(rows, model, "daily"))
+
+
+def _table_of(rows: Sequence[Interval], model: Model, kind: str) -> xr.Dataset:
+    """Return the table of intervals, with the numbers of the vector sensor that the model holds."""
+    table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+    return with_held_numbers(table, [row.held for row in rows], held_numbers_of(model))
 
 
 def window_table(
@@ -178,7 +182,7 @@ def window_table(
         if inside.size:
             part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())
             rows.append(_solved_interval(part, held[inside], count, model, start, end))
-    table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+    table = _table_of(rows, model, kind)
     return with_changes(table, [table, *finer])
 
 
