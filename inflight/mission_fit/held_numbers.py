@@ -112,7 +112,7 @@ def held_products(model: Model, samples: xr.Dataset, value: Floats, count: float
     nine, others = columns[:, : PARAMETER_SCALE.size], columns[:, PARAMETER_SCALE.size :]
     # In units of their steps: from those to one sigma, and to the scale of the nine.
     sigma = np.array([one / step for term in terms for one, step in zip(term.sigma, term.scale, strict=True)])
-    # As columns are: what is taken out of the vector's strength, which is off by t dF/dt when it is late by t.
+    # As columns are: what is taken out of the vector's strength, which holds t dF/dt when it is late by t.
     seconds, strength = stamps[seen] / SECOND, np.linalg.norm(field[seen], axis=1)
     rate = np.gradient(strength, seconds) if seconds.size > 1 else np.zeros(seconds.size)
     late = [rate * one.sigma * (-1 if one.role == "vector" else 1) for one in numbers[sigma.size :]]

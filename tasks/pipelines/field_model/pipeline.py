@@ -38,7 +38,7 @@ from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_itrf, to_nec
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
-from inflight.model import REFERENCE, Model, instrument_variance
+from inflight.model import REFERENCE, Model
 from inflight.residual import (
     Coordinate,
     daily_scatter,
@@ -105,7 +105,7 @@ class FieldModelPipeline(Pipeline):
     """Twelve parameters of a vector sensor, ``B = M E + b``, against a model of the main field."""
 
     tag = "field_model"
-    versions = Versions(statistics=1, tables=1, products=1)
+    versions = Versions(statistics=2, tables=2, products=2)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison with a field model."""
@@ -167,7 +167,8 @@ class FieldModelPipeline(Pipeline):
             raise _too_few(batch, day, samples, coverage)
         prior = prior_of_twelve(batch.model, (start + end) // 2)
         uniform = _uniform_fields(batch.model, samples)
-        grams = comparison_grams(reading, reference, uniform, good, prior)
+        rate = _rate(reference, np.asarray(samples["tt2000"].values))
+        grams = comparison_grams(reading, reference, uniform, good, prior, rate=rate)
         edges = np.linspace(start, end, len(grams) + 1).astype(np.int64)
         made = {
             "gram": (("block", "column", "other"), grams),
@@ -311,6 +312,11 @@ def _samples(batch: Batch, day: np.datetime64, surroundings: bool = False) -> xr
     )
 
 
+def _rate(field: Floats, stamps: Int64) -> Floats:
+    """Return how fast a field (time, axis) changes, nT/s; 0 where it is not known."""
+    return np.nan_to_num(np.gradient(field, stamps / SECOND, axis=0)) if len(field) > 1 else 0.0 * field
+
+
 def _uniform_fields(model: Model, samples: xr.Dataset) -> Floats:
     """Return Earth-fixed unit vectors in the sensor's nominal axes; (time, axis, vector), 0 where unknown."""
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
@@ -356,7 +362,7 @@ def twelve_table(
 
     Parameters
     ----------
-    grams : ndarray, shape (block, 16, 16)
+    grams : ndarray, shape (block, 19, 19)
         Of all days.
     spans : tuple of ndarray of int64, shape (block,)
         Where blocks start and end, TT2000.
@@ -371,7 +377,8 @@ def twelve_table(
         inside = np.flatnonzero((first <= start) & (start < after) & (grams[:, 3, 3] > 0))
         if not inside.size:
             continue
-        rows.append(fit_twelve(grams[inside], *prior_of_twelve(model, (first + after) // 2), external_nT))
+        prior = prior_of_twelve(model, (first + after) // 2)
+        rows.append(fit_twelve(grams[inside], *prior, external_nT, own.sensor.sigma.delay / SECOND))
         bounds.append((first, after))
         learnt.append((int(start[inside[0]]), int(end[inside[-1]])))
     if not rows:
@@ -397,6 +404,7 @@ def twelve_table(
             ),
             "prior": ("parameter", value),
             "prior_sigma": ("parameter", sigma),
+            "late": (each, np.array([one.late for one in rows])),
             "units": ("parameter", np.array(["1"] * 9 + ["nT"] * 3, dtype="U8")),
             "start": ("interval", begin, scale),
             "end": ("interval", after_each, scale),
@@ -445,9 +453,9 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     step = usual_step(stamps, SECOND) / SECOND
     levels = [noise_floor(one, step).level_nT for one in (body - reference).T]
     noise = float(np.nan_to_num(np.nanmax(levels))) if np.isfinite(levels).any() else 0.0
-    variance = field_variance(reading, np.asarray(row["covariance"].values), noise)
     # The twelve turn the sensor's axes: what its orientation is known to is in their covariance.
-    variance = variance + instrument_variance(sensor, field, stamps, mounting=False)
+    moved = _rate(field, stamps) * sensor.sigma.delay / SECOND
+    variance = field_variance(reading, row["covariance"].values, noise, row["late"].values, moved)
     change = change_outside(row, table, (start, end), [str(name) for name in row["parameter"].values])
     if change is not None:
         outside = outside_learnt(row, stamps)

@@ -44,7 +44,7 @@ class ScalarPipeline(Pipeline):
     """
 
     tag = "scalar"
-    versions = Versions(statistics=4, tables=6, products=8)
+    versions = Versions(statistics=5, tables=7, products=9)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison, unless all days are to be fitted at once."""
