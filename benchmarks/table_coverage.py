@@ -85,16 +85,18 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
     generator = np.random.default_rng([seed, 1])
     settings = _champ(
         seed,
-        {*_WRONG, "external_field"},
+        {*_WRONG, "temperature", "temperature_lag", "external_field"},
         include=("scalar_bias",),
-        # As the model says: 0 +- 0.2 nT and 14.5 +- 2 ms.
+        # As the model says: 0 +- 0.2 nT, 14.5 +- 2 ms, and coefficients of the coil, ppm/K.
         overrides={
             "scalar_bias": float(generator.normal(0.0, 0.2)),
             "time_shift": float(generator.normal(0.0145, 0.002)),
+            "temperature_linear": (1e-6 * generator.normal([29.9, 30.1, 30.7], 0.4)).tolist(),
         },
     )
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
-    _keep_effects(folder / "models" / "champ-preflight.yaml", ("vector_sensor", "scalar_bias", "time_shift"))
+    kept = ("vector_sensor", "temperature", "scalar_bias", "time_shift")
+    _keep_effects(folder / "models" / "champ-preflight.yaml", kept)
     truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
     # Without ageing, all days have the same nine.
     nine = np.concatenate(list(json.loads(truth[settings.day_list[0]].attrs["nine_parameters"]).values()))
