@@ -314,6 +314,14 @@ class TimedValue:
             return False
         return not bool(_nearest_interval(self.table, np.asarray(tt2000, dtype=np.int64))[1])
 
+    def is_own_at(self, tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return where a table of time ``table`` has a value of that time, not one of other times."""
+        times = np.asarray(tt2000, dtype=np.int64)
+        if self.time != "table" or self.table is None:
+            return np.ones(times.shape, dtype=bool)
+        index, inside = _nearest_interval(self.table, times)
+        return np.asarray(inside & self.table["own"].values[index])
+
     def _held(self, t: npt.NDArray[np.int64], what: str) -> Floats:
         """Return value or sigma of a table at times; beyond its intervals the nearest one's."""
         if self.table is None:
@@ -338,7 +346,8 @@ class TimedValue:
         ----------
         table : xarray.Dataset
             dim interval (`start`, `end`), and a second one, ``axis`` or ``parameter`` (whose names end in
-            ``[axis]``): `value` and `sigma`, with units in their attributes or in `units` (parameter).
+            ``[axis]``): `value` and `sigma`, with units in their attributes or in `units` (parameter); where
+            it has one, `state` (interval) with its meanings, *interpolated* and *held* among them.
 
         Raises
         ------
@@ -364,10 +373,15 @@ class TimedValue:
                 one = table.isel({dim: names.index(axis)})
                 wide[:, place] = factor * np.stack([one["value"].values, one["sigma"].values], axis=-1)
         each = ("interval", "component")
+        own = np.ones(len(wide), dtype=bool)
+        if "state" in table:
+            meanings = np.array(str(table["state"].attrs["flag_meanings"]).split())
+            own = ~np.isin(meanings[table["state"].values], ("interpolated", "held"))
         return replace(
             self,
             table=xr.Dataset(
                 {
+                    "own": ("interval", own),
                     "value": (each, wide[..., 0]),
                     "sigma": (each, wide[..., 1]),
                     "start": ("interval", table["start"].values),
