@@ -144,15 +144,11 @@ def relation_covariance(
     kernel, to_spacecraft = np.eye(3), rotation.as_matrix()
     kernel[range(3), range(3)] = value[:3]
     above = (0, 0, 1), (1, 2, 2)
-    kernel[above] = value[(0, 0, 1),] * np.cos(np.deg2rad(value[3:6]))
+    kernel[above] = np.cos(np.deg2rad(value[3:6]))
     inverse, slope = np.linalg.inv(kernel), np.zeros((len(NAMES), 9))
-    for place in range(6):
+    for place, at in enumerate([(0, 0), (1, 1), (2, 2), *zip(*above, strict=True)]):
         change = np.zeros((3, 3))
-        if place < 3:
-            change[place] = kernel[place] / value[place]
-        else:
-            row, column = above[0][place - 3], above[1][place - 3]
-            change[row, column] = -value[row] * np.sin(np.deg2rad(value[place])) * np.deg2rad(1.0)
+        change[at] = 1.0 if place < 3 else -np.sin(np.deg2rad(value[place])) * np.deg2rad(1.0)
         wrong = to_spacecraft @ change @ inverse @ to_spacecraft.T
         turn = np.array([wrong[2, 1] - wrong[1, 2], wrong[0, 2] - wrong[2, 0], wrong[1, 0] - wrong[0, 1]])
         even = 0.5 * (wrong + wrong.T)[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]

@@ -56,6 +56,8 @@ def origin_attributes(
         "calibration_model": batch.model_name,
         "calibration_table": f"{batch.table_name}{_taught(row, (start, end))}",
     }
+    if row is not None and "estimate" in row:
+        attributes["calibration_method"] += f", estimate {row['estimate'].item()}"
     if batch.context_name:
         attributes["calibration_context"] = batch.context_name
     coefficients = [
