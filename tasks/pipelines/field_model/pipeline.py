@@ -41,6 +41,7 @@ from inflight.mission import FieldModelComparison, Mission
 from inflight.model import REFERENCE, Model
 from inflight.residual import (
     Coordinate,
+    above_floor,
     daily_scatter,
     join_floors,
     measure_dependences,
@@ -56,6 +57,7 @@ from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
     EarlierProducts,
+    EarlierResidual,
     Pipeline,
     Plan,
     ProductBatch,
@@ -232,7 +234,7 @@ class FieldModelPipeline(Pipeline):
         earlier: EarlierProducts | None = None,
     ) -> CompareResult[FieldModelReport]:
         """Measure the residual of each component before and after, and what it follows."""
-        return compare_components(cat, mission, comparison, days, progress)
+        return compare_components(cat, mission, comparison, days, progress, earlier)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
@@ -428,7 +430,8 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     xarray.Dataset
         `field_sensor` (the sensor's nominal axes), `field_spacecraft`, `field_nec`, `field_model` (the
         model's, spacecraft axes), `residual`, `residual_preflight` (spacecraft axes), `uncertainty` (sensor
-        axes), ``correction_<effect>``; (time, axis) nT; `latitude`, `longitude`, `flag`.
+        axes), ``correction_<effect>``, and `before_stray_field` (spacecraft axes) with these still in; (time,
+        axis) nT; `latitude`, `longitude`, `flag`.
     """
     import xarray as xr
 
@@ -484,15 +487,19 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
         nec = to_nec(body, attitude, here, frame)
         variables["field_nec"] = told(nec, "calibrated field", "nec")
     flag = np.where(np.isfinite(attitude).all(axis=1), flag, flag | np.uint32(Flag.NO_ATTITUDE))
-    for name, term in model.correction_terms(cast("xr.Dataset", corrected)).items():
+    terms = model.correction_terms(cast("xr.Dataset", corrected))
+    uncorrected = model.before_corrections(cast("xr.Dataset", corrected), terms)
+    if uncorrected is not None:
+        words = "calibrated field, nothing of the spacecraft's taken out"
+        variables["before_stray_field"] = told(sensor.rotation.apply(uncorrected), words, "spacecraft")
+    for name, term in terms.items():
         variables[f"correction_{name}"] = told(term, f"taken out of the reading: {name}", "sensor")
     latitude, longitude = latitude_longitude(here)
-    degrees = {"units": "deg"}
     return xr.Dataset(
         {
             **variables,
-            "latitude": ("time", latitude, {**degrees, "long_name": "geocentric latitude"}),
-            "longitude": ("time", longitude, {**degrees, "long_name": "longitude"}),
+            "latitude": ("time", latitude, {"units": "deg", "long_name": "geocentric latitude"}),
+            "longitude": ("time", longitude, {"units": "deg", "long_name": "longitude"}),
             "flag": ("time", flag.astype(np.uint32), {"flag_masks": masks[0], "flag_meanings": masks[1]}),
             "tt2000": ("time", stamps, {"units": "ns", "scale": "TT2000"}),
         },
@@ -539,24 +546,28 @@ class FieldModelReport(CompareReport):
 
 
 def compare_components(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    days: Sequence[Day],
+    progress: Progress,
+    earlier: EarlierProducts | None = None,
 ) -> CompareResult[FieldModelReport]:
-    """Measure the residual of each component of products before and after, and what it follows."""
+    """Measure the residual of each component of products before and after, and what it follows.
+
+    With `earlier`, what an earlier version of the model left of the same days stands beside it.
+    """
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + ONE_DAY)))
     rows: list[dict[str, Floats]] = []
     sizes, floors, skipped = [], [], 0
     for day in each_day(days, progress):
         product = cat.read(day, ["residual", "residual_preflight", "field_sensor", "flag"])
         stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-        good = (product["flag"].values & np.uint32(UNUSABLE)) == 0
-        before, after = (
-            np.where(good[:, None], product[name].values, np.nan)
-            for name in ("residual_preflight", "residual")
-        )
+        before, after = (_usable(product, name) for name in ("residual_preflight", "residual"))
         sizes.append([[residual_statistics(one) for one in state.T] for state in (before, after)])
         cadence = usual_step(stamps, SECOND) / SECOND
         floors += [noise_floor(one, cadence) for one in after.T]
-        skipped += int((~good).sum())
+        skipped += int((product["flag"].values & np.uint32(UNUSABLE) > 0).sum())
         spans = Spans.of(stamps, _SPAN_S)
         own = rows_of_day(cat, mission, comparison, sources, product, before[:, 0], after[:, 0], spans)
         rows.append(own | {f"after {axis}": spans.mean(after[:, at]) for at, axis in enumerate(_AXES)})
@@ -578,12 +589,24 @@ def compare_components(
     daily, used = tables_in_use(cat, comparison, days[0])
     names, known = used["parameter"].values, used["determined"].values[-1]
     merged = [[merge_statistics([day[state][at] for day in sizes]) for at in range(3)] for state in (0, 1)]
+    floor, old = join_floors(floors), None
+    if earlier is not None:
+        each = [
+            merge_statistics([residual_statistics(one) for one in _usable(cat.read(day), "residual").T])
+            for day in earlier.days
+        ]
+        left = merge_statistics(each).rms
+        sized = zip(earlier.days, each, strict=True)
+        by_day = [{"day": str(day.day), "after_nT": one.rms} for day, one in sized]
+        above = above_floor(left, floor.level_nT)
+        old = EarlierResidual(earlier.version, earlier.message, left, above, by_day)
     report = FieldModelReport(
         comparison=comparison,
         context=days[-1].context or "",
         before=merge_statistics(merged[0]),
         after=merge_statistics(merged[1]),
-        floor=join_floors(floors),
+        floor=floor,
+        earlier=old,
         by_day=[
             day_summary(day, merge_statistics(own[0]), merge_statistics(own[1]))
             for day, own in zip(days, sizes, strict=True)
@@ -627,6 +650,12 @@ def compare_components(
         ("What each change took off", lambda: history_section(report)),
     ]
     return CompareResult(report, title, parts)
+
+
+def _usable(product: xr.Dataset, name: str) -> Floats:
+    """Return a vector of a product, NaN where its flag makes the sample unusable; (time, axis)."""
+    good = (product["flag"].values & np.uint32(UNUSABLE)) == 0
+    return np.where(good[:, None], product[name].values, np.nan)
 
 
 def intervals_of(table: xr.Dataset) -> list[dict[str, Any]]:
