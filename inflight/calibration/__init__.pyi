@@ -52,6 +52,7 @@ from .table import (
     Interval,
     calibration_table,
     describe_directions,
+    for_given_numbers,
     table_boundary_steps,
     trend_jumps,
 )
@@ -88,6 +89,7 @@ __all__ = [
     "fit_difference",
     "fit_squares",
     "fit_twelve",
+    "for_given_numbers",
     "grams",
     "held_table",
     "kernel_scale",

@@ -28,7 +28,7 @@ from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, lines_between_windows, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError, did_you_mean
-from inflight.lsq import GramBlocks, inverse_square_root, solve_scaled
+from inflight.lsq import GramArrays, GramBlocks, inverse_square_root, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, TimeDependence, make_effect
 from inflight.samples import parse_channel
@@ -194,7 +194,7 @@ class FitSetup:
 
     def _model_grams(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[GramBlocks, list[str], list[float]]:
+    ) -> tuple[GramArrays, list[str], list[float]]:
         """Return the Gram blocks of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
@@ -263,7 +263,7 @@ class FitSetup:
 
 def combine_columns(
     grams: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
-) -> GramBlocks:
+) -> GramArrays:
     """Return Gram blocks of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters

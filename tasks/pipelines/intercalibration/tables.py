@@ -83,9 +83,9 @@ def joint_errors(errors: Sequence[xr.Dataset]) -> Floats:
     for sensor in range(errors[0].sizes["sensor"]):
         begin = np.array([int(one["begin"][sensor]) for one in errors])
         for interval in np.unique(begin):
-            own = np.flatnonzero(begin == interval)
-            mean = np.mean([errors[day]["covariance"].values[sensor] for day in own], axis=0)
-            total += (own.size / begin.size) ** 2 * mean
+            own = begin == interval
+            each = [one["covariance"].values[sensor] for one, here in zip(errors, own, strict=True) if here]
+            total += np.mean(own) ** 2 * np.mean(each, axis=0)
     return total
 
 
