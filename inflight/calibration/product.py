@@ -257,6 +257,9 @@ def edge_gain(period: int) -> Floats:
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
+#: A field smaller than this is in no uncertainty, nT: readings have a coarser resolution.
+_NEGLIGIBLE = 1e-4
+
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
@@ -305,15 +308,17 @@ class JointNumbers:
         fields : mapping of str to ndarray, shape (time, axis)
             As `inflight.model.number_fields`.
         """
-        own = [place for place, name in enumerate(self.sigma) if name in fields]
-        if not own:
-            return np.zeros((len(slopes[0][1]), 3))
-        each = np.stack([fields[name] for name in self.sigma if name in fields], axis=1)
-        shift, correlation = self.shift[own], self.correlation[np.ix_(own, own)]
         parts = []
         for axis, (index, slope) in enumerate(slopes):
-            moved = each[:, :, axis]
-            parts.append(np.sum((2.0 * slope @ shift[:, index].T + moved @ correlation) * moved, axis=1))
+            own = {
+                place: fields[name][:, axis]
+                for place, name in enumerate(self.sigma)
+                if name in fields and np.abs(fields[name][:, axis]).max(initial=0.0) > _NEGLIGIBLE
+            }
+            places = list(own)
+            moved = np.stack([*own.values(), np.zeros(len(slope))], axis=1)[:, :-1]
+            change = 2.0 * slope @ self.shift[places][:, index].T
+            parts.append(np.sum((change + moved @ self.correlation[np.ix_(places, places)]) * moved, axis=1))
         return np.stack(parts, axis=1)
 
 

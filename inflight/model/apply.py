@@ -384,15 +384,16 @@ def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, flo
     for place, entry in enumerate(effects):
         if entry.sensor.role not in VECTOR_ROLES:
             continue
+        before: Floats | None = None
         for timed in entry.parameters.values():
             for name, value in zip(timed.columns, timed.value.ravel(), strict=True):
                 if name not in sigma:
                     continue
                 moved = entry.with_columns({name: float(value) + sigma[name]}, {})
                 if entry.is_additive:
-                    before, after = (
-                        one.effect.field(samples, one.values(times), one.sensor) for one in (entry, moved)
-                    )
+                    if before is None:
+                        before = entry.effect.field(samples, entry.values(times), entry.sensor)
+                    after = moved.effect.field(samples, moved.values(times), entry.sensor)
                     found[name] = np.asarray(before - after)
                     continue
                 if known is None:
