@@ -44,14 +44,15 @@ class HeldNumber:
 
 
 def held_terms(model: Model) -> tuple[Term, ...]:
-    """Return the effects' numbers that have a sigma and that no block fits, be they free or not."""
+    """Return the effects' numbers that have a sigma of their own and that no block fits, free or not."""
     found = []
     for entry in model.effects:
         known = {
             name: timed.sigma[:, 0]
             for name, timed in entry.parameters.items()
-            if timed.time == "constant" and np.all(np.isfinite(timed.sigma)) and np.any(timed.sigma > 0)
+            if timed.time == "constant" and timed.has_own_sigma and np.all(np.isfinite(timed.sigma))
         }
+        known = {name: sigma for name, sigma in known.items() if np.any(sigma > 0)}
         if known and entry.sensor.role in ("vector", "scalar"):
             sigma = tuple(float(one) for each in known.values() for one in each)
             found.append(Term(entry.name, entry, tuple(known), sigma))

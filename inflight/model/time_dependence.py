@@ -273,6 +273,12 @@ class TimedValue:
         names = component_names(self.key, self.parameter)
         return [f"{name}{suffix}" for name in names for suffix in self.dependence.suffixes]
 
+    @property
+    def has_own_sigma(self) -> bool:
+        """Whether a sigma was stated or fitted: the effect's own says how far a fit may go."""
+        usual = _filled(self.parameter, self.dependence, self.parameter.sigma)
+        return not np.array_equal(self.sigma, usual)
+
     def at(self, tt2000: npt.ArrayLike) -> Floats:
         """Return the value at a time, shape (component,), or at times, shape (time, component).
 
@@ -434,7 +440,7 @@ class TimedValue:
         if self.time == "table":
             return found | {"table": self.table_name}
         found["value"] = _as_yaml(self.value, axes)
-        if not np.array_equal(self.sigma, _filled(self.parameter, self.dependence, self.parameter.sigma)):
+        if self.has_own_sigma:
             found["sigma"] = _as_yaml(self.sigma, axes)
         if self.table_name:
             found["table"] = self.table_name

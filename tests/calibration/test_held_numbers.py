@@ -125,6 +125,12 @@ CURRENT = f"""
 """
 
 
+def test_a_number_without_a_stated_sigma_is_taken_as_exact():
+    text = CURRENT.replace(f", sigma: {VECTOR_SIGMA[:3].tolist()}", "")
+    model = Model.parse(MODEL[: MODEL.index("  - {effect: time_shift")] + text, MISSION)
+    assert held_numbers_of(model) == ()
+
+
 def product_errors(errors, seed):
     """Return true errors of a product whose current and clock are off by so much, and the stated ones.
 
