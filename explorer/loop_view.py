@@ -203,7 +203,7 @@ class LoopView:
         plot.on_event(SelectionGeometry, self._brushed)
         note = f"Residual of products of model version {report.version}. {_SELECTED_DAYS}"
         return pn.Column(
-            pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4),
+            panes.picture(plot),
             pn.Row(panes.text(paragraph(note, kind="quiet")), self._whole, sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
         )
@@ -240,7 +240,7 @@ class LoopView:
         level = 0.1 * self._measured.report.floor.level_nT
         plot = _fit(dependence_figure(found, data.earlier.get(name), label, level), _CURVE)
         plot.yaxis.axis_label = "mean residual (nT)"
-        self._curve.objects = [pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4)]
+        self._curve.objects = [panes.picture(plot)]
 
     # Which effect.
 
@@ -374,7 +374,7 @@ class LoopView:
         drawn, floor = self._loop.changes, self._loop.sizes[1]
         if drawn or trial:
             plot = error_figure(drawn, trial, float(floor) if floor else float("nan"))
-            self._error.objects = [pn.pane.Bokeh(_fit(plot, _ERROR), sizing_mode="stretch_width", margin=4)]
+            self._error.objects = [panes.picture(_fit(plot, _ERROR))]
         else:
             text = "The model has not been changed yet: Try shows what the chosen effect would take off."
             self._error.objects = [panes.text(paragraph(text, kind="quiet"))]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+
 import panel as pn
 import param
 
@@ -15,6 +17,8 @@ class ViewState(param.Parameterized):
     tab = param.String(default="", doc="Heading of the tab in words of the address.")
     channel = param.String(default="", doc="What the residual is drawn against.")
     candidate = param.String(default="", doc="The chosen candidate.")
+    dataset = param.String(default="", doc="Dataset whose calendar is shown; the product when empty.")
+    day = param.String(default="", doc="The day chosen in it, YYYY-MM-DD.")
 
     def follow_address(self) -> None:
         """Take what the address says, and write what is chosen into it from now on."""
@@ -28,4 +32,12 @@ class ViewState(param.Parameterized):
         pn.state.location.update_query(**chosen)
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate")
+def parsed_day(text: str) -> dt.date | None:
+    """Return a day of the address; None for none, and for what is no day."""
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate", "dataset", "day")

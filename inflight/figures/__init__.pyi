@@ -15,6 +15,7 @@ from .causes import (
     torquer_mean_figures,
     with_and_without_figure,
 )
+from .coverage import COVERAGE_COLOURS, coverage_figure, coverage_legend
 from .dependence import (
     along_field_figures,
     axis_figure,
@@ -55,6 +56,7 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
+from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,
@@ -85,11 +87,14 @@ from .parameters import (
 from .quicklook import (
     THUMBNAIL_BINS,
     CalendarDay,
+    ChangePanel,
     Panel,
     by_day_picture,
     calendar_page,
+    changes_picture,
     day_picture,
     ranges,
+    table_change_panels,
 )
 from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
@@ -127,12 +132,16 @@ __all__ = [
     "AFTER",
     "BEFORE",
     "COMPONENTS",
+    "COVERAGE_COLOURS",
     "HIGHLIGHT",
     "PARTS",
     "PLANES",
     "REFERENCE",
     "THUMBNAIL_BINS",
+    "Arrow",
+    "Box",
     "CalendarDay",
+    "ChangePanel",
     "LazySection",
     "Panel",
     "Section",
@@ -149,12 +158,15 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "changes_picture",
     "clock_figure",
     "coefficient_figures",
     "comparison_figure",
     "continuous_figure",
     "correction_figure",
     "correlation_figure",
+    "coverage_figure",
+    "coverage_legend",
     "cross_talk_figure",
     "daily_figure",
     "day_night_figure",
@@ -177,6 +189,7 @@ __all__ = [
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",
+    "graph_picture",
     "heat_map_figures",
     "histogram_figure",
     "html_page",
@@ -219,6 +232,7 @@ __all__ = [
     "stack_figures",
     "strongest_pairs",
     "switching_steps_figure",
+    "table_change_panels",
     "temperature_figure",
     "text_style",
     "timeline_figure",
