@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from benchmarks.coverage import intervals
 from inflight.arrays import Floats
 from inflight.calibration import mounting
 from inflight.catalog import Catalog, Workspace, shipped_missions
-from inflight.simulate import SimulationSettings, simulate_day
+from inflight.simulate import MissionSettings, SimulationSettings, simulate_day
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
@@ -37,6 +38,8 @@ from inflight.tasks.pipelines.base import newest_table
 _DAYS, _CADENCE, _MOMENTS = 3, 10, 5
 #: What is wrong with the fluxgate and the scalar sensor; all else is left out, of the model, too.
 _WRONG = ("misalignment", "offset", "scalar_bias", "time_shift")
+#: What a model of the main field lacks and what stays, nT along each Earth-fixed axis: drawn, and stated.
+_EXTERNAL_NT = 5.0
 #: Units that switch, on the boom; and what wanders there.
 _UNITS = ("transmitter", "spectrometer", "camera", "survival_heater")
 _DRIFTS = ("offset_drift", "thermal_drift")
@@ -82,20 +85,18 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
     generator = np.random.default_rng([seed, 1])
     settings = _champ(
         seed,
-        {*_WRONG, "external_field"},
+        {*_WRONG, "temperature", "temperature_lag", "external_field"},
         include=("scalar_bias",),
-        # As the model says: 0 +- 0.2 nT and 14.5 +- 2 ms.
+        # As the model says: 0 +- 0.2 nT, 14.5 +- 2 ms, and coefficients of the coil, ppm/K.
         overrides={
             "scalar_bias": float(generator.normal(0.0, 0.2)),
             "time_shift": float(generator.normal(0.0145, 0.002)),
+            "temperature_linear": (1e-6 * generator.normal([29.9, 30.1, 30.7], 0.4)).tolist(),
         },
     )
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
-    path = folder / "models" / "champ-preflight.yaml"
-    model = yaml.safe_load(path.read_text(encoding="utf-8"))
-    kept = ("vector_sensor", "scalar_bias", "time_shift")
-    model["effects"] = [one for one in model["effects"] if one["effect"] in kept]
-    path.write_text(yaml.safe_dump(model, sort_keys=False), encoding="utf-8")
+    kept = ("vector_sensor", "temperature", "scalar_bias", "time_shift")
+    _keep_effects(folder / "models" / "champ-preflight.yaml", kept)
     truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
     # Without ageing, all days have the same nine.
     nine = np.concatenate(list(json.loads(truth[settings.day_list[0]].attrs["nine_parameters"]).values()))
@@ -110,14 +111,15 @@ def scalar_and_mission(seed: int, folder: Path) -> dict[str, Pulls]:
 
 def field_model(seed: int, folder: Path) -> dict[str, Pulls]:
     """Return the errors of what a sensor is, and of the field, against a model of the main field."""
-    offset = np.random.default_rng([seed, 2]).normal(0.0, 30.0, 3)
+    generator = np.random.default_rng([seed, 2])
+    drawn = {"offset": generator.normal(0.0, 30.0, 3), "steady_field": generator.normal(0.0, _EXTERNAL_NT, 3)}
     wrong = {"misalignment", "offset", "external_field"}
-    settings = _champ(seed, wrong, overrides={"offset": offset.tolist()})
+    settings = _champ(seed, wrong, overrides={name: one.tolist() for name, one in drawn.items()})
     cat = simulated_workspace(folder, _DAYS, settings=settings, workers=1)
     path = folder / "mission.yaml"
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith(("comparisons:", "preflight:"))]
-    comparison = "comparisons: {main: {kind: field_model, vector: fgm, external: 5}}\n"
+    comparison = f"comparisons: {{main: {{kind: field_model, vector: fgm, external: {_EXTERNAL_NT}}}}}\n"
     path.write_text("".join([*kept, comparison]), encoding="utf-8")
     _reprocess(cat)
     truth = {day: simulate_day(settings, day).truth for day in settings.day_list}
@@ -170,12 +172,30 @@ def states(seed: int, folder: Path) -> dict[str, Pulls]:
     return {"states": {"product": _field_pulls(cat, "l2/field", truth)}}
 
 
+def relation(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of how two sensors stand to each other, each calibrated beside the scalar sensor."""
+    turn = np.random.default_rng([seed, 4]).normal(0.0, 0.05, 3)
+    wrong = {"misalignment", "offset", "external_field"}
+    settings = _champ(seed, wrong, overrides={"second_rotation": turn.tolist()}, second_fluxgate=True)
+    text = shipped_missions()["champ-two-fluxgates"].read_text(encoding="utf-8")
+    cat = _workspace(folder, settings, text.replace("cadence: 1 s", f"cadence: {_CADENCE} s"))
+    for name in ("champ-preflight", "champ-second-preflight"):
+        _keep_effects(folder / "models" / f"{name}.yaml", ("vector_sensor",))
+    for comparison in ("main", "second", "between"):
+        _reprocess(cat, comparison=comparison)
+    # Both sensors are right where they are calibrated: turned against each other, and no more.
+    expected = np.concatenate([turn, np.zeros(9)])
+    names = {"relation table": "between-relation", "daily table": "between-relation-daily"}
+    return {"relation": {of: _table_pulls(cat, name, expected) for of, name in names.items()}}
+
+
 #: Pipelines by what makes their missions.
 CASES: Mapping[tuple[str, ...], Callable[[int, Path], dict[str, Pulls]]] = {
     ("scalar", "mission"): scalar_and_mission,
     ("states",): states,
     ("zero_level",): zero_level,
     ("field_model",): field_model,
+    ("relation",): relation,
 }
 
 
@@ -222,13 +242,28 @@ def _boom(folder: Path, settings: DualSettings, *changes: tuple[str, str]) -> Ca
     text = text.replace("cadence: 1 s", f"cadence: {_CADENCE} s")
     for old, new in changes:
         text = text.replace(old, new)
+    return _workspace(folder, settings, text)
+
+
+def _workspace(folder: Path, settings: MissionSettings, text: str) -> Catalog:
+    """Return the catalog of a workspace with simulated days of a mission's text."""
     source = folder.parent / "mission.yaml"
     source.write_text(text, encoding="utf-8")
+    models = source.with_name("models")
+    if not models.exists():
+        shutil.copytree(shipped_missions()["champ"].with_name("models"), models)
     made = Workspace.create(folder, source)
     simulate(settings, made.data, workers=1)
     cat = Catalog(made.root)
     ingest(cat, made.mission(), made.data)
     return cat
+
+
+def _keep_effects(path: Path, kept: Collection[str]) -> None:
+    """Leave out of a model's file all effects but some."""
+    model = yaml.safe_load(path.read_text(encoding="utf-8"))
+    model["effects"] = [one for one in model["effects"] if one["effect"] in kept]
+    path.write_text(yaml.safe_dump(model, sort_keys=False), encoding="utf-8")
 
 
 def _reprocess(cat: Catalog, **settings: Any) -> None:

@@ -140,6 +140,9 @@ class ScalarComparison(Strict):
     base: str | None = None
     #: Model file this comparison begins with, relative to the mission YAML.
     preflight: str | None = None
+    #: How the nine parameters of a span are found: exact least squares, or one pass from the pre-flight
+    #: values of a published form: of the difference (Yin 2010, eq. 2.7) or the squares (``F^2 = P M + Q``).
+    estimate: Literal["exact", "difference", "squares"] = "exact"
 
     def instruments(self) -> dict[str, str]:
         """Return role in the comparison -> instrument."""

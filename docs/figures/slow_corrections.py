@@ -127,12 +127,12 @@ def main(folder: Path) -> None:
     draw("body-field.png", body_plots(folder / "body"))
 
 
-def draw(name: str, plots: list[figure]) -> None:
-    """Write plots side by side as a picture of the documentation."""
+def draw(name: str, plots: list[figure], width: int = 580) -> None:
+    """Write plots side by side, each so many pixels wide, as a picture of the documentation."""
     with tempfile.TemporaryDirectory() as made:
         page = Path(made) / "page.html"
         page.write_text(html_page("", [("", [], plots)]), encoding="utf-8")
-        screenshot(page, Path(__file__).parents[1] / "images" / name, 30 + 580 * len(plots), 350)
+        screenshot(page, Path(__file__).parents[1] / "images" / name, 30 + width * len(plots), 350)
 
 
 def z_offset_plots(folder: Path) -> list[figure]:

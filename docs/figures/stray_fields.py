@@ -106,8 +106,8 @@ def _rms(values: Floats) -> Floats:
     return np.asarray(np.sqrt(np.nanmean(values**2, axis=0)))
 
 
-def place_figure(errors: dict[str, TrueError]) -> figure:
-    """Draw true errors of the field and what was stated, axis by axis, by what was stated of the source."""
+def errors_figure(errors: dict[str, TrueError]) -> figure:
+    """Draw true errors of the field and what was stated, axis by axis, case by case."""
     plot = plain_figure("Error of the vector", "", "nT rms", y_axis_type="log", width=760, height=330)
     for place, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
         x = np.arange(len(errors)) + _APART * (place - 1)
@@ -141,7 +141,7 @@ def main(folder: Path) -> None:
         )
     with tempfile.TemporaryDirectory() as made:
         page = Path(made) / "stray-fields.html"
-        page.write_text(html_page("", [("", [], [place_figure(errors)])]), encoding="utf-8")
+        page.write_text(html_page("", [("", [], [errors_figure(errors)])]), encoding="utf-8")
         screenshot(page, Path(__file__).parents[1] / "images" / "stray-fields.png", 830, 390)
 
 

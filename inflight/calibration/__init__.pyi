@@ -27,7 +27,7 @@ from .normal_equations import (
     nine_columns,
 )
 from .product import FILTER_PERIOD_S, ResidualCorrection, day_parameters, distribute_residual, level2
-from .published import fit_difference, fit_squares, to_sensor_angles
+from .published import fit_difference, fit_squares, published_fit, published_gram, to_sensor_angles
 from .residual_loops import grams
 from .scalar import (
     PARAMETER_GROUPS,
@@ -52,6 +52,7 @@ from .table import (
     Interval,
     calibration_table,
     describe_directions,
+    for_given_numbers,
     table_boundary_steps,
     trend_jumps,
 )
@@ -91,6 +92,7 @@ __all__ = [
     "fit_difference",
     "fit_squares",
     "fit_twelve",
+    "for_given_numbers",
     "grams",
     "held_table",
     "kernel_scale",
@@ -102,6 +104,8 @@ __all__ = [
     "outside_learnt",
     "own_equation",
     "prior_of_twelve",
+    "published_fit",
+    "published_gram",
     "readings_of",
     "reference_of",
     "remove_other_effects",

@@ -60,9 +60,10 @@ class FieldModelSettings:
 
 FIELD_MODEL_SETTINGS = FieldModelSettings()
 
-#: Columns of the sums: reading (in 10 uT), one, the model's field, and three uniform fields of 1 nT.
-_READING, _ONE, _FIELD, _UNIFORM = slice(0, 3), 3, slice(4, 7), slice(7, 16)
-_WIDTH = 16
+#: Columns of the sums: reading (in 10 uT), one, the model's field, three uniform fields of 1 nT, and how fast
+#: the model's field changes, nT/s.
+_READING, _ONE, _FIELD, _UNIFORM, _RATE = slice(0, 3), 3, slice(4, 7), slice(7, 16), slice(16, 19)
+_WIDTH = 19
 
 #: The reading's unit in the sums, nT: with it all columns of a fit are of one size.
 _UNIT = 1e4
@@ -89,6 +90,8 @@ class TwelveFit:
         Rms of a component at the prior's values and at the fit, nT, robustly weighted.
     count : float
         Sum of the weights.
+    late : ndarray, shape (12,)
+        By how much one sigma of the sensor's delay moves the parameters; it is in the covariance.
     """
 
     value: Floats
@@ -97,6 +100,7 @@ class TwelveFit:
     before: float
     after: float
     count: float
+    late: Floats
 
 
 def own_equation(model: Model) -> ModelEffect:
@@ -164,6 +168,7 @@ def comparison_grams(
     good: npt.NDArray[np.bool_],
     prior: tuple[Floats, Floats],
     blocks: int = FIELD_MODEL_SETTINGS.blocks,
+    rate: Floats | None = None,
 ) -> Floats:
     """Return the sums of consecutive blocks of a record that a fit is made of.
 
@@ -178,10 +183,12 @@ def comparison_grams(
         Values and sigmas that the robust weights (biweight, over all three components) begin with.
     blocks : int
         Equal parts of the record.
+    rate : ndarray, shape (time, 3), optional
+        How fast the model's field changes, nT/s: what a delay's error needs.
 
     Returns
     -------
-    ndarray, shape (block, 16, 16)
+    ndarray, shape (block, 19, 19)
         Weighted; blocks without a good sample are zero.
     """
     rows = np.flatnonzero(good)
@@ -190,6 +197,8 @@ def comparison_grams(
     columns[:, _ONE] = 1.0
     columns[:, _FIELD] = reference[rows]
     columns[:, _UNIFORM] = uniform[rows].reshape(rows.size, 9)
+    if rate is not None:
+        columns[:, _RATE] = rate[rows]
     block = rows * blocks // max(good.size, 1)
     weight = np.ones(rows.size)
     for _ in range(FIELD_MODEL_SETTINGS.passes if rows.size > 12 else 0):
@@ -206,17 +215,21 @@ def comparison_grams(
     return out
 
 
-def fit_twelve(grams: Floats, value: Floats, sigma: Floats, external_nT: float = 0.0) -> TwelveFit:
+def fit_twelve(
+    grams: Floats, value: Floats, sigma: Floats, external_nT: float = 0.0, late_s: float = 0.0
+) -> TwelveFit:
     """Solve the sums of blocks for the twelve parameters.
 
     Parameters
     ----------
-    grams : ndarray, shape (block, 16, 16)
+    grams : ndarray, shape (block, 19, 19)
         As `comparison_grams` returns them, in order of time.
     value, sigma : ndarray, shape (12,)
         What is known before; 0 keeps a parameter where it is.
     external_nT : float
         Standard deviation of a field that the model lacks and that stays, along each Earth-fixed axis.
+    late_s : float
+        One sigma of the sensor's delay, s.
     """
     grams = grams[grams[:, _ONE, _ONE] > 0]
     total = grams.sum(axis=0)
@@ -228,7 +241,7 @@ def fit_twelve(grams: Floats, value: Floats, sigma: Floats, external_nT: float =
     normal, slope = _twelve(total)
     if not count:
         nothing = np.zeros(12, dtype=bool)
-        return TwelveFit(value, np.diag(sigma**2), nothing, np.nan, np.nan, 0.0)
+        return TwelveFit(value, np.diag(sigma**2), nothing, np.nan, np.nan, 0.0, np.zeros(12))
     change, wide = np.zeros(12), _residual_square(total, start) / (3.0 * count)
     information = np.diag(np.where(free, 1.0 / np.maximum(known, 1e-300) ** 2, 0.0))[np.ix_(free, free)]
     gradient = slope - normal @ start
@@ -253,19 +266,21 @@ def fit_twelve(grams: Floats, value: Floats, sigma: Floats, external_nT: float =
         meat = part * bartlett_covariance(scores, FIELD_MODEL_SETTINGS.lags)
     # What the data do not tell has the prior's error, and none is smaller than that of white noise.
     covariance = sandwich(bread, meat, inverse)
-    for axis in range(3):
-        pull = np.concatenate(
-            [total[[0, 1, 2], 7 + 3 * row + axis] for row in range(3)]
-            + [[total[_ONE, 7 + 3 * row + axis] for row in range(3)]]
-        )
-        moved = bread @ pull[free] * external_nT
+    added = [([_UNIFORM.start + 3 * row + axis for row in range(3)], external_nT) for axis in range(3)]
+    # A reading that is late by t holds t dB/dt too much.
+    moved = np.zeros(len(bread))
+    for columns, size in [*added, ([*range(_RATE.start, _RATE.stop)], -late_s)]:
+        pull = np.concatenate([*(total[:3, one] for one in columns), total[_ONE, columns]])
+        moved = bread @ pull[free] * size
         covariance = covariance + np.outer(moved, moved)
+    late = np.zeros(12)
+    late[free] = moved
     whole = np.zeros((12, 12))
     whole[np.ix_(free, free)] = covariance
     whole = whole * scale[:, None] * scale[None, :]
     determined = free & (np.sqrt(np.diag(whole)) < 0.5 * np.where(free, sigma, 1.0))
     before, after = (np.sqrt(_residual_square(total, at) / (3.0 * count)) for at in (start, solution))
-    return TwelveFit(solution * scale, whole, determined, float(before), float(after), count)
+    return TwelveFit(solution * scale, whole, determined, float(before), float(after), count, late * scale)
 
 
 def _twelve(gram: Floats) -> tuple[Floats, Floats]:
@@ -289,13 +304,25 @@ def _residual_square(gram: Floats, solution: Floats) -> float:
     return max(total, 0.0)
 
 
-def field_variance(reading: Floats, covariance: Floats, noise_nT: float) -> Floats:
-    """Return the variance of the calibrated field; (time, axis) nT^2, the sensor's nominal axes."""
+def field_variance(
+    reading: Floats, covariance: Floats, noise_nT: float, late: Floats, moved: Floats
+) -> Floats:
+    """Return the variance of the calibrated field; (time, axis) nT^2, the sensor's nominal axes.
+
+    Parameters
+    ----------
+    late : ndarray, shape (12,)
+        As `TwelveFit.late`: the parameters make good part of what a late reading is off by.
+    moved : ndarray, shape (time, axis)
+        What one sigma of the delay does to the field itself, nT.
+    """
     out = np.empty_like(reading)
     slope = np.column_stack([reading, np.ones(len(reading))])
     for row in range(3):
         own = np.append(3 * row + np.arange(3), 9 + row)
-        out[:, row] = np.einsum("ti,ij,tj->t", slope, covariance[np.ix_(own, own)], slope, optimize=True)
+        alone = covariance[np.ix_(own, own)] - np.outer(late[own], late[own])
+        out[:, row] = np.einsum("ti,ij,tj->t", slope, alone, slope, optimize=True)
+        out[:, row] += (moved[:, row] + slope @ late[own]) ** 2
     return np.asarray(np.maximum(out, 0.0) + noise_nT**2)
 
 

@@ -10,6 +10,7 @@ part of the product.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,7 +29,14 @@ from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
-from inflight.model import Model, instrument_variance, place_variance, table_variance
+from inflight.model import (
+    Model,
+    delay_number,
+    instrument_variance,
+    number_fields,
+    place_variance,
+    table_variance,
+)
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
 
@@ -249,10 +257,69 @@ def edge_gain(period: int) -> Floats:
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
+#: A field smaller than this is in no uncertainty, nT: readings have a coarser resolution.
+_NEGLIGIBLE = 1e-4
+
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
 _Flags = npt.NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class JointNumbers:
+    """Numbers of the vector sensor's other effects whose errors move the nine parameters, too.
+
+    Attributes
+    ----------
+    sigma : mapping of str to float
+        By name; physical units.
+    shift : ndarray, shape (number, 9)
+        Covariance of the nine with each in units of its sigma.
+    correlation : ndarray, shape (number, number)
+    """
+
+    sigma: Mapping[str, float]
+    shift: Floats
+    correlation: Floats
+
+    @classmethod
+    def of(cls, interval: xr.Dataset, columns: Sequence[int]) -> JointNumbers | None:
+        """Return those of a row of a table; None where it has none."""
+        if "number_shift" not in interval:
+            return None
+        names = interval["number"].values.tolist()
+        return cls(
+            dict(zip(names, interval["number_sigma"].values.tolist(), strict=True)),
+            interval["number_shift"].values[:, columns],
+            interval["number_correlation"].values if "number_correlation" in interval else np.eye(len(names)),
+        )
+
+    def variance(self, slopes: Sequence[tuple[list[int], Floats]], fields: Mapping[str, Floats]) -> Floats:
+        """Return what the numbers add to the variance of the field that the nine have; (time, axis) nT^2.
+
+        With D what the nine do to the field, F what one sigma of each number does and S the shifts it is
+        ``2 D S^T F + F R F``: below zero where the nine make good what a number does.
+
+        Parameters
+        ----------
+        slopes : sequence of (list of int, ndarray)
+            As `_derivatives`.
+        fields : mapping of str to ndarray, shape (time, axis)
+            As `inflight.model.number_fields`.
+        """
+        parts = []
+        for axis, (index, slope) in enumerate(slopes):
+            own = {
+                place: fields[name][:, axis]
+                for place, name in enumerate(self.sigma)
+                if name in fields and np.abs(fields[name][:, axis]).max(initial=0.0) > _NEGLIGIBLE
+            }
+            places = list(own)
+            moved = np.stack([*own.values(), np.zeros(len(slope))], axis=1)[:, :-1]
+            change = 2.0 * slope @ self.shift[places][:, index].T
+            parts.append(np.sum((change + moved @ self.correlation[np.ix_(places, places)]) * moved, axis=1))
+        return np.stack(parts, axis=1)
 
 
 @dataclass(frozen=True)
@@ -261,6 +328,7 @@ class DayParameters:
 
     Samples outside `learnt`, the span that taught them (half-open TT2000, None for any time), are flagged,
     and there parameters may have changed by `change` (one sigma): see `inflight.calibration.extrapolation`.
+    What `joint` says is not in the covariance, but for the part of the nine.
     """
 
     value: Floats
@@ -269,6 +337,7 @@ class DayParameters:
     noise: float
     learnt: tuple[int, int] | None = None
     change: Floats | None = None
+    joint: JointNumbers | None = None
 
 
 def level2(
@@ -327,9 +396,16 @@ def level2(
     orientation = np.asarray(sensor.orientation)
     body = rotate(field, orientation)
     before = raw.residual(samples)[:, 0]
-    variance = _variance(reading, parameters) + place_variance(model.effects, corrected)
+    stamps_of = np.asarray(samples["tt2000"].values)
+    numbers = parameters.joint.sigma if parameters.joint else {}
+    late = delay_number(sensor)
+    fields = number_fields(model.effects, samples, numbers)
+    if late in numbers and len(field) > 1:
+        rate = np.nan_to_num(np.gradient(field, stamps_of / SECOND, axis=0))
+        fields[late] = -rate * numbers[late]
+    variance = _variance(reading, parameters, fields) + place_variance(model.effects, corrected)
     variance += table_variance(model.effects, corrected)
-    variance += instrument_variance(sensor, field, np.asarray(samples["tt2000"].values))
+    variance += instrument_variance(sensor, field, stamps_of, clock=late not in fields)
     if parameters.change is not None:
         outside = flag & np.uint32(Flag.EXTRAPOLATED) > 0
         variance[outside] += _effect_of_change(reading[outside], parameters) ** 2
@@ -404,12 +480,17 @@ def _quality_flag(
     return flag
 
 
-def _variance(reading: Floats, known: DayParameters) -> Floats:
-    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT^2, sensor axes."""
-    out = np.empty_like(reading)
-    for axis, (index, derivative) in enumerate(_derivatives(reading, known)):
+def _variance(reading: Floats, known: DayParameters, fields: Mapping[str, Floats]) -> Floats:
+    """Propagate the covariance of all parameters and the residual's noise; (time, axis) nT^2, sensor axes.
+
+    `fields` are those of one sigma of each number beside the nine (`inflight.model.number_fields`).
+    """
+    out, slopes = np.empty_like(reading), _derivatives(reading, known)
+    for axis, (index, derivative) in enumerate(slopes):
         own = known.covariance[np.ix_(index, index)]
         out[:, axis] = np.einsum("ti,ij,tj->t", derivative, own, derivative, optimize=True)
+    if known.joint is not None:
+        out += known.joint.variance(slopes, fields)
     return np.asarray(np.maximum(out, 0.0) + known.noise**2)
 
 
@@ -498,4 +579,5 @@ def day_parameters(
         noise,
         None if change is None else (int(interval[LEARNT[0]]), int(interval[LEARNT[1]])),
         change,
+        JointNumbers.of(interval, columns),
     )

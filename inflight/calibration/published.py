@@ -1,7 +1,8 @@
 """The two published linearisations of the scalar calibration, and both published forms of its parameters.
 
-For comparison with the exact fit. Both linearisations treat the raw readings as nearly right and are
-linear in products of the parameters; iterated they reach the exact least squares (Yin 2010, section 2.2).
+For comparison with the exact fit, and by choice in its place (`published_gram`, `published_fit`). Both
+linearisations treat the raw readings as nearly right and are linear in products of the parameters; iterated
+they reach the exact least squares (Yin 2010, section 2.2).
 
 *Correction side* (Yin 2010, eq. 2.5): ``B = K (E - E0)``; `scale_factor` is the diagonal of K and
 `misalignment` the arccosine of K_xy, K_xz, K_yz, in degrees. These are **not** the angles between
@@ -59,15 +60,24 @@ def fit_difference(reading: Floats, scalar: Floats, passes: int = 1) -> Floats:
     """
     k, offset = np.eye(3), np.zeros(3)
     for _ in range(passes):
-        e = (reading - offset) @ k.T
-        x, y, z = e.T
-        rows = np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z], axis=1) / scalar[:, None]
-        p = _least_squares(rows, np.linalg.norm(e, axis=1) - scalar)
-        step = np.array([[1 - p[0], -p[3], -p[4]], [0.0, 1 - p[1], -p[5]], [0.0, 0.0, 1 - p[2]]])
-        # B = step e - p', with p' = step E0' of the last three: exact, not the approximation P ~ E0.
-        offset = offset + np.linalg.solve(k, np.linalg.solve(step, p[6:]))
-        k = step @ k
+        rows, right = _difference_rows((reading - offset) @ k.T, scalar)
+        step, shift = _from_difference(_least_squares(rows, right))
+        k, offset = step @ k, offset + np.linalg.solve(k, shift)
     return _pack(k, offset)
+
+
+def _difference_rows(e: Floats, scalar: Floats) -> tuple[Floats, Floats]:
+    """Return rows (time, 9) and right side of eq. 2.7 for readings that are nearly right."""
+    x, y, z = e.T
+    rows = np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z], axis=1) / scalar[:, None]
+    return rows, np.linalg.norm(e, axis=1) - scalar
+
+
+def _from_difference(p: Floats) -> tuple[Floats, Floats]:
+    """Return matrix and offset of eq. 2.7's parameters."""
+    step = np.array([[1 - p[0], -p[3], -p[4]], [0.0, 1 - p[1], -p[5]], [0.0, 0.0, 1 - p[2]]])
+    # B = step e - p', with p' = step E0' of the last three: exact, not the approximation P ~ E0.
+    return step, np.linalg.solve(step, p[6:])
 
 
 def fit_squares(reading: Floats, scalar: Floats, passes: int = 1) -> Floats:
@@ -88,25 +98,93 @@ def fit_squares(reading: Floats, scalar: Floats, passes: int = 1) -> Floats:
     CalibrationError
         When the field's directions do not determine nine parameters, or a square turns negative.
     """
-    x, y, z = reading.T
-    moments = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
-    rows = moments / (2.0 * scalar)[:, None]
+    _, y, z = reading.T
+    rows, right = _squares_rows(reading, scalar)
     rest = np.zeros_like(scalar)
     for _ in range(passes):
-        p = _least_squares(rows, (scalar**2 - rest) / (2.0 * scalar))
-        if np.any(p[:3] <= 0):
-            raise CalibrationError("a squared scale factor is negative", remedy="check the readings' unit")
-        l1, l4, l6 = np.sqrt(p[:3])
-        k2, k3, k5 = p[3] / l1, p[4] / l1, p[5] / l4
-        shift = np.array([p[6] / l1, p[7] / l4, p[8] / l6])
+        k, offset = _from_squares(_least_squares(rows, right - rest / (2.0 * scalar)))
+        shift, (k2, k3, k5) = -k @ offset, (k[0, 1], k[0, 2], k[1, 2])
         rest = (
             (k2 * y + k3 * z) ** 2
             + (k5 * z) ** 2
             + 2.0 * (shift[0] * (k2 * y + k3 * z) + shift[1] * k5 * z)
             + shift @ shift
         )
-    k = np.array([[l1, k2, k3], [0.0, l4, k5], [0.0, 0.0, l6]])
-    return _pack(k, -np.linalg.solve(k, shift))
+    return _pack(k, offset)
+
+
+def _squares_rows(e: Floats, scalar: Floats) -> tuple[Floats, Floats]:
+    """Return rows (time, 9) and right side of ``F^2 = P M``, both over 2F: Q is neglected."""
+    x, y, z = e.T
+    moments = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
+    return moments / (2.0 * scalar)[:, None], 0.5 * scalar
+
+
+def _from_squares(p: Floats) -> tuple[Floats, Floats]:
+    """Return matrix and offset of the parameters of ``F^2 = P M + Q``."""
+    if np.any(p[:3] <= 0):
+        raise CalibrationError("a squared scale factor is negative", remedy="check the readings' unit")
+    l1, l4, l6 = np.sqrt(p[:3])
+    k = np.array([[l1, p[3] / l1, p[4] / l1], [0.0, l4, p[5] / l4], [0.0, 0.0, l6]])
+    return k, -np.linalg.solve(k, np.array([p[6] / l1, p[7] / l4, p[8] / l6]))
+
+
+#: Least eigenvalue of scaled squares over the largest one: less is rounding.
+_ROUNDING = 1e-13
+
+#: The published forms by the name that a comparison's `estimate` states.
+_FORMS = {"difference": (_difference_rows, _from_difference), "squares": (_squares_rows, _from_squares)}
+
+
+def published_gram(form: str, field: Floats, scalar: Floats) -> Floats:
+    """Return the sums that one pass of a published form is solved from; those of several days add up.
+
+    Parameters
+    ----------
+    form : str
+        ``difference`` (eq. 2.7) or ``squares`` (the second form, without Q).
+    field : ndarray, shape (time, 3)
+        Calibrated by the parameters that `published_fit` is told, nT.
+    scalar : ndarray, shape (time,)
+        nT.
+
+    Returns
+    -------
+    ndarray, shape (10, 10)
+        Of [rows | right side].
+    """
+    rows, right = _FORMS[form][0](field, scalar)
+    both = np.column_stack([rows, right])
+    return np.asarray(both.T @ both)
+
+
+def published_fit(form: str, gram: Floats, value: Floats) -> Floats:
+    """Return the nine parameters that one pass of a published form makes of those before; (9,).
+
+    Parameters
+    ----------
+    gram : ndarray, shape (10, 10)
+        As `published_gram`, of any number of days.
+    value : ndarray, shape (9,)
+        The nine with which the fields were calibrated: scale factors, angles (deg), offsets (nT).
+
+    Raises
+    ------
+    CalibrationError
+        As `fit_difference` and `fit_squares`.
+    """
+    scale = np.maximum(np.sqrt(np.diag(gram)[:9]), 1e-300)
+    square, right = gram[:9, :9] / np.outer(scale, scale), gram[:9, 9] / scale
+    size = np.linalg.eigvalsh(square)
+    if not size[0] > _ROUNDING * size[-1]:
+        raise CalibrationError(
+            "the directions of the field do not determine nine parameters",
+            remedy="use the fit with priors, which says what is determined",
+        )
+    step, shift = _FORMS[form][1](np.linalg.solve(square, right) / scale)
+    k = np.diag(value[:3])
+    k[(0, 0, 1), (1, 2, 2)] = np.cos(np.deg2rad(value[3:6]))
+    return _pack(step @ k, value[6:] + np.linalg.solve(k, shift))
 
 
 def _pack(k: Floats, offset: Floats) -> Floats:

@@ -109,6 +109,16 @@ def calibration_table(
     return with_learnt_spans(table, learnt[:, 0], learnt[:, 1])
 
 
+def for_given_numbers(table: xr.Dataset) -> xr.Dataset:
+    """Return a table whose errors are those for given values of the numbers that the model holds.
+
+    What is off by the same in all intervals makes no step between two of them, and no weights.
+    """
+    if "conditional_covariance" not in table:
+        return table
+    return table.assign(sigma=table["conditional_sigma"], covariance=table["conditional_covariance"])
+
+
 def describe_directions(solution: Solution, names: Sequence[str], smallest: float = 0.2) -> list[str]:
     """Return as text which combinations the data determine, largest information first.
 
@@ -209,10 +219,9 @@ def table_boundary_steps(
     small = np.array([1e-6] * 3 + [1e-3] * 3 + [1e-1] * 3)
     changed = value[0] + np.diag(small)
     slope = _steps(np.broadcast_to(value[0], changed.shape), changed, strength, directions)[0] / small
-    # What is off by the same in both intervals makes no step.
+    table = for_given_numbers(table)
     if "covariance" in table:
-        whole = table["conditional_covariance" if "conditional_covariance" in table else "covariance"]
-        covariance = whole.values[:, order][:, :, order]
+        covariance = table["covariance"].values[:, order][:, :, order]
     else:
         own = table["sigma"].values[:, order] if "sigma" in table else np.zeros(value.shape)
         covariance = np.einsum("ti,ij->tij", own**2, np.eye(9))

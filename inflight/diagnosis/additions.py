@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.design import SENSOR_EQUATIONS, Candidate, Library, Term, sensor_matrices
@@ -27,7 +28,7 @@ from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, lines_between_windows, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError, did_you_mean
-from inflight.lsq import GramBlocks, inverse_square_root, solve_scaled
+from inflight.lsq import GramArrays, GramBlocks, inverse_square_root, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, TimeDependence, make_effect
 from inflight.samples import parse_channel
@@ -88,6 +89,8 @@ class FitSetup:
         Blocks of each calibration interval.
     variance : float
         Of a row, nT^2; it weighs data against what is known beforehand.
+    blocks : ndarray of int64, shape (block,), optional
+        Those of `raw` that are fitted; `intervals` count them. All by default.
     """
 
     raw: GramBlocks
@@ -95,6 +98,28 @@ class FitSetup:
     refined: tuple[Term, ...]
     intervals: Sequence[Sequence[int]]
     variance: float
+    blocks: npt.NDArray[np.int64] | None = None
+
+    def where_told(self, model: Model) -> FitSetup:
+        """Return the setup of the blocks in which the tables that a model takes have values of their own.
+
+        A value that is held is nearer to the mean of all than the true one: the factor of it that a fit finds
+        is too large, by ``cov(held, true) / var(held)``. All blocks without tables, and where none is left.
+        """
+        tables = [timed for entry in model.effects for timed in entry.tables.values()]
+        middle = self.raw.start // 2 + self.raw.end // 2
+        kept = np.logical_and.reduce(
+            [np.ones(middle.size, dtype=bool), *(one.is_own_at(middle) for one in tables)]
+        )
+        if kept.all() or not kept.any():
+            return self
+        place = np.cumsum(kept) - 1
+        intervals = [[int(place[one]) for one in group if kept[one]] for group in self.intervals]
+        return replace(
+            self,
+            intervals=[group for group in intervals if group],
+            blocks=np.flatnonzero(kept),
+        )
 
     def fit(
         self,
@@ -169,7 +194,7 @@ class FitSetup:
 
     def _model_grams(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[GramBlocks, list[str], list[float]]:
+    ) -> tuple[GramArrays, list[str], list[float]]:
         """Return the Gram blocks of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
@@ -179,11 +204,8 @@ class FitSetup:
         ]
         names = [name for name, _ in free] + [one.name for one in columns]
         sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
-        return (
-            combine_columns(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed),
-            names,
-            sigma,
-        )
+        whole = combine_columns(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed)
+        return whole if self.blocks is None else whole.of_blocks(self.blocks), names, sigma
 
     def _marginalised(
         self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
@@ -241,7 +263,7 @@ class FitSetup:
 
 def combine_columns(
     grams: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
-) -> GramBlocks:
+) -> GramArrays:
     """Return Gram blocks of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters

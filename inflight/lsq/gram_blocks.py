@@ -252,7 +252,7 @@ class GramBlocks(Protocol):
     def join(self, others: Sequence[Any]) -> GramBlocks:
         """Return the blocks of several, in order of time."""
 
-    def combine(self, names: Sequence[str], weights: Floats, scale: Floats) -> GramBlocks:
+    def combine(self, names: Sequence[str], weights: Floats, scale: Floats) -> GramArrays:
         """Return blocks whose columns and residuals are linear combinations of these."""
 
     def bordered(self, names: Sequence[str], scale: Floats, across: Floats, inner: Floats) -> GramBlocks:

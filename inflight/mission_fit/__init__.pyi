@@ -22,7 +22,7 @@ from .day_night import (
     sunlit_duty,
     switched_columns,
 )
-from .held_numbers import held_products, held_shifts, held_terms
+from .held_numbers import held_numbers_of, held_products, held_shifts, held_terms, with_held_numbers
 from .joint_effects import (
     JointDayNight,
     compare_temperatures_jointly,
@@ -76,7 +76,14 @@ from .torquers import (
 )
 from .trend_selection import RivalTrend, TrendComparison, fit_origin
 from .trends import TrendFit, fit_trends, make_trend
-from .two_fluxgates import CLUSTER_S, relation_grams, relation_of, three_cornered_hat, three_cornered_hat_sums
+from .two_fluxgates import (
+    CLUSTER_S,
+    relation_covariance,
+    relation_grams,
+    relation_of,
+    three_cornered_hat,
+    three_cornered_hat_sums,
+)
 from .z_offset import (
     OffsetsFromSpread,
     SpreadLaw,
@@ -155,6 +162,7 @@ __all__ = [
     "fit_step",
     "fit_trends",
     "free_terms",
+    "held_numbers_of",
     "held_products",
     "held_shifts",
     "held_terms",
@@ -169,6 +177,7 @@ __all__ = [
     "orbit_period",
     "orbit_plane_sun",
     "parameter_spectrum",
+    "relation_covariance",
     "relation_grams",
     "relation_of",
     "remanent_field",
@@ -187,5 +196,6 @@ __all__ = [
     "torquer_lines",
     "wide_and_auxiliary_equations",
     "with_auxiliary_columns",
+    "with_held_numbers",
     "with_nine_parameters",
 ]

@@ -195,7 +195,8 @@ def continuous_table(
     Returns
     -------
     xarray.Dataset
-        As `inflight.calibration.calibration_table`.
+        As `inflight.calibration.calibration_table`, with `number_shift` and `number_sigma` as
+        `with_held_numbers`, and `number_correlation` (number, other_number): these numbers are fitted, too.
     """
     fit, names = found.fit, _nine(found.model)
     prior = reference_of(before, int(equations.middle[0]))
@@ -210,6 +211,23 @@ def continuous_table(
     least = common.marginalise(common.columns[:9], least_kept=0.0).squares[:, -1]
     own, after = np.sqrt(np.maximum(least, 0.0) / count), np.sqrt(common.squares_at(value) / count)
     known = np.array([fit.determined[fit.index(name)].all() for name in names])
+    numbers = [
+        name
+        for entry in found.model.effects
+        if entry.sensor.role == "vector"
+        for timed in entry.parameters.values()
+        for name in timed.columns
+        if name in fit.columns and name not in names and timed.time == "constant"
+    ]
+    places = [fit.columns.index(name) for name in numbers if fit.sigma[fit.columns.index(name)] > 0]
+    joint = {}
+    if places:
+        shared = fit.full_covariance[:, places] / fit.sigma[places]
+        joint = {
+            "number_shift": (("interval", "number", "parameter"), np.einsum("tpi,iq->tqp", slope, shared)),
+            "number_sigma": ("number", fit.sigma[places]),
+            "number_correlation": (("number", "other_number"), (shared[places].T / fit.sigma[places]).T),
+        }
     each, row = ("interval", "parameter"), ("interval",)
     shape = (len(times), len(names))
     return xr.Dataset(
@@ -236,8 +254,10 @@ def continuous_table(
             # What the whole mission's fit leaves beyond the day's own, on top of the samples' noise.
             "after": (row, np.sqrt(noise**2 + np.maximum(after**2 - own**2, 0.0))),
             "inflation": (row, np.ones(len(times))),
+            **joint,
         },
-        coords={"parameter": names, "other": names},
+        coords={"parameter": names, "other": names}
+        | ({"number": [fit.columns[place] for place in places]} if places else {}),
         attrs={"comparison": found.model.comparison, "kind": "continuous", "trend": found.kind},
     )
 

@@ -6,12 +6,17 @@ the nine parameters (`held_products`), and of sums of these how far a sigma of e
 the nine by ``(X^T X)^-1 X^T z c`` (see `inflight.mission_fit.crosstalk`). The error is the same at all times:
 no number of days makes it smaller.
 
-Only numbers of the scalar sensor: its clock, bias and the fields at it. Those of the vector sensor change the
-corrected field themselves, too, and the nine make most of that good: for them errors of the nine alone would
-make the field's too large.
+A number of the scalar sensor, its clock, bias and the fields at it, moves the nine and no more. One of the
+vector sensor changes the corrected field itself, too, and the nine make part of that good: its shift stands
+in the table by itself (`with_held_numbers`), so that a product joins both (`inflight.calibration.product`).
+Orientations move nothing here, a field's strength has none, and a wrong place of a dipole leaves the
+difference of both sensors as it is: these errors are the product's alone.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -22,26 +27,50 @@ from inflight.design import DesignRows, Term, design_matrix, sensor_matrices
 from inflight.frames import direction_of
 from inflight.lsq import solve_scaled
 from inflight.mission_fit.daily_equations import free_terms, with_nine_parameters
-from inflight.model import Model, rows_of
+from inflight.model import Model, delay_number, rows_of
+from inflight.time import SECOND
 
 #: Rows of a day that products are made of: a minute apart, fields of an orbit and its rates are the same.
 _ROWS = 1440
 
 
+@dataclass(frozen=True)
+class HeldNumber:
+    """A number that a calibration holds: its column's name, the role of its sensor, and one sigma."""
+
+    name: str
+    role: str
+    sigma: float
+
+
 def held_terms(model: Model) -> tuple[Term, ...]:
-    """Return the numbers of the scalar sensor that have a sigma, whether or not a fit may move them."""
+    """Return the effects' numbers that have a sigma of their own and that no block fits, free or not."""
     found = []
     for entry in model.effects:
-        if entry.sensor.role != "scalar":
-            continue
         known = {
             name: timed.sigma[:, 0]
             for name, timed in entry.parameters.items()
-            if timed.time == "constant" and np.all(np.isfinite(timed.sigma)) and np.any(timed.sigma > 0)
+            if timed.time == "constant" and timed.has_own_sigma and np.all(np.isfinite(timed.sigma))
         }
-        if known:
+        known = {name: sigma for name, sigma in known.items() if np.any(sigma > 0)}
+        if known and entry.sensor.role in ("vector", "scalar"):
             sigma = tuple(float(one) for each in known.values() for one in each)
             found.append(Term(entry.name, entry, tuple(known), sigma))
+    return tuple(found)
+
+
+def held_numbers_of(model: Model) -> tuple[HeldNumber, ...]:
+    """Return the numbers of `held_terms`, and behind them the sensors' delays that have a sigma (s)."""
+    found = [
+        HeldNumber(name, term.entry.sensor.role, sigma)
+        for term in held_terms(model)
+        for name, sigma in zip(term.columns, term.sigma, strict=True)
+    ]
+    found += [
+        HeldNumber(delay_number(sensor), role, sensor.sigma.delay / SECOND)
+        for role, sensor in model.known_layout.sensors.items()
+        if role in ("vector", "scalar") and sensor.sigma.delay
+    ]
     return tuple(found)
 
 
@@ -61,12 +90,11 @@ def held_products(model: Model, samples: xr.Dataset, value: Floats, count: float
     Returns
     -------
     ndarray, shape (number, 9)
-        nT^2, columns of the nine scaled as in `NormalEquations.from_fit`; in the order of `held_terms`.
+        nT^2, columns of the nine scaled as in `NormalEquations.from_fit`; in the order of `held_numbers_of`.
     """
-    terms = held_terms(model)
-    numbers = sum(len(term.sigma) for term in terms)
+    terms, numbers = held_terms(model), held_numbers_of(model)
     if not numbers or not count:
-        return np.zeros((numbers, PARAMETER_SCALE.size))
+        return np.zeros((len(numbers), PARAMETER_SCALE.size))
     fitted = with_nine_parameters(model, value)
     few = samples.isel(time=slice(None, None, max(1, samples.sizes["time"] // _ROWS)))
     rows = rows_of(fitted, few)
@@ -85,8 +113,13 @@ def held_products(model: Model, samples: xr.Dataset, value: Floats, count: float
     nine, others = columns[:, : PARAMETER_SCALE.size], columns[:, PARAMETER_SCALE.size :]
     # In units of their steps: from those to one sigma, and to the scale of the nine.
     sigma = np.array([one / step for term in terms for one, step in zip(term.sigma, term.scale, strict=True)])
+    # As columns are: what is taken out of the vector's strength, which holds t dF/dt when it is late by t.
+    seconds, strength = stamps[seen] / SECOND, np.linalg.norm(field[seen], axis=1)
+    rate = np.gradient(strength, seconds) if seconds.size > 1 else np.zeros(seconds.size)
+    late = [rate * one.sigma * (-1 if one.role == "vector" else 1) for one in numbers[sigma.size :]]
+    others = np.column_stack([others * sigma, *late])
     scale = PARAMETER_SCALE / np.array(own.scale)
-    return np.asarray((others * sigma).T @ (nine * scale) * (count / max(int(seen.sum()), 1)))
+    return np.asarray(others.T @ (nine * scale) * (count / max(int(seen.sum()), 1)))
 
 
 def held_shifts(equations: NormalEquations, products: Floats, prior_sigma: Floats, noise: float) -> Floats:
@@ -114,3 +147,34 @@ def held_shifts(equations: NormalEquations, products: Floats, prior_sigma: Float
         precision = (noise * PARAMETER_SCALE / np.asarray(prior_sigma)) ** 2
     found = solve_scaled(equations.total[:-1, :-1], products.sum(axis=0).T, cut=0.0, precision=precision)
     return np.asarray(found.T * PARAMETER_SCALE)
+
+
+def with_held_numbers(
+    table: xr.Dataset, shifts: Sequence[Floats], numbers: Sequence[HeldNumber]
+) -> xr.Dataset:
+    """Return a table with what its errors have in common with those of the vector sensor's numbers.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+        Its covariance holds the shifts of all numbers.
+    shifts : sequence of ndarray, shape (number, 9)
+        Of each interval, as `held_shifts`; empty where nothing was fitted.
+    numbers : sequence of HeldNumber
+        Of the model, as `held_numbers_of`.
+
+    Returns
+    -------
+    xarray.Dataset
+        With `number_shift` (interval, number, parameter), the covariance of a parameter with a number in
+        units of its sigma, and `number_sigma` (number). What is held too low leaves the parameters too high.
+    """
+    own = [place for place, one in enumerate(numbers) if one.role == "vector"]
+    if not own:
+        return table
+    none = np.zeros((len(numbers), table.sizes["parameter"]))
+    each = np.stack([one if one.size else none for one in shifts])[:, own]
+    return table.assign(
+        number_shift=(("interval", "number", "parameter"), -each),
+        number_sigma=("number", np.array([numbers[place].sigma for place in own])),
+    ).assign_coords(number=[numbers[place].name for place in own])

@@ -17,7 +17,7 @@ import scipy
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
+from inflight.calibration import NormalEquations, for_given_numbers
 from inflight.effects import Parameter
 from inflight.errors import CalibrationError
 from inflight.lsq import (
@@ -122,10 +122,7 @@ def equations_of_table(table: xr.Dataset) -> NormalEquations:
     CalibrationError
         When nothing in the table is determined.
     """
-    if "conditional_covariance" in table:
-        # The errors of held numbers are the same in all intervals: no weights.
-        each = ("conditional_sigma", "conditional_covariance")
-        table = table.assign(sigma=table[each[0]], covariance=table[each[1]])
+    table = for_given_numbers(table)
     value = table["value"].values
     known = np.isfinite(value) & np.isfinite(table["sigma"].values) & (table["sigma"].values > 0)
     if "determined" in table:

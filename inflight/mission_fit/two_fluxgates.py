@@ -89,12 +89,18 @@ class Relation:
     fit: ClusteredFit
     rms: float
 
-    def table(self) -> xr.Dataset:
+    def table(self, calibrations: Floats | None = None) -> xr.Dataset:
         """Return `value`, `sigma`, `covariance`, `units` along parameter.
 
         `rotation` (deg) is that of the second sensor against its stated orientation, when the first one is
         not rotated; `stretch` (1) the symmetric rest, `shift` in nT. The matrix is taken apart exactly: half
         a milliradian squared matters.
+
+        Parameters
+        ----------
+        calibrations : ndarray, shape (12, 12), optional
+            What both calibrations add to the covariance, as `relation_covariance` returns it: what is wrong
+            with them is the same in all clusters.
         """
         import xarray as xr
 
@@ -105,16 +111,50 @@ class Relation:
         symmetric = (stretch - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         value = np.concatenate([angles, symmetric, self.fit.value[9:]])
         covariance = self.fit.covariance * np.outer(_SCALE, _SCALE)
+        if calibrations is not None:
+            covariance = covariance + calibrations
         return xr.Dataset(
             {
                 "value": ("parameter", value),
-                "sigma": ("parameter", self.fit.sigma * _SCALE),
+                "sigma": ("parameter", np.sqrt(np.diag(covariance))),
                 "covariance": (("parameter", "other"), covariance),
                 "units": ("parameter", np.array(_UNITS, dtype="U8")),
             },
             coords={"parameter": list(NAMES), "other": list(NAMES)},
             attrs={"rms_nT": self.rms, "clusters": self.fit.clusters, "rows": self.fit.rows},
         )
+
+
+def relation_covariance(
+    value: Floats, covariance: Floats, rotation: scipy.spatial.transform.Rotation
+) -> Floats:
+    """Return what the error of one sensor's calibration does to a relation; (12, 12), units of `table`.
+
+    ``K (E - E0)`` with wrong K, E0 is ``dK K^-1 B - K dE0`` off: the antisymmetric part of the matrix turns,
+    the symmetric one stretches.
+
+    Parameters
+    ----------
+    value : ndarray, shape (9,)
+        Scale factors, angles (deg), offsets (nT).
+    covariance : ndarray, shape (9, 9)
+    rotation : scipy Rotation
+        From the sensor's axes to the spacecraft's.
+    """
+    kernel, to_spacecraft = np.eye(3), rotation.as_matrix()
+    kernel[range(3), range(3)] = value[:3]
+    above = (0, 0, 1), (1, 2, 2)
+    kernel[above] = np.cos(np.deg2rad(value[3:6]))
+    inverse, slope = np.linalg.inv(kernel), np.zeros((len(NAMES), 9))
+    for place, at in enumerate([(0, 0), (1, 1), (2, 2), *zip(*above, strict=True)]):
+        change = np.zeros((3, 3))
+        change[at] = 1.0 if place < 3 else -np.sin(np.deg2rad(value[place])) * np.deg2rad(1.0)
+        wrong = to_spacecraft @ change @ inverse @ to_spacecraft.T
+        turn = np.array([wrong[2, 1] - wrong[1, 2], wrong[0, 2] - wrong[2, 0], wrong[1, 0] - wrong[0, 1]])
+        even = 0.5 * (wrong + wrong.T)[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        slope[:9, place] = np.concatenate([np.rad2deg(0.5 * turn), even])
+    slope[9:, 6:] = -to_spacecraft @ kernel
+    return np.asarray(slope @ covariance @ slope.T)
 
 
 def fit_relation(

@@ -26,6 +26,9 @@ from inflight.samples import PlainSamples
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Samples at which `number_fields` computes what follows the field.
+_ROWS = 1440
+
 #: What a correction makes of the vector reading.
 _FIELD = ["field", "field_direction"]
 
@@ -353,8 +356,61 @@ def place_variance(effects: Effects, samples: xr.Dataset) -> Floats:
     return np.asarray(sum(((each**2).sum(axis=0) for each in off.values()), np.zeros((times.size, 3))))
 
 
+def delay_number(sensor: Sensor) -> str:
+    """Return the name of a sensor's delay among the numbers that a calibration holds."""
+    return f"{sensor.name}.delay"
+
+
+def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, float]) -> dict[str, Floats]:
+    """Return by how much the corrected vector field changes where numbers are one sigma larger.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Raw samples with the effects' channels.
+    sigma : mapping of str to float
+        By column; those of other sensors, and of no effect, are left out.
+
+    Returns
+    -------
+    dict of ndarray, shape (time, axis)
+        nT, vector sensor axes. An effect inside the sensor's equation follows the field, which is smooth: it
+        is computed at some 1440 samples.
+    """
+    times = _times(samples)
+    few = samples.isel(time=slice(None, None, max(1, times.size // _ROWS)))
+    known: Floats | None = None
+    found = {}
+    for place, entry in enumerate(effects):
+        if entry.sensor.role not in VECTOR_ROLES:
+            continue
+        before: Floats | None = None
+        for timed in entry.parameters.values():
+            for name, value in zip(timed.columns, timed.value.ravel(), strict=True):
+                if name not in sigma:
+                    continue
+                moved = entry.with_columns({name: float(value) + sigma[name]}, {})
+                if entry.is_additive:
+                    if before is None:
+                        before = entry.effect.field(samples, entry.values(times), entry.sensor)
+                    after = moved.effect.field(samples, moved.values(times), entry.sensor)
+                    found[name] = np.asarray(before - after)
+                    continue
+                if known is None:
+                    known = np.asarray(correct_plain(effects, few)["field"].values)
+                changed = correct_plain([*effects[:place], moved, *effects[place + 1 :]], few)["field"].values
+                slope = np.nan_to_num(changed - known)
+                found[name] = np.stack([np.interp(times, _times(few), one) for one in slope.T], axis=1)
+    return found
+
+
 def instrument_variance(
-    sensor: Sensor, field: Floats, tt2000: npt.NDArray[np.int64], *, mounting: bool = True
+    sensor: Sensor,
+    field: Floats,
+    tt2000: npt.NDArray[np.int64],
+    *,
+    mounting: bool = True,
+    clock: bool = True,
 ) -> Floats:
     """Return what sigmas of a sensor's orientation and of its readings' moments add to the field's variance.
 
@@ -369,6 +425,8 @@ def instrument_variance(
     tt2000 : ndarray of int64, shape (time,)
     mounting : bool
         Whether the field is one in spacecraft axes that the stated orientation makes.
+    clock : bool
+        Whether the error of the delay is not counted elsewhere.
 
     Returns
     -------
@@ -379,7 +437,7 @@ def instrument_variance(
     if mounting and sensor.sigma.orientation:
         square = field**2
         found += np.deg2rad(sensor.sigma.orientation) ** 2 * (square.sum(axis=1, keepdims=True) - square)
-    if sensor.sigma.delay and len(field) > 1:
+    if clock and sensor.sigma.delay and len(field) > 1:
         step = np.diff(tt2000).astype(np.float64)[:, None]
         slope = np.divide(np.diff(field, axis=0), step, out=np.zeros((len(field) - 1, 3)), where=step > 0)
         slope = np.abs(np.nan_to_num(slope))

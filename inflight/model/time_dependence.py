@@ -273,6 +273,12 @@ class TimedValue:
         names = component_names(self.key, self.parameter)
         return [f"{name}{suffix}" for name in names for suffix in self.dependence.suffixes]
 
+    @property
+    def has_own_sigma(self) -> bool:
+        """Whether a sigma was stated or fitted: the effect's own says how far a fit may go."""
+        usual = _filled(self.parameter, self.dependence, self.parameter.sigma)
+        return not np.array_equal(self.sigma, usual)
+
     def at(self, tt2000: npt.ArrayLike) -> Floats:
         """Return the value at a time, shape (component,), or at times, shape (time, component).
 
@@ -314,6 +320,14 @@ class TimedValue:
             return False
         return not bool(_nearest_interval(self.table, np.asarray(tt2000, dtype=np.int64))[1])
 
+    def is_own_at(self, tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return where a table of time ``table`` has a value of that time, not one of other times."""
+        times = np.asarray(tt2000, dtype=np.int64)
+        if self.time != "table" or self.table is None:
+            return np.ones(times.shape, dtype=bool)
+        index, inside = _nearest_interval(self.table, times)
+        return np.asarray(inside & self.table["own"].values[index])
+
     def _held(self, t: npt.NDArray[np.int64], what: str) -> Floats:
         """Return value or sigma of a table at times; beyond its intervals the nearest one's."""
         if self.table is None:
@@ -338,7 +352,8 @@ class TimedValue:
         ----------
         table : xarray.Dataset
             dim interval (`start`, `end`), and a second one, ``axis`` or ``parameter`` (whose names end in
-            ``[axis]``): `value` and `sigma`, with units in their attributes or in `units` (parameter).
+            ``[axis]``): `value` and `sigma`, with units in their attributes or in `units` (parameter); where
+            it has one, `state` (interval) with its meanings, *interpolated* and *held* among them.
 
         Raises
         ------
@@ -364,10 +379,15 @@ class TimedValue:
                 one = table.isel({dim: names.index(axis)})
                 wide[:, place] = factor * np.stack([one["value"].values, one["sigma"].values], axis=-1)
         each = ("interval", "component")
+        own = np.ones(len(wide), dtype=bool)
+        if "state" in table:
+            meanings = np.array(str(table["state"].attrs["flag_meanings"]).split())
+            own = ~np.isin(meanings[table["state"].values], ("interpolated", "held"))
         return replace(
             self,
             table=xr.Dataset(
                 {
+                    "own": ("interval", own),
                     "value": (each, wide[..., 0]),
                     "sigma": (each, wide[..., 1]),
                     "start": ("interval", table["start"].values),
@@ -420,7 +440,7 @@ class TimedValue:
         if self.time == "table":
             return found | {"table": self.table_name}
         found["value"] = _as_yaml(self.value, axes)
-        if not np.array_equal(self.sigma, _filled(self.parameter, self.dependence, self.parameter.sigma)):
+        if self.has_own_sigma:
             found["sigma"] = _as_yaml(self.sigma, axes)
         if self.table_name:
             found["table"] = self.table_name

@@ -92,6 +92,7 @@ class _Scene:
         grid = Grid.covering(self.start - SECOND, self.end)
         part = self.wide.part(grid)
         field = main_field(self.geometry.position[part], grid.seconds, self.day)
+        field = field + np.asarray(self.parameters.steady_field)
         if "external_field" in self.effects:
             field = field + external_field(grid, self.seed, self.settings.external_field)
         return grid, np.einsum("nij,nj->ni", self.geometry.axes[part], field)

@@ -29,6 +29,8 @@ class Parameters(MissionParameters):
     local_time_mjd: float = 2676.0
     #: Root mean square of roll, pitch, yaw, degrees (chosen).
     attitude_rms: Vector = (0.10, 0.12, 0.15)
+    #: Field of sources far away that stays, nT along Earth-fixed axes, which a model of the main field lacks.
+    steady_field: Vector = (0.0, 0.0, 0.0)
     #: Noise of the delivered attitude, arcsec an axis; 4 arcsec is three sigma (Yin 1.2.3).
     attitude_noise: float = 1.3
 

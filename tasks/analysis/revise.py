@@ -612,7 +612,8 @@ class Workbench:
         freed : sequence of str
             Parameters that are fitted as if nothing were known of them.
         """
-        before = self._fit(*self._fit_setup(self.additions, self.dropped), self.additions)
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        before = self._fit(setup.where_told(model), fixed, self.additions)
         used = VersionedModel(model, self.root.version, model.text)
         setup = _fit_setup_of(self._prepared(used, []), self.settings)
         setup = replace(setup, refined=tuple(_without_sigma(term, freed) for term in setup.refined))
@@ -713,7 +714,8 @@ class Workbench:
     ) -> JointFit:
         columns = [column for one in additions for column in one.columns]
         apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
-        key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
+        blocks = () if setup.blocks is None else tuple(setup.blocks.tolist())
+        key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart, blocks)
         made = next((fit for raw, known, fit in self._last if raw is setup.raw and known == key), None)
         if made is None:
             made = setup.fit(columns, fixed, interleaved=apart)
@@ -982,13 +984,14 @@ def _without_sigma(term: Term, numbers: Sequence[str]) -> Term:
 def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
     library = made.plan.library
     base = [name for term in library.base for name in term.columns]
-    return FitSetup(
+    setup = FitSetup(
         made.loaded.raw,
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
         row_variance(made.loaded.white, base),
     )
+    return setup.where_told(made.used.model)
 
 
 def diagnose_span(

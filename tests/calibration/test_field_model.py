@@ -3,7 +3,7 @@
 import numpy as np
 import scipy
 
-from inflight.calibration import comparison_grams, fit_twelve, mounting
+from inflight.calibration import comparison_grams, field_variance, fit_twelve, mounting
 from inflight.effects import VectorSensor
 
 #: What nobody knows of a sensor before it flew.
@@ -100,3 +100,22 @@ def test_no_usable_sample_is_told_by_nothing_determined():
     found = fit_twelve(comparison_grams(field, field, axes, np.zeros(200, bool), PRIOR), *PRIOR)
     assert found.count == 0
     assert not found.determined.any()
+
+
+def test_a_delay_moves_the_twelve_and_the_field_by_what_is_stated():
+    field, axes = flight()
+    seconds, good = 30.0 * np.arange(len(field)), np.ones(len(field), bool)
+    rate = np.gradient(field, seconds, axis=0)
+    seen, late = (
+        fit_twelve(comparison_grams(reading, field, axes, good, PRIOR, rate=rate), *PRIOR, late_s=0.5)
+        for reading in (field, field + 0.5 * rate)
+    )
+    moved = late.value - seen.value
+    np.testing.assert_allclose(moved, seen.late, rtol=0.02, atol=0.01 * np.abs(seen.late[:9]).max())
+    error = (field + 0.5 * rate) @ late.value[:9].reshape(3, 3).T + late.value[9:] - field
+    sigma = np.sqrt(field_variance(field, seen.covariance, 0.0, seen.late, 0.5 * rate))
+    # The turn of the field in the axes of a spacecraft is a turn of the axes: most of it is made good.
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean((0.5 * rate) ** 2))
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(sigma**2, axis=0)), np.sqrt(np.mean(error**2, axis=0)), rtol=0.1
+    )

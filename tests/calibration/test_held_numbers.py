@@ -4,18 +4,33 @@ import numpy as np
 import xarray as xr
 from calibration_cases import TRUTH, measure, polar_orbit
 
-from inflight.calibration import NormalEquations, fit_block, reference_of, remove_other_effects
+from inflight.calibration import (
+    Interval,
+    NormalEquations,
+    calibration_table,
+    day_parameters,
+    fit_block,
+    level2,
+    reference_of,
+    remove_other_effects,
+)
 from inflight.mission import Mission
-from inflight.mission_fit import held_products, held_shifts
+from inflight.mission_fit import held_numbers_of, held_products, held_shifts, with_held_numbers
 from inflight.model import Model
 from inflight.time import SECOND
 
-MISSION = Mission.parse("""
+TEXT = """
 mission: held
 instruments:
+  hk:
+    role: housekeeping
+    cadence: 40 s
+    files: {pattern: "c", reader: table, time: t}
+    channels: {load: {variable: i, unit: A}}
   fgm:
     role: vector
     cadence: 40 s
+    delay: {value: 0 s, sigma: DELAY}
     files: {pattern: "a", reader: table, time: t}
     channels: {field: {variables: [x, y, z], unit: nT}}
   ovm:
@@ -24,7 +39,8 @@ instruments:
     files: {pattern: "b", reader: table, time: t}
     channels: {field: {variable: f, unit: nT}}
 comparisons: {main: {kind: scalar, vector: fgm, scalar: ovm}}
-""")
+"""
+MISSION = Mission.parse(TEXT.replace("DELAY", "0 s"))
 MODEL = """
 model: held
 mission: held
@@ -97,3 +113,71 @@ def test_the_errors_of_twelve_seeds_are_covered_with_them_and_not_without():
     # Chi-square of twelve: 0.55 to 1.5 hold 99 of 100.
     assert np.all((rms / whole > 0.45) & (rms / whole < 1.6))
     assert (rms / fit.sigma).max() > 5.0
+
+
+#: Of the vector sensor: fields of a current along x, y, z (nT/A), and its clock (s).
+VECTOR_SIGMA = np.array([0.3, 0.3, 0.3, 0.004])
+CURRENT = f"""
+  - effect: channel_field
+    channel: load
+    sensor: fgm
+    coefficient: {{unit: nT/A, value: [0, 0, 0], sigma: {VECTOR_SIGMA[:3].tolist()}}}
+"""
+
+
+def test_a_number_without_a_stated_sigma_is_taken_as_exact():
+    text = CURRENT.replace(f", sigma: {VECTOR_SIGMA[:3].tolist()}", "")
+    model = Model.parse(MODEL[: MODEL.index("  - {effect: time_shift")] + text, MISSION)
+    assert held_numbers_of(model) == ()
+
+
+def product_errors(errors, seed):
+    """Return true errors of a product whose current and clock are off by so much, and the stated ones.
+
+    (time, axis) nT; the last as if the nine and the numbers had nothing in common.
+    """
+    mission = Mission.parse(TEXT.replace("DELAY", f"{VECTOR_SIGMA[3]} s"))
+    model = Model.parse(MODEL[: MODEL.index("  - {effect: time_shift")] + CURRENT, mission)
+    stamps = 40 * SECOND * np.arange(len(ORBIT)) + 700_000_000 * SECOND
+    # Most of a constant current, and what comes and goes with the orbit.
+    load = 1.0 + np.sin(2 * np.pi * 40.0 * np.arange(len(ORBIT)) / 5580.0)
+    noise = np.random.default_rng(seed).normal(0.0, 0.1, ORBIT.shape)
+    added = load[:, None] * errors[:3] + errors[3] * np.gradient(ORBIT, 40.0, axis=0)
+    made = measure(ORBIT + added + noise, TRUTH)
+    samples = xr.Dataset(
+        {
+            "vector": (("time", "axis"), made.reading, {"units": "nT"}),
+            "scalar": ("time", np.linalg.norm(ORBIT, axis=1), {"units": "nT"}),
+            "load": ("time", load, {"units": "A"}),
+            "flag": ("time", np.zeros(len(ORBIT), dtype=np.uint32)),
+            "tt2000": ("time", stamps),
+        }
+    )
+    prior, span = reference_of(model, int(stamps[0])), (int(stamps[0]), int(stamps[-1]) + 1)
+    fit = fit_block(*remove_other_effects(model, samples), np.ones(len(ORBIT), dtype=bool), prior)
+    equations = NormalEquations.from_fit(fit, prior, span, {"comparison": "main"})
+    held = held_shifts(
+        equations, held_products(model, samples, fit.value, fit.count)[None], prior.sigma, fit.after
+    )
+    row = Interval(*span, span, fit.value, fit.covariance, fit.solution, 1.0, fit.before, fit.after, 1, held)
+    table = with_held_numbers(calibration_table([row], prior, {}), [held], held_numbers_of(model))
+    product, apart = (
+        level2(model.bind(one), samples, day_parameters(one, span[0], prior, span), model)
+        for one in (table, table.assign(number_shift=0.0 * table["number_shift"]))
+    )
+    off = product["field_sensor"].values - ORBIT
+    return off, product["uncertainty"].values, apart["uncertainty"].values
+
+
+def test_a_number_of_the_vector_sensor_and_what_the_nine_make_of_it_are_one_error():
+    pulls, wider = [], []
+    for seed in range(12):
+        off, sigma, apart = product_errors(
+            VECTOR_SIGMA * np.random.default_rng([2, seed]).normal(size=4), seed
+        )
+        pulls.append((off / sigma)[::50])
+        wider.append(apart / sigma)
+    rms = np.sqrt(np.mean(np.square(pulls), axis=(0, 1)))
+    assert np.all((rms > 0.55) & (rms < 1.5))
+    # The offsets make good most of what the current is off by.
+    assert np.mean(wider) > 2.0

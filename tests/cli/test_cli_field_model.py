@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.archive import simulated_workspace
 from inflight.catalog import Workspace
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.tasks.analysis import DiagnoseSettings, Workbench
+from inflight.tasks.analysis import DiagnoseSettings, Workbench, compare
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.pipelines import reprocess
 
@@ -119,6 +119,9 @@ def test_a_current_beside_the_sensor_is_named(tmp_path):
     # Taken out of the product, it stands apart, and beside the field that still has it.
     Workbench(cat, mission).add("channel_field(battery_current)")
     assert reprocess(cat, mission).exit_code == 0
+    report = compare(cat, mission)
+    assert report.earlier.version == report.version - 1
+    assert report.earlier.rms > report.after.rms
     product = cat.read_day("l2/field", SETTINGS.day_list[0])
     turn = Rotation.from_quat(mission.instruments["fgm"].orientation)
     (term,) = (name for name in product if name.startswith("correction_"))

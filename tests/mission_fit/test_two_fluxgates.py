@@ -7,9 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inflight.calibration import ParameterPrior, fit_block
+from inflight.effects import VectorSensor
 from inflight.errors import CalibrationError
 from inflight.figures import relation_figure, sensor_variance_figure
-from inflight.mission_fit import relation_grams, relation_of, three_cornered_hat, three_cornered_hat_sums
+from inflight.mission_fit import (
+    relation_covariance,
+    relation_grams,
+    relation_of,
+    three_cornered_hat,
+    three_cornered_hat_sums,
+)
 from inflight.mission_fit.two_fluxgates import NAMES, corners, fit_relation
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
@@ -198,3 +205,23 @@ def test_figures_of_relation_and_corners_show_every_number():
         assert len(drawn.xaxis[0].major_label_overrides) == count
     made = corners(g.normal(0, 0.1, len(field)), g.normal(0, 0.1, len(field)), stamps)
     assert sensor_variance_figure(made.table()).xaxis[0].major_label_overrides[2] == "scalar sensor"
+
+
+def test_what_an_error_of_a_calibration_does_to_the_relation_is_what_it_does():
+    field, stamps = orbit(8000)
+    value = np.array([1.001, 0.998, 1.002, 90.03, 89.95, 90.04, 27.0, -19.0, 21.0])
+    # A sensor that is mounted on its side.
+    mounted = Rotation.from_euler("xyz", [90.0, 20.0, -40.0], degrees=True)
+    axes = mounted.inv().apply(field)
+    reading = VectorSensor().disturb(axes, None, nine(value), None)
+    exact = fit_relation(field, field, stamps).table()["value"].values
+    for place, step in enumerate([1e-5] * 3 + [1e-3] * 3 + [0.1] * 3):
+        wrong = value + step * (np.arange(9) == place)
+        seen = mounted.apply(VectorSensor().correct(reading, None, nine(wrong), None))
+        moved = fit_relation(seen, field, stamps).table()["value"].values - exact
+        alone = relation_covariance(value, np.diag(step**2 * (np.arange(9) == place)), mounted)
+        np.testing.assert_allclose(np.sqrt(np.diag(alone)), np.abs(moved), rtol=0.02, atol=1e-3 * step)
+
+
+def nine(value):
+    return dict(zip(("scale_factor", "misalignment", "offset"), value.reshape(3, 3), strict=True))

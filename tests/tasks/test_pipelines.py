@@ -5,10 +5,19 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from boom_mission import make_boom_workspace
-from tiny_mission import make_tiny_workspace
+from tiny_mission import (
+    TINY_GAIN,
+    TINY_OFFSET,
+    TINY_START,
+    TINY_YAML,
+    make_tiny_workspace,
+    tiny_readings,
+)
 
+from inflight.calibration import fit_difference, fit_squares
 from inflight.catalog import Catalog, Workspace, shipped_missions
 from inflight.errors import ConformanceError, MissionError
 from inflight.mission import Mission
@@ -24,6 +33,7 @@ from inflight.tasks.pipelines import (
     pipeline_of,
     reprocess,
 )
+from inflight.tasks.pipelines.base import newest_table
 from inflight.tasks.pipelines.scalar import ScalarPipeline
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +62,30 @@ def ingested(tmp_path_factory) -> Workspace:
 def tiny(ingested, tmp_path) -> Workspace:
     shutil.copytree(ingested.root, tmp_path / "copy")
     return Workspace.open(tmp_path / "copy")
+
+
+@pytest.mark.parametrize(("form", "fit"), [("difference", fit_difference), ("squares", fit_squares)])
+def test_a_published_form_that_is_asked_for_makes_the_tables_and_is_named(tiny, form, fit):
+    text = TINY_YAML.replace("scalar: absolute}}", f"scalar: absolute, estimate: {form}}}}}")
+    (tiny.root / "mission.yaml").write_text(text, encoding="utf-8")
+    cat = Catalog(tiny.root)
+    assert reprocess(cat, tiny.mission(), settings=ReprocessSettings(window_days=2)).exit_code == 0
+    days = [np.datetime64(TINY_START, "D") + one for one in range(2)]
+    read = [[values.round(3) for values in tiny_readings(str(day))[1:]] for day in days]
+    daily, window = (newest_table(cat, f"main-{name}") for name in ("daily", "window"))
+    for row, both in zip(daily["value"].values, read, strict=True):
+        np.testing.assert_allclose(row, fit(*both), rtol=1e-9, atol=1e-6)
+    joined = fit(*(np.concatenate(one) for one in zip(*read, strict=True)))
+    np.testing.assert_allclose(window["value"].values[0], joined, rtol=1e-9, atol=1e-6)
+    # One pass misses the exact fit by more than noise does: that is stated, and the truth is covered.
+    truth = np.concatenate([1.0 / TINY_GAIN, np.full(3, 90.0), TINY_OFFSET])
+    pulls = (window["value"].values[0] - truth) / window["sigma"].values[0]
+    assert np.abs(pulls).max() < 4.0
+    assert daily["estimate"].values.tolist() == [form, form]
+    method = cat.read_day("l2/field", days[0]).attrs["calibration_method"]
+    assert method.endswith(f"estimate {form}")
+    with pytest.raises(MissionError, match=f"estimate: '{form}'"):
+        reprocess(cat, tiny.mission(), settings=ReprocessSettings(table="continuous"))
 
 
 @pytest.fixture(scope="module")

@@ -57,6 +57,8 @@ def origin_attributes(
         "calibration_model": batch.model_name,
         "calibration_table": f"{batch.table_name}{_taught(row, (start, end))}",
     }
+    if row is not None and "estimate" in row:
+        attributes["calibration_method"] += f", estimate {row['estimate'].item()}"
     comparison = batch.mission.comparisons[batch.model.comparison]
     if comparison.kind == "scalar" and comparison.range:
         attributes["calibration_range"] = comparison.range.words

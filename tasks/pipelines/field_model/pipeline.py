@@ -38,9 +38,10 @@ from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_itrf, to_nec
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
-from inflight.model import REFERENCE, Model, instrument_variance
+from inflight.model import REFERENCE, Model
 from inflight.residual import (
     Coordinate,
+    above_floor,
     daily_scatter,
     join_floors,
     measure_dependences,
@@ -56,6 +57,7 @@ from inflight.tasks.pipelines.base import (
     CompareReport,
     CompareResult,
     EarlierProducts,
+    EarlierResidual,
     Pipeline,
     Plan,
     ProductBatch,
@@ -105,7 +107,7 @@ class FieldModelPipeline(Pipeline):
     """Twelve parameters of a vector sensor, ``B = M E + b``, against a model of the main field."""
 
     tag = "field_model"
-    versions = Versions(statistics=1, tables=1, products=2)
+    versions = Versions(statistics=2, tables=2, products=3)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison with a field model."""
@@ -167,7 +169,8 @@ class FieldModelPipeline(Pipeline):
             raise _too_few(batch, day, samples, coverage)
         prior = prior_of_twelve(batch.model, (start + end) // 2)
         uniform = _uniform_fields(batch.model, samples)
-        grams = comparison_grams(reading, reference, uniform, good, prior)
+        rate = _rate(reference, np.asarray(samples["tt2000"].values))
+        grams = comparison_grams(reading, reference, uniform, good, prior, rate=rate)
         edges = np.linspace(start, end, len(grams) + 1).astype(np.int64)
         made = {
             "gram": (("block", "column", "other"), grams),
@@ -231,7 +234,7 @@ class FieldModelPipeline(Pipeline):
         earlier: EarlierProducts | None = None,
     ) -> CompareResult[FieldModelReport]:
         """Measure the residual of each component before and after, and what it follows."""
-        return compare_components(cat, mission, comparison, days, progress)
+        return compare_components(cat, mission, comparison, days, progress, earlier)
 
     def report(
         self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
@@ -311,6 +314,11 @@ def _samples(batch: Batch, day: np.datetime64, surroundings: bool = False) -> xr
     )
 
 
+def _rate(field: Floats, stamps: Int64) -> Floats:
+    """Return how fast a field (time, axis) changes, nT/s; 0 where it is not known."""
+    return np.nan_to_num(np.gradient(field, stamps / SECOND, axis=0)) if len(field) > 1 else 0.0 * field
+
+
 def _uniform_fields(model: Model, samples: xr.Dataset) -> Floats:
     """Return Earth-fixed unit vectors in the sensor's nominal axes; (time, axis, vector), 0 where unknown."""
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
@@ -356,7 +364,7 @@ def twelve_table(
 
     Parameters
     ----------
-    grams : ndarray, shape (block, 16, 16)
+    grams : ndarray, shape (block, 19, 19)
         Of all days.
     spans : tuple of ndarray of int64, shape (block,)
         Where blocks start and end, TT2000.
@@ -371,7 +379,8 @@ def twelve_table(
         inside = np.flatnonzero((first <= start) & (start < after) & (grams[:, 3, 3] > 0))
         if not inside.size:
             continue
-        rows.append(fit_twelve(grams[inside], *prior_of_twelve(model, (first + after) // 2), external_nT))
+        prior = prior_of_twelve(model, (first + after) // 2)
+        rows.append(fit_twelve(grams[inside], *prior, external_nT, own.sensor.sigma.delay / SECOND))
         bounds.append((first, after))
         learnt.append((int(start[inside[0]]), int(end[inside[-1]])))
     if not rows:
@@ -397,6 +406,7 @@ def twelve_table(
             ),
             "prior": ("parameter", value),
             "prior_sigma": ("parameter", sigma),
+            "late": (each, np.array([one.late for one in rows])),
             "units": ("parameter", np.array(["1"] * 9 + ["nT"] * 3, dtype="U8")),
             "start": ("interval", begin, scale),
             "end": ("interval", after_each, scale),
@@ -456,9 +466,9 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     step = usual_step(stamps, SECOND) / SECOND
     levels = [noise_floor(one, step).level_nT for one in (body - reference).T]
     noise = float(np.nan_to_num(np.nanmax(levels))) if np.isfinite(levels).any() else 0.0
-    variance = field_variance(reading, np.asarray(row["covariance"].values), noise)
     # The twelve turn the sensor's axes: what its orientation is known to is in their covariance.
-    variance = variance + instrument_variance(sensor, field, stamps, mounting=False)
+    moved = _rate(field, stamps) * sensor.sigma.delay / SECOND
+    variance = field_variance(reading, row["covariance"].values, noise, row["late"].values, moved)
     change = change_outside(row, table, (start, end), [str(name) for name in row["parameter"].values])
     if change is not None:
         outside = outside_learnt(row, stamps)
@@ -495,12 +505,11 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
         text = "calibrated field, nothing of the spacecraft's taken out"
         variables["before_stray_field"] = told(turned(with_terms), text, "spacecraft")
     latitude, longitude = latitude_longitude(here)
-    degrees = {"units": "deg"}
     return xr.Dataset(
         {
             **variables,
-            "latitude": ("time", latitude, {**degrees, "long_name": "geocentric latitude"}),
-            "longitude": ("time", longitude, {**degrees, "long_name": "longitude"}),
+            "latitude": ("time", latitude, {"units": "deg", "long_name": "geocentric latitude"}),
+            "longitude": ("time", longitude, {"units": "deg", "long_name": "longitude"}),
             "flag": ("time", flag.astype(np.uint32), {"flag_masks": masks[0], "flag_meanings": masks[1]}),
             "tt2000": ("time", stamps, {"units": "ns", "scale": "TT2000"}),
         },
@@ -547,24 +556,28 @@ class FieldModelReport(CompareReport):
 
 
 def compare_components(
-    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], progress: Progress
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    days: Sequence[Day],
+    progress: Progress,
+    earlier: EarlierProducts | None = None,
 ) -> CompareResult[FieldModelReport]:
-    """Measure the residual of each component of products before and after, and what it follows."""
+    """Measure the residual of each component of products before and after, and what it follows.
+
+    With `earlier`, what an earlier version of the model left of the same days stands beside it.
+    """
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + ONE_DAY)))
     rows: list[dict[str, Floats]] = []
     sizes, floors, skipped = [], [], 0
     for day in each_day(days, progress):
         product = cat.read(day, ["residual", "residual_preflight", "field_sensor", "flag"])
         stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-        good = (product["flag"].values & np.uint32(UNUSABLE)) == 0
-        before, after = (
-            np.where(good[:, None], product[name].values, np.nan)
-            for name in ("residual_preflight", "residual")
-        )
+        before, after = (_usable(product, name) for name in ("residual_preflight", "residual"))
         sizes.append([[residual_statistics(one) for one in state.T] for state in (before, after)])
         cadence = usual_step(stamps, SECOND) / SECOND
         floors += [noise_floor(one, cadence) for one in after.T]
-        skipped += int((~good).sum())
+        skipped += int((product["flag"].values & np.uint32(UNUSABLE) > 0).sum())
         spans = Spans.of(stamps, _SPAN_S)
         own = rows_of_day(cat, mission, comparison, sources, product, before[:, 0], after[:, 0], spans)
         rows.append(own | {f"after {axis}": spans.mean(after[:, at]) for at, axis in enumerate(_AXES)})
@@ -586,12 +599,24 @@ def compare_components(
     daily, used = tables_in_use(cat, comparison, days[0])
     names, known = used["parameter"].values, used["determined"].values[-1]
     merged = [[merge_statistics([day[state][at] for day in sizes]) for at in range(3)] for state in (0, 1)]
+    floor, old = join_floors(floors), None
+    if earlier is not None:
+        each = [
+            merge_statistics([residual_statistics(one) for one in _usable(cat.read(day), "residual").T])
+            for day in earlier.days
+        ]
+        left = merge_statistics(each).rms
+        sized = zip(earlier.days, each, strict=True)
+        by_day = [{"day": str(day.day), "after_nT": one.rms} for day, one in sized]
+        above = above_floor(left, floor.level_nT)
+        old = EarlierResidual(earlier.version, earlier.message, left, above, by_day)
     report = FieldModelReport(
         comparison=comparison,
         context=days[-1].context or "",
         before=merge_statistics(merged[0]),
         after=merge_statistics(merged[1]),
-        floor=join_floors(floors),
+        floor=floor,
+        earlier=old,
         by_day=[
             day_summary(day, merge_statistics(own[0]), merge_statistics(own[1]))
             for day, own in zip(days, sizes, strict=True)
@@ -635,6 +660,12 @@ def compare_components(
         ("What each change took off", lambda: history_section(report)),
     ]
     return CompareResult(report, title, parts)
+
+
+def _usable(product: xr.Dataset, name: str) -> Floats:
+    """Return a vector of a product, NaN where its flag makes the sample unusable; (time, axis)."""
+    good = (product["flag"].values & np.uint32(UNUSABLE)) == 0
+    return np.where(good[:, None], product[name].values, np.nan)
 
 
 def intervals_of(table: xr.Dataset) -> list[dict[str, Any]]:

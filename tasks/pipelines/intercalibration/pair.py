@@ -49,7 +49,8 @@ class Relation:
     make_day : callable
         Makes a day's statistics from both products.
     tables : mapping of str to callable
-        Makes each table from the statistics of all days.
+        Makes each table from the statistics of all days, and what the errors of both calibrations do to each
+        (`tables.calibration_errors`; none for spinning sensors).
     note : str
         Why there is no product.
     """
@@ -57,7 +58,7 @@ class Relation:
     kind: str
     read: tuple[str, ...]
     make_day: Callable[[Sequence[xr.Dataset], np.datetime64], tuple[xr.Dataset, dict[str, Any]]]
-    tables: Mapping[str, Callable[[Sequence[xr.Dataset]], xr.Dataset]]
+    tables: Mapping[str, Callable[[Sequence[xr.Dataset], Sequence[xr.Dataset]], xr.Dataset]]
     note: str
 
 

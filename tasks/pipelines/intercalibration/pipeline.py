@@ -27,6 +27,7 @@ from inflight.tasks.pipelines.base import (
     plan_days,
 )
 from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, RELATIONS, Pair
+from inflight.tasks.pipelines.intercalibration.tables import calibration_errors
 from inflight.time import DayLike, is_within
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class RelationPipeline(Pipeline):
     """
 
     tag = "relation"
-    versions = Versions(statistics=1, tables=1, products=0)
+    versions = Versions(statistics=1, tables=2, products=0)
     has_products = False
     note = NO_PRODUCT
 
@@ -113,7 +114,9 @@ class RelationPipeline(Pipeline):
         planned = {day: days[day] for day in work.plan.days if day in days}
         read = [work.cat.read(day) for day in planned.values()]
         keep = self.table_stager(work, planned)
-        makers = {name: partial(make, read) for name, make in pair.relation.tables.items()}
+        names = (pair.first, pair.second) if pair.relation.kind == "scalar" else ()
+        errors = calibration_errors(work.cat, work.mission, names, list(planned.values()))
+        makers = {name: partial(make, read, errors) for name, make in pair.relation.tables.items()}
         notes = keep.stage_possible(makers) if planned else {}
         return TablesToPublish(
             model=work.plan.model, used={}, certify=keep.certify, kept=tuple(keep.ids), notes=notes
@@ -121,7 +124,8 @@ class RelationPipeline(Pipeline):
 
     def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
         """Return the key of a table: a hash of the keys of the days it is made from."""
-        return hashlib.sha256("".join([name, *(day.key for day in days.values())]).encode()).hexdigest()
+        inputs = [name, str(self.versions.tables), *(day.key for day in days.values())]
+        return hashlib.sha256("".join(inputs).encode()).hexdigest()
 
     def outputs(self, plan: Plan, solved: TablesToPublish | None, made: int) -> list[str]:
         """Return the tables that could be made."""

@@ -12,10 +12,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
 from inflight.flags import UNUSABLE, Flag
+from inflight.mission import Mission
 from inflight.mission_fit import CLUSTER_S
+from inflight.tasks.models import current_model
+from inflight.tasks.pipelines.base import tables_in_use
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
 if TYPE_CHECKING:
@@ -25,11 +30,70 @@ if TYPE_CHECKING:
 _MOST_CLUSTERS = int(DAY / SECOND / CLUSTER_S) + 2
 
 
-def relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Return the relation of all days together."""
+def calibration_errors(
+    cat: Catalog, mission: Mission, comparisons: Sequence[str], days: Sequence[Day]
+) -> list[xr.Dataset]:
+    """Return what the calibrations of both sensors do to the relation of each day.
+
+    Returns
+    -------
+    list of Dataset
+        With `covariance` (sensor, parameter, other), units of the relation's table, and `begin` (sensor), the
+        start of the interval of the table, TT2000: days of one interval have one error. 0 for tables of one
+        fit of all days.
+    """
+    import xarray as xr
+
+    from inflight.calibration import day_parameters, reference_of
+    from inflight.mission_fit import relation_covariance
+
+    each = []
+    for comparison in comparisons:
+        sensor = mission.instruments[mission.comparisons[comparison].instruments()["vector"]]
+        turn = scipy.spatial.transform.Rotation.from_quat(sensor.orientation)
+        model = current_model(cat, mission, comparison).model
+        own: list[tuple[int, Floats]] = []
+        begin, end, found = 0, 0, (0, np.zeros((0, 0)))
+        for day in days:
+            start = day_bounds(day.day)[0]
+            if not begin <= start < end:
+                table = tables_in_use(cat, comparison, day)[1]
+                inside = (table["start"].values <= start) & (start < table["end"].values)
+                row = table.isel(interval=int(np.flatnonzero(inside)[-1]))
+                begin, end = int(row["start"]), int(row["end"])
+                nine = day_parameters(table, start, reference_of(model, start))
+                name = 0 if table.attrs["kind"] == "continuous" else begin
+                found = name, relation_covariance(nine.value, nine.covariance, turn)
+            own.append(found)
+        each.append(own)
+    return [
+        xr.Dataset(
+            {
+                "begin": ("sensor", np.array([one[0] for one in pair], dtype=np.int64)),
+                "covariance": (("sensor", "parameter", "other"), np.stack([one[1] for one in pair])),
+            }
+        )
+        for pair in zip(*each, strict=True)
+    ]
+
+
+def joint_errors(errors: Sequence[xr.Dataset]) -> Floats:
+    """Return what the calibrations do to the relation of all days; intervals are independent."""
+    total = np.zeros(errors[0]["covariance"].shape[1:])
+    for sensor in range(errors[0].sizes["sensor"]):
+        begin = np.array([int(one["begin"][sensor]) for one in errors])
+        for interval in np.unique(begin):
+            own = begin == interval
+            each = [one["covariance"].values[sensor] for one, here in zip(errors, own, strict=True) if here]
+            total += np.mean(own) ** 2 * np.mean(each, axis=0)
+    return total
+
+
+def relation_table(read: Sequence[xr.Dataset], errors: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return the relation of all days together, with the errors of `calibration_errors`."""
     from inflight.mission_fit import relation_of
 
-    return relation_of(*_grams(read)).table()
+    return relation_of(*_grams(read)).table(joint_errors(errors))
 
 
 def relation_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -96,13 +160,16 @@ def _grams(read: Sequence[xr.Dataset]) -> tuple[Floats, Floats]:
     return gram[rows > 0], rows[rows > 0]
 
 
-def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
+def daily_relation_table(read: Sequence[xr.Dataset], errors: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the relation of each day by itself; dims interval, parameter: `value`, `sigma`, `units`."""
     import xarray as xr
 
     from inflight.mission_fit import relation_of
 
-    tables = [relation_of(*_grams([day])).table() for day in read]
+    tables = [
+        relation_of(*_grams([day])).table(joint_errors([error]))
+        for day, error in zip(read, errors, strict=True)
+    ]
     each = ("interval", "parameter")
     return xr.Dataset(
         {
@@ -117,7 +184,7 @@ def daily_relation_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
     )
 
 
-def corner_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
+def corner_table(read: Sequence[xr.Dataset], _errors: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the variance of each of the three sensors' own error, nT^2; see `three_cornered_hat`."""
     from inflight.mission_fit import three_cornered_hat
 
@@ -180,7 +247,7 @@ def unwrap_phase(phase: Floats, stamps: Int64) -> Floats:
     return np.asarray(phase[0] + np.concatenate([[0.0], np.cumsum(step)]))
 
 
-def bending_table(read: Sequence[xr.Dataset]) -> xr.Dataset:
+def bending_table(read: Sequence[xr.Dataset], _errors: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the bend over days; dims interval, parameter (one): `value`, `sigma` rad, `fits`, and the span.
 
     The azimuths as mounted are those of the two pre-flight models: the bend is what is beyond them.

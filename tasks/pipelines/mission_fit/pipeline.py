@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.mission import Mission
+from inflight.errors import MissionError
+from inflight.mission import Mission, ScalarComparison
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     Batch,
@@ -32,6 +33,7 @@ from inflight.tasks.pipelines.base import (
 )
 from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.report import Progress
+from inflight.time import DayLike
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -49,7 +51,7 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=4, tables=7, products=8)
+    versions = Versions(statistics=4, tables=8, products=9)
     statistics = ALL_DAYS_STATISTICS
     #: Four periods of the filter of `inflight.calibration.product.distribute_residual`: beyond, its response
     #: is below 1e-5.
@@ -58,6 +60,24 @@ class MissionPipeline(Pipeline):
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison whose days are to be fitted at once."""
         return mission.comparisons[settings.comparison].kind == "scalar" and settings.table == "continuous"
+
+    def make_plan(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        settings: ReprocessSettings,
+        span: tuple[DayLike | None, DayLike | None],
+    ) -> Plan:
+        """Find out what has to be done; raises `MissionError` where a published form is asked for."""
+        entry = mission.comparisons[settings.comparison]
+        if isinstance(entry, ScalarComparison) and entry.estimate != "exact":
+            raise MissionError(
+                f"comparisons.{settings.comparison}.estimate: '{entry.estimate}' fits days, windows, months "
+                "or one span, and not all days at once",
+                file="mission.yaml",
+                remedy="choose another table, or leave 'estimate' out",
+            )
+        return super().make_plan(cat, mission, settings, span)
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
         """Return currents, torquers and the sensor's temperatures."""

@@ -14,20 +14,23 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.arrays import finite_rows
+from inflight.arrays import Floats, finite_rows
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
     ParameterPrior,
     empty_block,
     fit_block,
+    published_gram,
     reference_of,
     remove_other_effects,
     sub_block_count,
     usable_samples,
+    vector_sensor_of,
 )
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag, count_flags
+from inflight.mission import Mission, ScalarComparison
 from inflight.mission_fit import held_products
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
@@ -58,6 +61,12 @@ class FittedDay:
     report: dict[str, Any]
 
 
+def estimate_of(mission: Mission, comparison: str) -> str:
+    """Return how a scalar comparison's nine parameters are found: its `estimate`."""
+    entry = mission.comparisons[comparison]
+    return entry.estimate if isinstance(entry, ScalarComparison) else "exact"
+
+
 def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
@@ -70,7 +79,8 @@ def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[st
         As `inflight.calibration.NormalEquations`, and the exact fit of the day: `fit` (block, column),
         `fit_covariance` (block, column, other), whose last column, the residual's, is NaN; `before` and
         `after` (block), nT; `used` (block), a number of samples; `held` (block, number, column), where
-        numbers of the model have a sigma: products with one of each (`inflight.mission_fit.held_products`).
+        numbers of the model have a sigma: products with one of each (`inflight.mission_fit.held_products`);
+        `published` (block, column, other) where the comparison asks for a published form.
     dict
         As `FittedDay.report`.
 
@@ -92,10 +102,24 @@ def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[st
         "after": (("block",), np.array([fit.after])),
         "used": (("block",), np.array([fit.used], dtype=np.int64)),
     }
+    if (form := estimate_of(batch.mission, batch.model.comparison)) != "exact":
+        own_fit["published"] = (("block", "column", "other"), _published(batch, fitted, form)[None])
     if held.size:
         with_residual = np.append(held, np.zeros((len(held), 1)), axis=1)
         own_fit["held"] = (("block", "number", "column"), with_residual[None])
     return equations.dataset.assign(own_fit), fitted.report
+
+
+def _published(batch: Batch, fitted: FittedDay, form: str) -> Floats:
+    """Return the sums of a day for a published form, about the model's own nine parameters; (10, 10)."""
+    samples, own = fitted.samples, vector_sensor_of(batch.model)
+    if not fitted.fit.used:
+        return np.zeros((10, 10))
+    reading, additive, scalar = remove_other_effects(batch.model, samples)
+    good = usable_samples(samples, reading, additive, scalar)
+    values = own.values(np.asarray(samples["tt2000"].values))
+    field = own.effect.correct(reading, samples, values, own.sensor) - additive
+    return published_gram(form, field[good], scalar[good])
 
 
 def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:

@@ -44,7 +44,7 @@ class ScalarPipeline(Pipeline):
     """
 
     tag = "scalar"
-    versions = Versions(statistics=4, tables=6, products=8)
+    versions = Versions(statistics=5, tables=7, products=9)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison, unless all days are to be fitted at once."""
@@ -69,6 +69,7 @@ class ScalarPipeline(Pipeline):
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
+        from inflight.tasks.pipelines.scalar.day import estimate_of
         from inflight.tasks.pipelines.scalar.tables import (
             daily_table,
             keep_joined,
@@ -85,9 +86,10 @@ class ScalarPipeline(Pipeline):
         }
         if plan.settings.table == "monthly":
             edges["monthly"] = month_edges(min(days), max(days))
-        finer = [stager.table("daily", partial(daily_table, equations, model))]
+        form = estimate_of(work.mission, plan.settings.comparison)
+        finer = [stager.table("daily", partial(daily_table, equations, model, form))]
         for name, bounds in edges.items():
-            make = partial(window_table, equations, model, bounds, name, tuple(finer))
+            make = partial(window_table, equations, model, bounds, name, tuple(finer), form)
             finer.insert(0, stager.table(name, make))
         return stager.solved(plan.settings.table, model)
 

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -20,13 +23,14 @@ from inflight.calibration import (
     calibration_table,
     empty_block,
     linearisation_error,
+    published_fit,
     reference_of,
     with_changes,
 )
 from inflight.catalog import Catalog, Day, DayData, Run, idempotency_key, write_segment
-from inflight.errors import CatalogError
+from inflight.errors import CalibrationError, CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
-from inflight.mission_fit import held_shifts
+from inflight.mission_fit import held_numbers_of, held_shifts, with_held_numbers
 from inflight.model import Model
 from inflight.time import day_bounds
 
@@ -126,8 +130,8 @@ def _key_of_joined(days: Sequence[Day]) -> str:
     return idempotency_key(_joined(days), days[0].day, 0, "", [f"{day.id} {day.key}" for day in days])
 
 
-def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
-    """Return the table of the blocks' own fits, one interval a block."""
+def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -> xr.Dataset:
+    """Return the table of the blocks' own fits, one interval a block; `form` as `window_table`."""
     data, bare = equations.dataset, equations.bare
     fit, covariance = data["fit"].values[:, :-1], data["fit_covariance"].values[:, :-1, :-1]
     used, before, after = (data[name].values for name in ("used", "before", "after"))
@@ -155,9 +159,17 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
                 held=held_shifts(one, held[index : index + 1], prior.sigma, float(after[index])),
             )
         )
-    return with_changes(
-        calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
-    )
+    if form != "exact":
+        each = [np.array([index]) for index in range(len(rows))]
+        rows, made_by = _published_rows(equations, rows, each, model, form)
+        return with_changes(_table_of(rows, model, "daily").assign(made_by))
+    return with_changes(_table_of(rows, model, "daily"))
+
+
+def _table_of(rows: Sequence[Interval], model: Model, kind: str) -> xr.Dataset:
+    """Return the table of intervals, with the numbers of the vector sensor that the model holds."""
+    table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+    return with_held_numbers(table, [row.held for row in rows], held_numbers_of(model))
 
 
 def window_table(
@@ -166,20 +178,59 @@ def window_table(
     edges: Sequence[np.datetime64],
     kind: str,
     finer: Sequence[xr.Dataset] = (),
+    form: str = "exact",
 ) -> xr.Dataset:
     """Return the table of windows solved from the sums of their blocks; empty windows are skipped.
 
     How much parameters change is told by its own windows, or by those of `finer` where they are too few.
+
+    Parameters
+    ----------
+    form : str
+        ``exact``, or a form of `inflight.calibration.published_fit`: the table then has `estimate`
+        (interval), and in its covariance by how much one pass of that form misses the exact fit.
     """
-    rows, bare, used = [], equations.bare, equations.dataset["used"].values
+    each, rows, bare, used = [], [], equations.bare, equations.dataset["used"].values
     held = _held_products(equations)
     for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
         inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
         if inside.size:
             part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())
             rows.append(_solved_interval(part, held[inside], count, model, start, end))
-    table = calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+            each.append(inside)
+    made_by: dict[str, Any] = {}
+    if form != "exact":
+        rows, made_by = _published_rows(equations, rows, each, model, form)
+    table = _table_of(rows, model, kind).assign(made_by)
     return with_changes(table, [table, *finer])
+
+
+def _published_rows(
+    equations: NormalEquations,
+    rows: Sequence[Interval],
+    blocks: Sequence[npt.NDArray[np.int64]],
+    model: Model,
+    form: str,
+) -> tuple[list[Interval], dict[str, Any]]:
+    """Return rows with the values of a published form where it has a solution, and which have, as a variable.
+
+    Parameters
+    ----------
+    blocks : sequence of ndarray
+        The blocks of each row.
+    """
+    grams, made, names = equations.dataset["published"].values, [], []
+    for row, inside in zip(rows, blocks, strict=True):
+        try:
+            value = published_fit(form, grams[inside].sum(axis=0), reference_of(model, row.start).value)
+        except CalibrationError:
+            made.append(row)
+            names.append("exact")
+            continue
+        off = value - row.value
+        made.append(replace(row, value=value, covariance=row.covariance + np.outer(off, off)))
+        names.append(form)
+    return made, {"estimate": ("interval", np.array(names))}
 
 
 def _held_products(equations: NormalEquations) -> Floats:
