@@ -12,12 +12,11 @@ from typing import Any
 
 from inflight.diagnosis import what_it_is
 from inflight.figures import short_name
+from inflight.residual import is_at_floor
 
 Fields = Mapping[str, Any]
 #: Gain that is left, in parts of the gain before, of a candidate that what was found explains; assumed.
 _EXPLAINED = 0.1
-#: Residual in parts of the noise floor that is at it; assumed.
-AT_FLOOR = 1.05
 #: Why an effect of the model is not tried.
 IN_MODEL = "in the model already"
 #: Chance of a gain by chance that is no finding; stated.
@@ -168,7 +167,7 @@ class LoopState:
         state = f"{self.model[:1].upper()}{self.model[1:]}"
         if size is not None:
             state += f" leaves {size:.4g} nT rms of days not used in the fit"
-            at = "at" if floor and size <= AT_FLOOR * floor else "above"
+            at = "at" if floor and is_at_floor(size, floor) else "above"
             state += f", {at} the noise floor of {floor:.4g} nT." if floor else ", and has no noise floor."
         else:
             state += ": what it leaves of days not used in a fit has not been measured yet."
@@ -182,7 +181,7 @@ class LoopState:
         if found is None:
             return "Diagnose: it ranks what may be missing."
         if "stale" in found:
-            if size and floor and size <= AT_FLOOR * floor:
+            if size and floor and is_at_floor(size, floor):
                 return f"{reprocess}Diagnose: it confirms that nothing is left."
             return "Diagnose again: what is ranked here was measured with another model."
         named = next((one for one in found["entries"] if one["command"]), None)

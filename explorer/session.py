@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog, Workspace
+from inflight.diagnosis import BeforeAfter
 from inflight.explorer.background import Background
 from inflight.figures import LazySection, Section
 from inflight.flows import lazy_client
 from inflight.mission import Mission
 from inflight.model import parse_tree
-from inflight.tasks import ModelHistory, Progress, find_model
+from inflight.tasks import ModelHistory, Progress
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -73,6 +74,7 @@ class ExplorerSession:
         self.figure_background = Background()
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+        self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
     def close(self) -> None:
         """Cancel jobs that have not begun."""
@@ -82,6 +84,24 @@ class ExplorerSession:
     def mission(self) -> Mission:
         """Return the mission as its file is now."""
         return self.workspace.mission()
+
+    def history(self, comparison: str) -> ModelHistory:
+        """Return the models of the workspace as they are now; cached until a file or the catalog changes.
+
+        Raises
+        ------
+        MissionError, ModelError
+            When the mission's model files are wrong.
+        """
+        mission = self.mission()
+        named = (mission.preflight, mission.comparisons[comparison].preflight, *mission.effects)
+        files = [self.workspace.root / name for name in named if name]
+        stamps = [path.stat().st_mtime_ns if path.is_file() else 0 for path in files]
+        versions = [(one.name, one.version, one.sha256) for one in self.cat.models()]
+        key = (comparison, mission.text, *stamps, *versions)
+        if self._history is None or self._history[0] != key:
+            self._history = key, ModelHistory(self.cat, mission, comparison)
+        return self._history[1]
 
     # Model against measurement.
 
@@ -136,7 +156,7 @@ class ExplorerSession:
         found = last_diagnosis(self.workspace, comparison)
         if found is None:
             return None
-        history = ModelHistory(self.cat, self.mission(), comparison)
+        history = self.history(comparison)
         if history.same(found["model"].get("version"), history.used.version):
             return found
         return found | {"stale": history.used.label}
@@ -178,13 +198,13 @@ class ExplorerSession:
 
     def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
-        known = ModelHistory(self.cat, self.mission(), comparison)
+        known = self.history(comparison)
         entries = parse_tree(known.used.text)["effects"]
         return known.items(), [str(entry.get("name", entry["effect"])) for entry in entries]
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
-        history = ModelHistory(self.cat, self.mission(), comparison)
+        history = self.history(comparison)
         days = self.cat.days(product_of(comparison), states=("published",))
         contexts = {name: self.cat.context(name) for name in {day.context for day in days} if name}
         stale = {
@@ -236,6 +256,10 @@ class ExplorerSession:
             found: dict[str, Any] = bench.preview(effect).as_json()
         return found
 
+    def before_after(self) -> BeforeAfter | None:
+        """Return the residual before and after what was tried or changed last; asked for within its job."""
+        return None if self._bench is None else self._bench[1].before_after()
+
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.
 
@@ -281,9 +305,9 @@ class ExplorerSession:
 
     def _workbench_key(self, comparison: str) -> tuple[Any, ...]:
         """Return what a workbench was made from: mission, model in use, request of the last diagnosis."""
-        mission = self.mission()
-        used = find_model(self.cat, mission, comparison)
-        return comparison, mission.text, used.version, used.text, str(self._last_request(comparison))
+        used = self.history(comparison).used
+        request = str(self._last_request(comparison))
+        return comparison, self.mission().text, used.version, used.text, request
 
 
 def _settings(request: Mapping[str, Any], comparison: str) -> DiagnoseSettings:

@@ -30,6 +30,7 @@ from .figure_data import (
     sizes_of,
     superposed_epoch,
     trials,
+    with_blocks,
 )
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
@@ -42,7 +43,7 @@ from .requests import (
     parse_entry,
     require_known,
 )
-from .residual import DiagnosisData, Native
+from .residual import DiagnosisData, Native, holds_every_sample, remaining_floor, residual_with
 from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
@@ -131,6 +132,7 @@ __all__ = [
     "heat_maps",
     "held_already",
     "held_numbers",
+    "holds_every_sample",
     "lag_profile",
     "line_of",
     "make_folds",
@@ -144,9 +146,11 @@ __all__ = [
     "prior_precision",
     "project_out",
     "quantity",
+    "remaining_floor",
     "require_known",
     "residual_lines",
     "residual_map",
+    "residual_with",
     "responses",
     "rival_curves",
     "row_variance",
@@ -161,4 +165,5 @@ __all__ = [
     "trials",
     "values_of",
     "what_it_is",
+    "with_blocks",
 ]

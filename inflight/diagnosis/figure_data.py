@@ -157,8 +157,12 @@ class BeforeAfter:
 def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
     data = with_correctable_rows(search, data)
-    series = data.series
     before, after = (remaining_residual(search, data, one) for one in (False, True))
+    return with_blocks(data.series, before, after)
+
+
+def with_blocks(series: Series, before: Floats, after: Floats) -> BeforeAfter:
+    """Return a series with its residual (sample, row) before and after, nT, and blocks for its errors."""
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEW_SETTINGS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))

@@ -58,6 +58,12 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert (rows[0].name, rows[0].words) == (EFFECT, "a field that follows heater_current")
     tried = session.preview("main", EFFECT, nobody)
     assert tried["coefficients"]
+    # What is drawn of it is what is told, and the heater, taken off, is no noise any more.
+    seen = session.before_after()
+    sizes = [float(np.sqrt(np.mean(one[seen.good] ** 2))) for one in (seen.before, seen.after)]
+    assert sizes == pytest.approx(tried["error"]["in_sample_nT"], rel=1e-3)
+    assert tried["error"]["noise_floor_nT"] == pytest.approx(0.05 * np.sqrt(2), rel=0.01)
+    assert found["residual"]["noise_floor_nT"] == pytest.approx(0.05 * np.sqrt(2), rel=0.01)
     assert len(session.versions("main")[0]) == 1
 
     added = session.change("main", "add", EFFECT, nobody)
