@@ -14,6 +14,8 @@ class ViewState(param.Parameterized):
     last = param.String(default="", doc="Last day, YYYY-MM-DD.")
     tab = param.String(default="", doc="Heading of the tab in words of the address.")
     channel = param.String(default="", doc="What the residual is drawn against.")
+    picture = param.String(default="", doc="Which picture stands below that.")
+    select = param.String(default="", doc="Ranges of channels and phases that are looked at alone.")
     candidate = param.String(default="", doc="The chosen candidate.")
 
     def follow_address(self) -> None:
@@ -28,4 +30,4 @@ class ViewState(param.Parameterized):
         pn.state.location.update_query(**chosen)
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate")
+_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "picture", "select", "candidate")

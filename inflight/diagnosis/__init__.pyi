@@ -24,6 +24,7 @@ from .figure_data import (
     error_waterfall,
     heat_maps,
     number_curves,
+    place_map,
     residual_map,
     responses,
     rival_curves,
@@ -44,7 +45,7 @@ from .requests import (
     require_known,
 )
 from .residual import DiagnosisData, Native, holds_every_sample, remaining_floor, residual_with
-from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
+from .result import HEADING, LEFT, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -77,6 +78,7 @@ from .words import WHY_MOVED, fall_text, quantity, what_it_is
 __all__ = [
     "DRIFTS",
     "HEADING",
+    "LEFT",
     "MEANING",
     "SCALE_DRIFT",
     "VISIBILITY_SETTINGS",
@@ -142,6 +144,7 @@ __all__ = [
     "pack_blocks",
     "parse_entry",
     "periods_of",
+    "place_map",
     "plain_json",
     "prior_precision",
     "project_out",

@@ -18,6 +18,7 @@ from .causes import (
 from .dependence import (
     along_field_figures,
     axis_figure,
+    channel_figures,
     dependence_figure,
     entry_figure,
     epoch_figure,
@@ -38,6 +39,7 @@ from .diagnosis import (
     most_significant,
     order_figure,
     separating_blocks_html,
+    signature_facts,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
@@ -91,7 +93,14 @@ from .quicklook import (
     day_picture,
     ranges,
 )
-from .residual import daily_figure, fall_figure, heat_map_figures, histogram_figure, series_figure
+from .residual import (
+    daily_figure,
+    fall_figure,
+    heat_map_figures,
+    histogram_figure,
+    place_map_figures,
+    series_figure,
+)
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
 from .spin import (
     SubintervalEstimates,
@@ -149,6 +158,7 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "channel_figures",
     "clock_figure",
     "coefficient_figures",
     "comparison_figure",
@@ -197,6 +207,7 @@ __all__ = [
     "parameter_days_figure",
     "parameter_figures",
     "parameter_spectrum_figure",
+    "place_map_figures",
     "plain_figure",
     "prior_figure",
     "ranges",
@@ -214,6 +225,7 @@ __all__ = [
     "shift_table",
     "short_name",
     "short_parameter",
+    "signature_facts",
     "spectrum_figure",
     "spread_law_figure",
     "stack_figures",

@@ -6,11 +6,12 @@ and after share one scale of colours.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Range1d
+from bokeh.models import ColorBar, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
@@ -126,18 +127,19 @@ _SPANNED = 0.98
 _WIDTH, _HEIGHT = 560, 330
 
 
-def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
-    """Draw a map before and after the found effects (`changed`), or one; grey cells were not measured."""
-    values = np.abs(found.before[np.isfinite(found.before)])
-    limit = float(np.quantile(values, _SPANNED)) if values.size else 0.0
-    limit = max(limit, 1e-6)
+def heat_map_figures(found: HeatMap, changed: bool = True, stacked: bool = False) -> list[figure]:
+    """Draw a map before and after a change (`changed`), or one; grey cells were not measured.
+
+    Beside each other the last has the scale of colours; of those that are `stacked` each has it.
+    """
+    limit = _colour_limit(found.before)
     label = f"{found.coordinate.replace('_', ' ')} ({found.unit})"
     # Bokeh's axes of time count milliseconds of UTC since 1970.
     start, end = to_utc(np.array(found.span)).astype("datetime64[ms]").astype(np.float64).tolist()
     plots = []
     pair = [("before", found.before), ("after", found.after)]
     for title, map_ in pair if changed else [("now", found.before)]:
-        last = title != "before"
+        last = stacked or title != "before"
         # One scale, but a mapper a figure: each becomes a document of its own.
         mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
         plot = plain_figure(
@@ -161,7 +163,46 @@ def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
         plot.grid.visible = False
         plot.hover.tooltips = [(found.coordinate.replace("_", " "), "$x{0.0}"), ("nT", "@image{0.0000}")]
         if last:
-            bar = ColorBar(color_mapper=mapper, width=14, padding=4)
+            bar = ColorBar(color_mapper=mapper, width=14, padding=4, title="nT")
             plot.add_layout(bar, "right")
         plots.append(plot)
     return plots
+
+
+def place_map_figures(states: Mapping[str, Floats]) -> list[figure]:
+    """Draw the mean residual by local time and latitude, a figure a state, all on one scale of colours.
+
+    Parameters
+    ----------
+    states : mapping of str to ndarray, shape (latitude, local time)
+        As `inflight.diagnosis.place_map` returns them, by what they are called; nT.
+    """
+    first = next(iter(states.values()))
+    limit = _colour_limit(first)
+    plots = []
+    for name, values in states.items():
+        mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
+        plot = plain_figure(
+            f"Mean residual (nT){name and f', {name},'} by local time and latitude",
+            "local time (h)",
+            "latitude (deg)",
+            x_range=(0.0, 24.0),
+            y_range=(-90.0, 90.0),
+            width=_WIDTH,
+            height=_HEIGHT,
+        )
+        plot.image(image=[values.astype(np.float32)], x=0.0, y=-90.0, dw=24.0, dh=180.0, color_mapper=mapper)
+        plot.xaxis.ticker = FixedTicker(ticks=list(range(0, 25, 3)))
+        plot.yaxis.ticker = FixedTicker(ticks=list(range(-90, 91, 30)))
+        plot.grid.visible = False
+        places = [("local time", "$x{0.0} h"), ("latitude", "$y{0} deg")]
+        plot.hover.tooltips = [*places, ("nT", "@image{0.0000}")]
+        plot.add_layout(ColorBar(color_mapper=mapper, width=14, padding=4, title="nT"), "right")
+        plots.append(plot)
+    return plots
+
+
+def _colour_limit(values: Floats) -> float:
+    """Return the value at the ends of a scale of colours, nT."""
+    known = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(known, _SPANNED)) if known.size else 0.0, 1e-6)
