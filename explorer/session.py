@@ -260,7 +260,9 @@ class ExplorerSession:
         """Return the residual before and after what was tried or changed last; asked for within its job."""
         return None if self._bench is None else self._bench[1].before_after()
 
-    def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
+    def change(
+        self, comparison: str, verb: str, effect: str, progress: Progress, *, empirical: bool = False
+    ) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.
 
         Parameters
@@ -269,6 +271,8 @@ class ExplorerSession:
             ``add``, ``drop`` or ``undo``.
         effect : str
             As the verbs take it; ``undo`` takes none.
+        empirical : bool
+            What is added is there for what it looks like: its cause is not known.
 
         Returns
         -------
@@ -283,7 +287,10 @@ class ExplorerSession:
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
             try:
-                revision = bench.undo() if verb == "undo" else getattr(bench, verb)(effect)
+                if verb == "add":
+                    revision = bench.add(effect, empirical=empirical)
+                else:
+                    revision = bench.undo() if verb == "undo" else bench.drop(effect)
             except Exception:
                 # The workbench may hold half a change.
                 self._bench = None

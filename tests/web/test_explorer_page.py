@@ -1,15 +1,30 @@
 """The explorer in a real browser: found by clicks, added, seen to fall, taken back; nothing asked outside."""
 
+import re
 import signal
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
-from heated_mission import make_heated_workspace
+from heated_mission import heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog
 from inflight.tasks.pipelines import reprocess
 
+#: What the last figure with a title like one has drawn: ys of its marks by what they are called.
+_CURVES = """(() => {
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const plot = models.filter((one) => one.type === 'Figure' && one.title.text.startsWith('TITLE')).at(-1);
+  const marks = plot.renderers.filter((one) => one.name);
+  const values = (one, name) => [...(one.data_source.data.get?.(name) ?? one.data_source.data[name] ?? [])];
+  return Object.fromEntries(marks.map((one) => [one.name, [values(one, 'x'), values(one, 'y')]])) })()"""
+#: Left, top, width and height of a figure of the left column, counted from above, pixels of the page.
+_PLACE = """(() => { const shown = pick('canvas').filter((one) => one.clientWidth > 200)
+    .map((one) => one.getBoundingClientRect()).filter((one) => one.left < 200)
+    .sort((one, other) => one.top - other.top);
+  const found = shown.filter((one, at) => !at || one.top > shown[at - 1].top + 20)[NUMBER];
+  return found ? [found.left, found.top, found.width, found.height] : null })()"""
 #: What the figure of the falling error has drawn: bars by change, and the noise floor.
 _ERROR = """(() => {
   const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
@@ -22,10 +37,17 @@ _ERROR = """(() => {
   return {bars: found, floor: floor ? floor.location : null} })()"""
 
 
+def heater_and_tone(day, reading):
+    """The field of a heater, and 0.4 nT on z that repeat every 41 min and follow no channel."""
+    start = (np.datetime64(day) - np.datetime64("2024-03-01")) / np.timedelta64(1, "s")
+    phase = 2 * np.pi * (start + 60.0 * np.arange(1440)) / 2460.0
+    return heater_field(day, reading) + 0.4 * np.sin(phase)[:, None] * np.array([0.0, 0.0, 1.0])
+
+
 @pytest.fixture(scope="module")
 def heated(tmp_path_factory):
-    """Four calibrated days with the field of a heater that no model knows."""
-    made = make_heated_workspace(tmp_path_factory.mktemp("heated") / "heated")
+    """Four calibrated days with the field of a heater that no model knows, and one that no library has."""
+    made = make_heated_workspace(tmp_path_factory.mktemp("heated") / "heated", heater_and_tone)
     reprocess(Catalog(made.root), made.mission())
     return made.root
 
@@ -47,23 +69,37 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     browser.wait_for_text("Residual of products of model version 1", 120)
     browser.press("button", "Diagnose this span")
     browser.wait_for_text("Try what is missing: a field that follows heater_current", 180)
+    # What the library lacks is told beside it, and can be added for what it looks like.
+    card = browser.text().partition("The library has no name for what is left:")[2]
+    assert re.search(r"period 41 min axis z shape sine .* on z 0\.[34]\d* ± ", card)
     browser.press("button", "Try")
     browser.wait_for_text("Tried; nothing is saved.", 120)
     tried = browser.evaluate(_ERROR)
     assert len(Catalog(heated).models()) == 1
+    # On the left the field along x that follows the heater is there before, and gone after.
+    browser.wait_for_text("Residual before and after: try channel_field(heater_current).")
+    curves = browser.evaluate(_CURVES.replace("TITLE", "heater_current: field along x"))
+    assert np.ptp(curves["all"][1]) == pytest.approx(1.0, abs=0.05)
+    assert np.ptp(curves["after"][1]) < 0.02
     browser.press("button", "Add")
     browser.wait_for_text("from version 1: add channel_field(heater_current)", 120)
     added = browser.evaluate(_ERROR)
-    # The drawn error is where it was tried, and at the noise floor, from which the heater was taken off, too.
     assert added["bars"]["2: heater_current"] == pytest.approx(tried["bars"]["try: heater_current"])
-    assert 0.97 * added["floor"] < added["bars"]["2: heater_current"] < 1.05 * added["floor"]
+    assert added["bars"]["2: heater_current"] > 2 * added["floor"]
+    browser.press("button", "Add as an empirical term")
+    browser.wait_for_text("from version 2: add tone", 120)
+    assert "Add as an empirical term" not in browser.text()
+    added = browser.evaluate(_ERROR)
+    # The drawn error is at the noise floor, from which what was added was taken off, too.
+    (last,) = (size for name, size in added["bars"].items() if name.startswith("3: tone"))
+    assert 0.97 * added["floor"] < last < 1.05 * added["floor"]
     browser.wait_for_text("4 of 4 days of products are of another model")
     browser.press("button", "Reprocess")
     browser.wait_for_text("4 days made anew", 120)
     assert "of another model" not in browser.text()
     browser.press("button", "Undo")
-    browser.wait_for_text("undo version 2: back to version 1", 120)
-    assert browser.evaluate(_ERROR)["bars"]["3: undo"] > 2 * added["floor"]
+    browser.wait_for_text("undo version 3: back to version 2", 120)
+    assert browser.evaluate(_ERROR)["bars"]["4: undo"] > 2 * added["floor"]
     browser.press(".bk-tab", "Tables")
     browser.wait_for_text("Circles are each day's own values", 120)
     browser.wait_for("pick('canvas').length > 2")
@@ -74,15 +110,27 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
 
 def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browser, address):
     browser.open(f"{address}?tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
-    browser.wait_for_text("Drag over days of the map", 120)
+    browser.wait_for_text("Drag over the map", 120)
     browser.wait_for("pick('select').some((one) => one.value === 'boom_temperature')")
     assert browser.evaluate("pick('input').some((one) => one.value === 'scale_drift')")
     browser.wait_for("location.search.includes('last=2024-03-04')")
-    left, top, width, height = browser.evaluate(
-        "(() => { const one = pick('canvas').find((one) => one.clientWidth > 200).getBoundingClientRect();"
-        " return [one.left, one.top, one.width, one.height] })()"
-    )
+    # What is dragged over in a curve restricts all pictures, until it is cleared.
+    left, top, width, height = browser.wait_for(_PLACE.replace("NUMBER", "1"))
+    ends = [(left + part * width, top + 0.4 * height) for part in (0.5, 0.8)]
+    browser.drag(*ends)
+    browser.wait_for_text("Selected: boom_temperature")
+    told = re.search(r"\((\d+) of (\d+) rows", browser.text())
+    assert 0 < int(told[1]) < 0.7 * int(told[2])
+    browser.wait_for("location.search.includes('select=boom_temperature')")
+    low, high = re.search(r"boom_temperature (\S+) to (\S+) degC", browser.text()).groups()
+    drawn = _CURVES.replace("TITLE", "boom_temperature: rms")
+    places = f"Object.values({drawn}).flatMap((one) => one[0])"
+    browser.wait_for(f"{places}.every((one) => {low} <= one && one <= {high})")
+    browser.press("button", "Clear selection")
+    browser.wait_for("!location.search.includes('select=boom')")
+    browser.wait_for("!window.allText().includes('Selected:')")
     # The second and third of four days, from below.
+    left, top, width, height = browser.wait_for(_PLACE.replace("NUMBER", "0"))
     x, places = left + 0.4 * width, (top + 0.35 * height, top + 0.55 * height)
     browser.drag((x, places[0]), (x, places[1]))
     browser.wait_for("location.search.includes('first=2024-03-02')")
