@@ -20,8 +20,10 @@ from inflight.explorer.loop_state import (
     signature_card,
 )
 from inflight.explorer.overview import ComparisonOverview
+from inflight.explorer.residual_rows import ResidualRows
 from inflight.explorer.residual_view import ResidualView, bokeh_pane, fit_figure
-from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.session import Contributions, Days, ExplorerSession
+from inflight.explorer.time_view import TimeView
 from inflight.explorer.view_state import ViewState
 from inflight.figures import (
     change_tables,
@@ -34,6 +36,7 @@ Fields = Mapping[str, Any]
 pn.extension("tabulator")
 
 _THIRD = {"flex": "1 1 0", "min-width": "0"}
+_TWO_THIRDS = {"flex": "2 1 0", "min-width": "0"}
 _HEADING = {"margin": "0 10px"}
 #: Heights of the figure and of the table, pixels.
 _ERROR, _TABLE = 340, 520
@@ -75,17 +78,27 @@ class LoopView:
         self._rows: list[CandidateRow] = []
         self._loop: LoopState | None = None
         self._sentence = pn.pane.HTML("", sizing_mode="stretch_width", margin=(4, 10))
-        self._residual = ResidualView(session, state, select, lambda day: None, lambda chosen: None)
+        self._time = TimeView(session, state)
+        self._residual = ResidualView(session, state, select, self._time.go_to, self._show_in_time)
         self._left = (_heading("Where it fails"), *self._residual.parts)
         self._make_middle()
         self._make_right()
-        columns = [
+        left, middle, right = (
             pn.Column(*parts, styles=_THIRD, sizing_mode="stretch_width")
             for parts in (self._left, self._middle, self._right)
-        ]
-        self.panel = pn.Column(
-            self._sentence, pn.Row(*columns, sizing_mode="stretch_width"), sizing_mode="stretch_width"
         )
+        # What goes on in time has the width of two columns.
+        both = pn.Row(middle, right, sizing_mode="stretch_width")
+        wide = pn.Column(both, self._time.panel, styles=_TWO_THIRDS, sizing_mode="stretch_width")
+        self.panel = pn.Column(
+            self._sentence, pn.Row(left, wide, sizing_mode="stretch_width"), sizing_mode="stretch_width"
+        )
+
+    def _show_in_time(self, rows: ResidualRows | None, are_products: bool) -> None:
+        if rows is None or self._overview is None:
+            self._time.clear()
+        else:
+            self._time.show(self._overview.comparison, rows, are_products)
 
     def _make_middle(self) -> None:
         self._diagnosis_pane = JobPane(self._session.background)
@@ -137,6 +150,8 @@ class LoopView:
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show a comparison and a span."""
+        if self._overview is None or self._overview.comparison != overview.comparison:
+            self._time.show_contributions(None)
         self._overview, self._days = overview, days
         self._other.value = self._state.candidate
         self._residual.show(overview, days)
@@ -147,9 +162,16 @@ class LoopView:
         if diagnosis is not None:
             self._model_pane.begin(
                 "Reads the equations of the last diagnosis",
-                lambda progress: self._session.open_equations(overview.comparison, progress),
-                lambda nothing: panes.text(),
+                lambda progress: (
+                    self._session.open_equations(overview.comparison, progress),
+                    self._session.contributions(),
+                )[1],
+                self._opened,
             )
+
+    def _opened(self, made: Contributions | None) -> pn.viewable.Viewable:
+        self._time.show_contributions(made)
+        return panes.text()
 
     # Which effect.
 
@@ -244,6 +266,7 @@ class LoopView:
                 lambda progress: (
                     self._session.change(comparison, verb, effect, progress, empirical=empirical),
                     self._session.before_after(),
+                    self._session.contributions(),
                 ),
                 lambda found: self._changed(effect, *found),
             )
@@ -259,9 +282,12 @@ class LoopView:
         """Show on the left what a change does to the residual, against the channel of its effect."""
         self._residual.show_change(seen, effect, str(change["effect"]), change["error"]["noise_floor_nT"])
 
-    def _changed(self, effect: str, change: Fields, seen: BeforeAfter | None) -> pn.viewable.Viewable:
+    def _changed(
+        self, effect: str, change: Fields, seen: BeforeAfter | None, made: Contributions | None
+    ) -> pn.viewable.Viewable:
         self._notify()
         self._show_change(effect, change, seen)
+        self._time.show_contributions(made)
         # The diagnosis shown is of the model before.
         self._show_diagnosis()
         self._show_model()

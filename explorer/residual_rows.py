@@ -86,6 +86,8 @@ class ResidualRows:
         Between which uncertainties are taken.
     step_s : float
         Seconds between rows.
+    low, high : ndarray, shape (row,)
+        Extremes of the samples that a row is the mean of, nT; of a change those of its rows themselves.
     """
 
     tt2000: Int64
@@ -96,6 +98,8 @@ class ResidualRows:
     units: Mapping[str, str]
     block: Int64
     step_s: float
+    low: Floats | None = None
+    high: Floats | None = None
 
     @classmethod
     def of_products(cls, rows: Mapping[str, Floats], units: Mapping[str, str], days: int) -> ResidualRows:
@@ -121,6 +125,8 @@ class ResidualRows:
             units=units,
             block=blocks_of(rows["tt2000"], days)[0],
             step_s=step,
+            low=rows["low"],
+            high=rows["high"],
         )
 
     @classmethod
@@ -176,6 +182,22 @@ class ResidualRows:
         known = self.known
         squares = [float(np.mean(one[known] ** 2)) if known.any() else np.nan for one in self._states]
         return [float(np.sqrt(one)) for one in squares]
+
+    def traces(self) -> dict[str, tuple[Int64, Floats, Floats, Floats]]:
+        """Return times, mean, least and largest residual of each state, nT; (row,) each."""
+        names = ("residual",) if self.after is None else ("before", "after")
+        out = {}
+        for name, state in zip(names, self._states, strict=True):
+            mean = state[:, self._row()]
+            low, high = (mean if one is None else one for one in (self.low, self.high))
+            known = np.isfinite(mean)
+            out[name] = (self.tt2000, mean, *(np.where(known, one, np.nan) for one in (low, high)))
+        return out
+
+    def holds(self, tt2000: Int64) -> Rows:
+        """Return which samples (sample,) lie in a row that is selected, the nearest one."""
+        middle = self.tt2000[:-1] + np.diff(self.tt2000) // 2
+        return self.known[np.searchsorted(middle, tt2000)]
 
     def _row(self) -> int:
         """Return the component that is largest."""

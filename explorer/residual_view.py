@@ -13,7 +13,7 @@ from bokeh.plotting import figure
 
 from inflight.diagnosis import BeforeAfter, HeatMap
 from inflight.explorer import panes
-from inflight.explorer.job_pane import JobPane
+from inflight.explorer.job_pane import JobPane, lazy_tabs
 from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.residual_rows import ResidualRows, Selection
 from inflight.explorer.session import Days, ExplorerSession
@@ -32,7 +32,7 @@ from inflight.residual import Dependence, drawn_periods
 from inflight.tasks.pipelines import CompareResult
 
 #: Heights of figures, pixels: of a map alone, of one of two, of a curve and of the curve along an axis.
-_MAP, _HALF_MAP, _CURVE, _AXIS = 330, 215, 270, 160
+_MAP, _HALF_MAP, _CURVE, _AXIS, _LEGEND = 330, 215, 270, 160, 56
 #: Structures below this part of the noise do not matter, as `inflight compare` has it.
 _MATTERS = 0.1
 #: Part of a picture's range that a brush must reach over to mean that direction; assumed.
@@ -53,8 +53,8 @@ class ResidualView:
         Called with the days that were brushed; None for the default span.
     go_to : callable
         Called with the day that was clicked.
-    restricted : callable
-        Called with the selection when it has changed.
+    shown : callable
+        Called with the rows that are shown, and whether they are those of products; None of no rows.
     """
 
     def __init__(
@@ -63,10 +63,10 @@ class ResidualView:
         state: ViewState,
         select: Callable[[Days | None], None],
         go_to: Callable[[np.datetime64], None],
-        restricted: Callable[[Selection], None],
+        shown: Callable[[ResidualRows | None, bool], None],
     ) -> None:
         self._session, self._state = session, state
-        self._select, self._go_to, self._restricted = select, go_to, restricted
+        self._select, self._go_to, self._shown = select, go_to, shown
         self._days: Days | None = None
         self._span: tuple[np.datetime64, np.datetime64] | None = None
         self._measured: CompareResult[Any] | None = None
@@ -85,6 +85,10 @@ class ResidualView:
         )
         if state.picture in _PICTURES:
             self._picture.value = state.picture
+        self._typed = pn.widgets.TextInput(
+            name="Only where", placeholder="channel=low~high", sizing_mode="stretch_width"
+        )
+        self._typed.param.watch(lambda event: self._selection_typed(event.new), "value")
         self._clear = pn.widgets.Button(name="Clear selection", align="center", visible=False)
         self._back = pn.widgets.Button(name="Show products", align="center", visible=False)
         self._clear.on_click(lambda event: self._clear_selection())
@@ -95,7 +99,7 @@ class ResidualView:
             self._pane.panel,
             pn.Row(self._note, self._back, self._clear, sizing_mode="stretch_width"),
             self._maps,
-            self._channel,
+            pn.Row(self._channel, self._typed, sizing_mode="stretch_width"),
             self._curve,
             self._picture,
             self._lower,
@@ -110,9 +114,10 @@ class ResidualView:
         """Measure the residual of a span's products and show it."""
         self._days, self._span = days, overview.span()
         self._measured = self._products = self._rows = None
+        self._shown(None, False)
         for part in (self._maps, self._curve, self._lower, self._note):
             part.objects = []
-        for one in (self._channel, self._picture, self._clear, self._back):
+        for one in (self._channel, self._typed, self._picture, self._clear, self._back):
             one.visible = False
         if overview.note:
             self._pane.put(panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables."))
@@ -152,7 +157,8 @@ class ResidualView:
 
     def _take(self, measured: CompareResult[Any]) -> pn.viewable.Viewable:
         if measured.data is None:
-            return panes.section(*measured.parts[0][1]()) if measured.parts else panes.text()
+            # A turning sensor, or two of them: what there is instead of a residual at every sample.
+            return lazy_tabs(measured.parts, self._session.figure_background, _narrow_section)
         data, report = measured.data, measured.report
         units = {one.coordinate: one.unit for one in data.found}
         self._measured = measured
@@ -176,7 +182,7 @@ class ResidualView:
         # Set beforehand, it does not draw by itself.
         self._state.channel = chosen or ""
         self._channel.param.update(options=names, value=chosen, visible=bool(names))
-        self._picture.visible = True
+        self._picture.visible = self._typed.visible = True
         self._draw()
 
     def _ranked(self) -> list[str]:
@@ -195,6 +201,7 @@ class ResidualView:
         self._draw_maps(rows)
         self._draw_curve(rows)
         self._draw_picture(rows)
+        self._shown(rows, rows.after is None)
 
     def _selected(self) -> ResidualRows | None:
         """Return the rows that are looked at; products are those of the chosen days already."""
@@ -215,7 +222,7 @@ class ResidualView:
         part = f"{int(rows.known.sum())} of {int(self._rows.known.sum())} rows, {sizes} nT rms"
         chosen_text = f" Selected: {'; '.join(chosen)} ({part})." if chosen else f" {_HELP}"
         self._note.objects = [panes.text(paragraph(self._what + chosen_text, kind="quiet"))]
-        self._clear.visible = bool(chosen)
+        self._clear.visible, self._typed.value = bool(chosen), self._state.select
 
     def _draw_maps(self, rows: ResidualRows) -> None:
         if not rows.known.any():
@@ -261,7 +268,11 @@ class ResidualView:
             "between blocks, grey is what the same channel at other times makes by chance, and between the "
             "dotted lines lies a tenth of the noise floor."
         )
-        drawn = [self._channel_pane(plot, str(name), _AXIS) for plot in plots]
+        # The last one has the legend.
+        heights = [_AXIS] * (len(plots) - 1) + [_AXIS + _LEGEND]
+        drawn = [
+            self._channel_pane(*one) for one in zip(plots, [str(name)] * len(plots), heights, strict=True)
+        ]
         return [panes.text(paragraph(note, kind="quiet")), *drawn]
 
     def _spectrum(self, rows: ResidualRows) -> list[pn.viewable.Viewable]:
@@ -362,19 +373,33 @@ class ResidualView:
             if high - low > _BRUSHED * (ends[1] - ends[0]):
                 self._restrict(name, low, high)
 
+    def _selection_typed(self, text: str) -> None:
+        """Take what was typed: what a brush does, by the keyboard."""
+        text = Selection.of_text(text).text
+        if text != self._state.select:
+            self._state.select = text
+            self._draw()
+
     def _restrict(self, name: str, low: float, high: float) -> None:
         self._state.select = self.selection.with_range(name, low, high).text
         self._draw()
-        self._restricted(self.selection)
 
     def _clear_selection(self) -> None:
         default = self._days is None or self._span == (self._days.first, self._days.last)
         self._state.select = ""
-        self._restricted(self.selection)
         if default:
             self._draw()
         else:
             self._select(None)
+
+
+def _narrow_section(text: Sequence[str], figures: Sequence[figure]) -> pn.viewable.Viewable:
+    """Return the body of a section in a column that is narrower than its figures; tables are too wide."""
+    told = [one for one in text if "<table" not in one]
+    if len(told) < len(text):
+        told.append(paragraph("Its numbers stand in the tab Model against measurement.", kind="quiet"))
+    drawn = [bokeh_pane(fit_figure(plot, plot.height or _MAP)) for plot in figures]
+    return pn.Column(*drawn, panes.text(*told), sizing_mode="stretch_width")
 
 
 def _channel_in(effect: str, rows: ResidualRows | None) -> str:

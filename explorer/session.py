@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from inflight.catalog import Catalog, Workspace
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day, Workspace
 from inflight.diagnosis import BeforeAfter
 from inflight.explorer.background import Background
 from inflight.figures import LazySection, Section
+from inflight.flags import UNUSABLE, Flag
 from inflight.flows import lazy_client
 from inflight.mission import Mission
 from inflight.model import parse_tree
@@ -38,9 +41,14 @@ from inflight.tasks.pipelines import (
     reprocess,
     table_sections,
 )
+from inflight.time import Int64, day_of, parse_utc
+
+Texts = npt.NDArray[np.str_]
 
 #: Comparisons cached: the aggregates of 3000 days are some hundred megabytes.
 _CACHED = 3
+#: Days whose samples are kept, and effects whose contributions are drawn, at most.
+_DAYS_KEPT, _EFFECTS = 12, 6
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,32 @@ class Days:
     def bounds(self) -> tuple[str, str]:
         """Return the half-open span: first day, and the day after the last."""
         return str(self.first), str(self.last + np.timedelta64(1, "D"))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of products: TT2000, the residual (nT), and names of the flags of each, empty where good."""
+
+    tt2000: Int64
+    residual: Floats
+    flags: Texts
+
+
+@dataclass(frozen=True)
+class TimeEvent:
+    """Something that happened, from when until when (the same of an instant), ms of UTC, and what."""
+
+    ms: float
+    end_ms: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """What each effect of the model makes of the residual: nT by effect, (sample,), the largest first."""
+
+    tt2000: Int64
+    effects: Mapping[str, Floats]
 
 
 class ExplorerSession:
@@ -74,6 +108,7 @@ class ExplorerSession:
         self.figure_background = Background()
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+        self._read: dict[str, tuple[Any, ...]] = {}
         self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
     def close(self) -> None:
@@ -134,6 +169,63 @@ class ExplorerSession:
             for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
         return self._measured[key]
+
+    def samples(self, comparison: str, first: int, last: int, most: int) -> Samples | None:
+        """Return the samples of products between two times, TT2000; None where there are more than `most`.
+
+        Raises
+        ------
+        CatalogError, IntegrityError
+            When a product is damaged.
+        """
+        product = product_of(comparison)
+        ends = day_of(np.array([first, last]))
+        days = self.cat.days(product, slice(str(ends[0]), str(ends[1] + 1)), states=("published",))
+        if not days or sum(day.count for day in days) > most:
+            return None
+        parts = [self._samples_of_day(day) for day in days]
+        tt2000, residual, flag = (np.concatenate(one) for one in zip(*parts, strict=True))
+        part = slice(*np.searchsorted(tt2000, [first, last]))
+        tt2000, residual, flag = tt2000[part], residual[part], flag[part]
+        values, place = np.unique(flag, return_inverse=True)
+        names = np.array([_flag_names(int(one)) for one in values] or [""])
+        bad = (flag & np.uint32(UNUSABLE)) != 0
+        return Samples(tt2000, np.where(bad, np.nan, residual), names[place])
+
+    def _samples_of_day(self, day: Day) -> tuple[Int64, Floats, npt.NDArray[np.uint32]]:
+        """Return stamps, residual and flags of a product; those looked at last are kept."""
+        if day.id not in self._read:
+            data = self.cat.read(day, ("residual", "flag"), with_time=False)
+            parts = (data[name].values for name in ("tt2000", "residual", "flag"))
+            self._read[day.id] = tuple(parts)
+            for old in list(self._read)[:-_DAYS_KEPT]:
+                del self._read[old]
+        return self._read[day.id]
+
+    def events(self, comparison: str) -> list[TimeEvent]:
+        """Return what happened: the mission's events, the model's steps and episodes, models of products."""
+        mission, history = self.mission(), self.history(comparison)
+        found = [(str(one.at), str(one.at), one.name) for one in mission.events]
+        for entry in parse_tree(history.used.text)["effects"]:
+            begin, name = entry.get("at", entry.get("from")), entry.get("name", entry["effect"])
+            if begin is not None:
+                found.append((str(begin), str(entry.get("to", begin)), str(name)))
+        version = None
+        for day in self.cat.days(product_of(comparison), states=("published",)):
+            made = self.cat.context(day.context).model_version if day.context else None
+            if version not in (None, made):
+                found.append((str(day.day), str(day.day), f"products of model version {made}"))
+            version = made
+        return [TimeEvent(_milliseconds(one), _milliseconds(other), text) for one, other, text in found]
+
+    def contributions(self) -> Contributions | None:
+        """Return what each effect of the model in use makes; asked for within a job that has a workbench."""
+        if self._bench is None:
+            return None
+        tt2000, made = self._bench[1].contributions()
+        sizes = {name: float(np.nanstd(values)) for name, values in made.items()}
+        order = sorted((name for name in made if sizes[name] > 0), key=lambda name: -sizes[name])
+        return Contributions(tt2000, {name: made[name] for name in order[:_EFFECTS]})
 
     def tables(self, comparison: str, progress: Progress) -> list[Section]:
         """Return what the newest published tables of a comparison show; none when there are no tables.
@@ -315,6 +407,15 @@ class ExplorerSession:
         used = self.history(comparison).used
         request = str(self._last_request(comparison))
         return comparison, self.mission().text, used.version, used.text, request
+
+
+def _flag_names(flag: int) -> str:
+    """Return the names of a sample's flags in words; empty of a good one."""
+    return ", ".join(str(one.name).lower().replace("_", " ") for one in Flag if one and flag & one)
+
+
+def _milliseconds(utc: str) -> float:
+    return float(parse_utc(utc).astype("datetime64[us]").astype(np.int64) / 1e3)
 
 
 def _settings(request: Mapping[str, Any], comparison: str) -> DiagnoseSettings:

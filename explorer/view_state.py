@@ -16,6 +16,7 @@ class ViewState(param.Parameterized):
     channel = param.String(default="", doc="What the residual is drawn against.")
     picture = param.String(default="", doc="Which picture stands below that.")
     select = param.String(default="", doc="Ranges of channels and phases that are looked at alone.")
+    zoom = param.String(default="", doc="Visible span in time, UTC; the whole one when empty.")
     candidate = param.String(default="", doc="The chosen candidate.")
 
     def follow_address(self) -> None:
@@ -30,4 +31,4 @@ class ViewState(param.Parameterized):
         pn.state.location.update_query(**chosen)
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "picture", "select", "candidate")
+_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "picture", "select", "zoom", "candidate")

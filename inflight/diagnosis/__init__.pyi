@@ -1,6 +1,7 @@
 from .additions import (
     Addition,
     AdditionMaker,
+    Column,
     FitSetup,
     JointFit,
     addition_of,
@@ -87,6 +88,7 @@ __all__ = [
     "AdditionMaker",
     "BeforeAfter",
     "CalibrationBias",
+    "Column",
     "CrossTalk",
     "Diagnosis",
     "DiagnosisData",

@@ -94,12 +94,15 @@ from .quicklook import (
     ranges,
 )
 from .residual import (
+    contribution_figure,
     daily_figure,
     fall_figure,
     heat_map_figures,
     histogram_figure,
+    mark_events,
     place_map_figures,
     series_figure,
+    trace_figure,
 )
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
 from .spin import (
@@ -163,6 +166,7 @@ __all__ = [
     "coefficient_figures",
     "comparison_figure",
     "continuous_figure",
+    "contribution_figure",
     "correction_figure",
     "correlation_figure",
     "cross_talk_figure",
@@ -198,6 +202,7 @@ __all__ = [
     "legend_below",
     "local_time_figure",
     "log_ticks",
+    "mark_events",
     "mean_turn_figure",
     "most_significant",
     "offsets_figure",
@@ -239,6 +244,7 @@ __all__ = [
     "tones_over_time_figure",
     "torquer_lines_figure",
     "torquer_mean_figures",
+    "trace_figure",
     "uncertainty_figure",
     "unique_labels",
     "unit_steps_figure",

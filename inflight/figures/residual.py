@@ -6,12 +6,22 @@ and after share one scale of colours.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColorBar, ColumnDataSource, FixedTicker, LinearColorMapper, Range1d
+from bokeh.models import (
+    BoxAnnotation,
+    ColorBar,
+    ColumnDataSource,
+    FixedTicker,
+    Label,
+    LinearColorMapper,
+    Range1d,
+    Span,
+    WheelZoomTool,
+)
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
@@ -20,6 +30,7 @@ from inflight.figures.style import (
     AFTER,
     BEFORE,
     BETWEEN,
+    HIGHLIGHT,
     REFERENCE,
     legend_below,
     log_ticks,
@@ -35,6 +46,9 @@ Days = npt.NDArray[np.datetime64]
 
 #: What the two states are called unless a page says otherwise.
 STATES = ("pre-flight model", "calibrated")
+
+#: Told apart by readers who see no red or no green, too (Okabe and Ito, 2008).
+_DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#6b5d00")
 
 _HALF_DAY = np.timedelta64(12, "h")
 
@@ -101,6 +115,82 @@ def series_figure(time: Days, mean: Floats, low: Floats, high: Floats) -> figure
     return plot
 
 
+def trace_figure(sources: Mapping[str, ColumnDataSource], span: Range1d) -> figure:
+    """Draw a residual in time from sources that are filled later: means between their extremes; nT.
+
+    Parameters
+    ----------
+    sources : mapping of str to ColumnDataSource
+        ``residual``, or ``before`` and ``after``, with columns ``x`` (ms of UTC), ``mean``, ``low`` and
+        ``high``; ``flagged`` with ``x``, ``y`` and ``flag``.
+    span : Range1d
+        What is visible, ms of UTC; shared with other figures.
+    """
+    plot = plain_figure("Residual in time", "UTC", "residual (nT)", x_axis_type="datetime", x_range=span)
+    colours = {"residual": AFTER, "before": REFERENCE, "after": AFTER}
+    for name in (one for one in sources if one in colours):
+        band = {"x": "x", "y1": "low", "y2": "high", "source": sources[name]}
+        plot.varea(**band, color=colours[name], alpha=0.2)
+        plot.line("x", "mean", source=sources[name], color=colours[name], legend_label=name, name=name)
+    marks = {"marker": "x", "size": 7, "color": HIGHLIGHT, "legend_label": "flagged", "name": "flagged"}
+    dots = plot.scatter("x", "y", source=sources["flagged"], **marks)
+    plot.hover.renderers, plot.hover.tooltips = [dots], [("flags", "@flag"), ("nT", "@y{0.0000}")]
+    _as_strip(plot)
+    return plot
+
+
+def contribution_figure(source: ColumnDataSource, sizes: Mapping[str, float], span: Range1d) -> figure:
+    """Draw what each effect of a model makes of the residual in time; nT, one below the other.
+
+    Parameters
+    ----------
+    source : ColumnDataSource
+        With ``x`` (ms of UTC) and a column an effect; filled later.
+    sizes : mapping of str to float
+        Rms of each effect, nT, the largest first: what the legend tells.
+    """
+    plot = plain_figure(
+        "What each effect of the model makes of it", "UTC", "nT", x_axis_type="datetime", x_range=span
+    )
+    dashes = ("solid", "dashed", "dotdash", "solid", "dashed", "dotdash")
+    for place, (name, size) in enumerate(sizes.items()):
+        colour = _DISTINCT[place % len(_DISTINCT)]
+        plot.line(
+            "x",
+            name,
+            source=source,
+            color=colour,
+            line_dash=dashes[place % len(dashes)],
+            line_width=1.5,
+            legend_label=f"{name}: {size:.3g} nT rms",
+            name=name,
+        )
+    plot.hover.tooltips = [("", "$name"), ("nT", "$y{0.0000}")]
+    _as_strip(plot)
+    plot.legend.ncols = 3
+    return plot
+
+
+def mark_events(plot: figure, events: Sequence[tuple[float, float, str]]) -> None:
+    """Draw events from when until when (ms of UTC), with what happened."""
+    for place, (begin, end, text) in enumerate(events):
+        if end > begin:
+            band = BoxAnnotation(left=begin, right=end, fill_color=BETWEEN, fill_alpha=0.15)
+            plot.add_layout(band)
+        plot.add_layout(Span(location=begin, dimension="height", line_color=BETWEEN, line_dash="dashed"))
+        height = 4 + 13 * (place % 4)
+        label = Label(x=begin, y=height, y_units="screen", x_offset=3, text=text, text_font_size="11px")
+        plot.add_layout(label)
+
+
+def _as_strip(plot: figure) -> None:
+    """Make a figure one that is as wide as the page: zoomed in time alone, its legend beside it."""
+    plot.toolbar_location = "right"
+    zoom = next(tool for tool in plot.tools if isinstance(tool, WheelZoomTool))
+    zoom.dimensions, plot.toolbar.active_scroll = "width", zoom
+    legend_below(plot)
+
+
 def histogram_figure(
     edges: Floats, before: Floats, after: Floats, labels: tuple[str, str] = STATES
 ) -> figure:
@@ -145,7 +235,7 @@ def heat_map_figures(found: HeatMap, changed: bool = True, stacked: bool = False
         plot = plain_figure(
             f"Mean residual (nT) {title}, by time and {found.coordinate.replace('_', ' ')}",
             label,
-            "",
+            "UTC",
             y_axis_type="datetime",
             x_range=(0.0, found.reach),
             y_range=(start, end),

@@ -29,6 +29,7 @@ from inflight.diagnosis import (
     Addition,
     AdditionMaker,
     BeforeAfter,
+    Column,
     Diagnosis,
     FitSetup,
     JointFit,
@@ -89,7 +90,7 @@ from inflight.tasks.models import (
 )
 from inflight.tasks.pipelines import spacecraft_units_of, trend_of_products
 from inflight.tasks.report import Progress
-from inflight.time import SECOND, DayLike, parse_duration
+from inflight.time import SECOND, DayLike, Int64, parse_duration
 
 #: What `Workbench.set_numbers` calls the place of an effect's source.
 DIPOLE = ".dipole"
@@ -443,6 +444,50 @@ class Workbench:
             series = series.without(unknown) if unknown.any() else series
             self._seen = self._change, with_blocks(series, before.residual(), after.residual())
         return self._seen[1]
+
+    def contributions(self) -> tuple[Int64, dict[str, Floats]]:
+        """Return the times of the pass's samples, and what each effect of the model makes of the residual.
+
+        Returns
+        -------
+        times : ndarray of int64, shape (sample,)
+            TT2000.
+        effects : dict of str to ndarray, shape (sample,)
+            By name in the model, nT, of the first component: the columns of its numbers that a fit may move,
+            times their values; an effect that is not linear in them is drawn as if it were. Without the
+            sensors' own equations. NaN where nothing was measured.
+        """
+        setup, model, series = self._whole, self.current.model, self.made.loaded.series
+        values = {name: value for entry in model.effects for name, value in values_of(entry).items()}
+        terms = {tuple(term.columns): term for term in setup.refined} | {
+            tuple(term.columns): term for one in self.additions for term in one.needs
+        }
+        columns = [
+            (entry.name, Column(name, ((raw, 1.0),)))
+            for term in setup.refined
+            for entry in model.effects
+            if entry.name == term.entry.name and not isinstance(entry.effect, SENSOR_EQUATIONS)
+            for raw in term.columns
+            for name in [raw.removeprefix("model:")]
+        ]
+        columns += [(one.entries[0].name, column) for one in self.additions for column in one.columns]
+        factors: dict[str, dict[str, Floats]] = {}
+        for effect, column in columns:
+            for raw, weight in column.parts:
+                if column.name not in values or raw not in setup.raw.names:
+                    continue
+                size = weight * values[column.name] / setup.raw.scale[setup.raw.index([raw])[0]]
+                each = np.ones(len(setup.raw)) if column.factor is None else column.factor
+                own = factors.setdefault(effect, {})
+                own[raw] = own.get(raw, 0.0) - size * each
+        matrices = sensor_matrices(self.made.plan.model, int(series.tt2000[len(series.tt2000) // 2]))
+        zero, known = residual_with(series, matrices, [], {})[:, 0], series["weight"] > 0
+        made = {}
+        for effect, own in factors.items():
+            used = [term for term in terms.values() if own.keys() & set(term.columns)]
+            with_it = residual_with(series, matrices, used, own)[:, 0]
+            made[effect] = np.where(known, with_it - zero, np.nan)
+        return series.tt2000, made
 
     # Changes of the model.
 
