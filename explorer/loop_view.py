@@ -38,8 +38,8 @@ pn.extension("tabulator")
 _THIRD = {"flex": "1 1 0", "min-width": "0"}
 _TWO_THIRDS = {"flex": "2 1 0", "min-width": "0"}
 _HEADING = {"margin": "0 10px"}
-#: Heights of the figure and of the table, pixels.
-_ERROR, _TABLE = 340, 520
+#: Heights of the figure, of the table, and of an effect's numbers at most, pixels.
+_ERROR, _TABLE, _NUMBERS = 340, 520, 280
 _TABLE_STYLE = """
 .tabulator .tabulator-row .tabulator-cell, .tabulator .tabulator-header .tabulator-col {
   font-size: 13px; padding: 4px 6px; white-space: normal !important; height: auto !important }
@@ -117,6 +117,8 @@ class LoopView:
         self._error, self._versions, self._numbers = (
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
+        # A field of many coefficients must not push away what goes on in time.
+        self._numbers.param.update(scroll="y-auto", max_height=_NUMBERS)
         self._other = pn.widgets.TextInput(
             name="Effect",
             placeholder="a channel, an effect, an entry, or = a formula of channels",
