@@ -63,14 +63,19 @@ class EmbeddedServer:
         self.url = f"http://127.0.0.1:{port}/api"
         home.mkdir(parents=True, exist_ok=True)
         _prepare_database(home, environment)
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _SERVE, str(port)],
-            env=_server_environment(environment),
-            # Closed by the system when this process ends, however it does.
-            stdin=subprocess.PIPE,
-            # Ctrl-C is for the command: its flow tells the server that it was interrupted.
-            start_new_session=True,
-        )
+        self._log = home / "server.log"
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _SERVE, str(port)],
+                env=_server_environment(environment),
+                # Closed by the system when this process ends, however it does.
+                stdin=subprocess.PIPE,
+                # What it says while it is ended under way is no news of the command.
+                stdout=log,
+                stderr=log,
+                # Ctrl-C is for the command: its flow tells the server that it was interrupted.
+                start_new_session=True,
+            )
 
     def wait(self) -> None:
         """Return when the server answers.
@@ -90,7 +95,7 @@ class EmbeddedServer:
                     return
             time.sleep(_PAUSE_S)
         raise WorkerError(
-            "the embedded Prefect server does not answer",
+            f"the embedded Prefect server does not answer; its log is {self._log}",
             remedy="run again with '--no-prefect', or name a server with PREFECT_API_URL",
         )
 

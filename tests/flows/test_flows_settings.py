@@ -57,10 +57,16 @@ def test_a_second_workspace_in_one_process_has_a_server_of_its_own(embedded, mon
     assert get_current_settings().api.url == first
 
 
-def test_a_server_that_cannot_start_is_told_with_the_way_around_it(monkeypatch, tmp_path):
-    monkeypatch.setattr("inflight.flows.server.sys.executable", "/bin/false")
-    with pytest.raises(WorkerError, match="does not answer"):
+def test_a_server_that_cannot_start_is_told_with_its_log_and_the_way_around_it(monkeypatch, tmp_path, capfd):
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho no such port >&2\nexit 1\n")
+    python.chmod(0o755)
+    monkeypatch.setattr("inflight.flows.server.sys.executable", str(python))
+    with pytest.raises(WorkerError, match="does not answer; its log is .*server.log") as raised:
         EmbeddedServer(tmp_path, {"PREFECT_HOME": str(tmp_path)}).wait()
+    assert "--no-prefect" in raised.value.remedy
+    assert (tmp_path / "server.log").read_text() == "no such port\n"
+    assert not capfd.readouterr().err
 
 
 def test_a_server_ends_with_a_command_that_is_killed(tmp_path):
