@@ -118,7 +118,7 @@ class LoopView:
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
         # A field of many coefficients must not push away what goes on in time.
-        self._numbers.param.update(scroll="y-auto", max_height=_NUMBERS)
+        self._numbers.styles = {"max-height": f"{_NUMBERS}px", "overflow-y": "auto"}
         self._other = pn.widgets.TextInput(
             name="Effect",
             placeholder="a channel, an effect, an entry, or = a formula of channels",
@@ -164,10 +164,7 @@ class LoopView:
         if diagnosis is not None:
             self._model_pane.begin(
                 "Reads the equations of the last diagnosis",
-                lambda progress: (
-                    self._session.open_equations(overview.comparison, progress),
-                    self._session.contributions(),
-                )[1],
+                lambda progress: self._session.open_contributions(overview.comparison, progress),
                 self._opened,
             )
 

@@ -133,8 +133,10 @@ class ResidualRows:
     def of_change(cls, seen: BeforeAfter) -> ResidualRows:
         """Return the rows of a residual before and after a change of the model."""
         series, good = seen.series, seen.good[:, None]
-        names = [name for name in series.channels if series[name].ndim == 1]
-        units = dict(zip(series.features.names, series.features.units, strict=True))
+        features = series.features
+        widths = dict(zip(features.names, features.widths, strict=True))
+        units = dict(zip(features.names, features.units, strict=True))
+        names = [name for name in series.channels if widths[name] == 1]
         titles = {name: name.replace("_", " ") if name in GEOMETRY else name for name in names}
         return cls(
             tt2000=series.tt2000,
@@ -191,7 +193,8 @@ class ResidualRows:
             mean = state[:, self._row()]
             low, high = (mean if one is None else one for one in (self.low, self.high))
             known = np.isfinite(mean)
-            out[name] = (self.tt2000, mean, *(np.where(known, one, np.nan) for one in (low, high)))
+            ends = np.where(known, low, np.nan), np.where(known, high, np.nan)
+            out[name] = (self.tt2000, mean, *ends)
         return out
 
     def holds(self, tt2000: Int64) -> Rows:

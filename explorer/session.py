@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -210,13 +211,19 @@ class ExplorerSession:
             begin, name = entry.get("at", entry.get("from")), entry.get("name", entry["effect"])
             if begin is not None:
                 found.append((str(begin), str(entry.get("to", begin)), str(name)))
-        version = None
-        for day in self.cat.days(product_of(comparison), states=("published",)):
-            made = self.cat.context(day.context).model_version if day.context else None
-            if version not in (None, made):
-                found.append((str(day.day), str(day.day), f"products of model version {made}"))
-            version = made
+        days = self.cat.days(product_of(comparison), states=("published",))
+        contexts = {day.context for day in days if day.context}
+        made = {name: self.cat.context(name).model_version for name in contexts}
+        for before, day in pairwise(day for day in days if day.context):
+            if made[str(before.context)] != made[str(day.context)]:
+                text = f"products of model version {made[str(day.context)]}"
+                found.append((str(day.day), str(day.day), text))
         return [TimeEvent(_milliseconds(one), _milliseconds(other), text) for one, other, text in found]
+
+    def open_contributions(self, comparison: str, progress: Progress) -> Contributions | None:
+        """Open the workbench of the last diagnosis, and return what each effect of the model in use makes."""
+        self.open_equations(comparison, progress)
+        return self.contributions()
 
     def contributions(self) -> Contributions | None:
         """Return what each effect of the model in use makes; asked for within a job that has a workbench."""

@@ -117,6 +117,15 @@ def test_what_is_drawn_in_time_goes_down_to_samples_with_their_flags(session):
     assert np.isnan(mean[(time > samples.tt2000[315]) & (time < samples.tt2000[384])]).all()
 
 
+def test_a_step_of_the_model_is_drawn_as_an_event(session):
+    assert session.events("main") == []
+    session.change("main", "add", "offset_step@2024-03-03", nobody)
+    (event,) = session.events("main")
+    assert np.datetime64(int(event.ms), "ms") == np.datetime64("2024-03-03")
+    assert event.end_ms == event.ms
+    assert "offset_step" in event.text
+
+
 def test_a_change_from_the_command_line_is_noticed(session, workspace):
     added = session.change("main", "add", EFFECT, nobody)
     # As 'inflight undo' does it, in another process.

@@ -87,8 +87,9 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     browser.press("button", "Diagnose this span")
     browser.wait_for_text("Try what is missing: a field that follows heater_current", 180)
     # What the library lacks is told beside it, and can be added for what it looks like.
-    card = browser.text().partition("The library has no name for what is left:")[2]
-    assert re.search(r"period 41 min axis z shape sine .* on z 0\.[34]\d* ± ", card)
+    browser.wait_for_text("The library has no name for what is left:")
+    browser.wait_for_text("period 41 min axis z shape sine")
+    assert re.search(r"shape sine .* on z 0\.[34]\d* ± ", browser.text())
     browser.press("button", "Try")
     browser.wait_for_text("Tried; nothing is saved.", 120)
     tried = drawn_error(browser, "try: heater_current")
@@ -148,8 +149,12 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.press("button", "Clear selection")
     browser.wait_for("!location.search.includes('select=boom')")
     browser.wait_for("!window.allText().includes('Selected:')")
-    # The second and third of four days, from below.
+    # A day that is clicked is seen down to its samples.
     left, top, width, height = place_of(browser, 0)
+    browser.click((left + 0.4 * width, top + 0.35 * height))
+    browser.wait_for("location.search.includes('zoom=2024-03-03T00%3A00%3A00~2024-03-04')")
+    browser.wait_for_text("2024-03-02T23:31 to 2024-03-04T00:28 UTC: samples.")
+    # The second and third of four days, from below.
     x, places = left + 0.4 * width, (top + 0.35 * height, top + 0.55 * height)
     browser.drag((x, places[0]), (x, places[1]))
     browser.wait_for("location.search.includes('first=2024-03-02')")
