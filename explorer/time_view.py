@@ -162,10 +162,10 @@ class TimeView:
         self._sources["flagged"].data = flagged
         if self._made_source is not None and self._made is not None:
             self._made_source.data = self._contributions(first, last)
-        text = (
-            f" {to_utc(first).astype('datetime64[m]')} to {to_utc(last).astype('datetime64[m]')} UTC: {how}. "
-            "Wheel and drag zoom and move; click a day of the map to be there."
+        ends = " to ".join(
+            str(to_utc(one).astype("datetime64[m]")) for one in _tt2000(np.array([begin, end]))
         )
+        text = f" {ends} UTC: {how}. Wheel and drag zoom and move; click a day of the map to be there."
         self._heading.objects = [panes.text(paragraph(text, bold="In time."))]
 
     def _contributions(self, first: int, last: int) -> dict[str, Any]:
