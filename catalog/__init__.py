@@ -6,9 +6,9 @@ in one transaction, or none. Open `catalog` first: it names every operation; `re
 
 What is stored: `schema`, `database` and `backends` (SQLite, PostgreSQL), where `location` says and `moving`
 puts it; `segments`, `layout`, `encoding` and `manifest` write Zarr stores, `stores` and `opening` read them.
-What is asked: `days`, `validity` (tables), `provenance` (models, contexts, files, lineage), `contexts` (by
-name). What is done: `runs`, `upkeep` (inventory, verify, repair), `garbage`, `release`. `readers` opens
-delivered files; `workspace` is the folder of one mission.
+What is asked: `days`, `validity` (tables), `provenance` (models, contexts, files, lineage), `lineage` (as a
+graph in words), `contexts` (by name). What is done: `runs`, `upkeep` (inventory, verify, repair), `garbage`,
+`release`. `readers` opens delivered files; `workspace` is the folder of one mission.
 """
 
 import lazy_loader

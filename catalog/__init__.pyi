@@ -2,6 +2,7 @@ from .catalog import Catalog
 from .descriptions import DatasetDescription, VariableDescription, components
 from .differences import DayChange, VariableChange, measured_changes
 from .garbage import Garbage
+from .lineage import LineageGraph, LineageItem, LineageLink, LineageNode
 from .location import CATALOG_VARIABLE
 from .moving import Move, move_catalog
 from .provenance import Edge
@@ -40,6 +41,10 @@ __all__ = [
     "Edge",
     "FileRecord",
     "Garbage",
+    "LineageGraph",
+    "LineageItem",
+    "LineageLink",
+    "LineageNode",
     "MissionStatement",
     "ModelRecord",
     "Move",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from inflight.catalog.days import (
 from inflight.catalog.descriptions import DatasetDescription, describe_dataset
 from inflight.catalog.differences import NOW, DayChange, days_of_collection, measured_changes
 from inflight.catalog.garbage import Garbage, collect_garbage
+from inflight.catalog.lineage import LineageGraph, lineage_graph
 from inflight.catalog.location import is_workspace, open_database
 from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
 from inflight.catalog.provenance import Edge, walk
@@ -44,8 +45,10 @@ from inflight.catalog.runs import (
     RunRate,
     baseline_of,
     close_dead_runs,
+    days_of_run,
     measured_rate,
     raise_baseline,
+    run_counts,
     run_records,
     run_report,
 )
@@ -159,9 +162,21 @@ class Catalog:
         why = {"reason": self.reason} if self.reason else {}
         return Run(self.workspace, self._database, kind, {**(settings or {}), **why}, context)
 
-    def runs(self, kind: str | None = None) -> list[RunRecord]:
-        """Return all runs, or those of one kind, oldest first, with state, cause and message."""
-        return self._database.read(run_records, kind)
+    def runs(self, kind: str | None = None, last: int | None = None) -> list[RunRecord]:
+        """Return all runs, or the `last` ones, or those of one kind; oldest first, with state and cause."""
+        return self._database.read(run_records, kind, last)
+
+    def close_dead_runs(self) -> list[str]:
+        """End the runs whose process is gone, as opening the catalog does; return their ids."""
+        return close_dead_runs(self.workspace, self._database)
+
+    def days_of_run(self, run: str) -> list[Day]:
+        """Return the days of a run, whatever became of them, by dataset and day."""
+        return self._database.read(days_of_run, run)
+
+    def run_counts(self, runs: Sequence[str]) -> dict[str, dict[str, dict[str, int]]]:
+        """Return how many days some runs have so far: run -> dataset -> state -> count."""
+        return self._database.read(run_counts, runs)
 
     def rate(self, kind: str) -> RunRate | None:
         """Return how long the largest run of a kind took and how much it wrote; None when none made a day."""
@@ -536,6 +551,28 @@ class Catalog:
         ``model:<name>@<version>``.
         """
         return self._database.read(walk, [id.id if isinstance(id, Day) else id], up=up)
+
+    def lineage_graph(
+        self, named: str | Day, direction: Literal["up", "down", "both"] = "both"
+    ) -> LineageGraph:
+        """Return what something was made from (``up``), what was made from it (``down``), or both, in words.
+
+        Its methods ``text()`` and ``svg()`` show it.
+
+        Parameters
+        ----------
+        named : str or Day
+            ``l2/field@2005-01-10``, ``main-window:4``, the name of a delivered file, ``release:1.0``,
+            ``model:2``, ``context:NAME``, or a lineage id; a dataset or table alone is all its days, or its
+            newest table.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such thing.
+        """
+        name = named.id if isinstance(named, Day) else named
+        return self._database.read(lineage_graph, name, direction)
 
     # --- upkeep and releases -----------------------------------------------------------------------
 

@@ -7,12 +7,12 @@ has one context for each comparison of the mission.
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Iterable
 
 from sqlalchemy import delete, or_, select
 from sqlalchemy.orm import Session
 
+from inflight.catalog.database import time_in_order
 from inflight.catalog.records import NamedContext
 from inflight.catalog.schema import DayRow, NamedContextRow, ReleaseDayRow, ReleaseRow
 from inflight.errors import CatalogError, did_you_mean
@@ -54,7 +54,7 @@ def name_contexts(session: Session, name: str, contexts: Iterable[NamedContext])
             f"context {name!r} is there already, and what it stands for does not change",
             remedy="choose another name, or remove it first",
         )
-    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    created = time_in_order(session, NamedContextRow.created).isoformat(timespec="seconds")
     for one in contexts:
         session.add(
             NamedContextRow(

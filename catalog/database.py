@@ -6,12 +6,13 @@ ended the transaction: `Database.read` and `Database.write` call it.
 
 from __future__ import annotations
 
+import datetime as dt
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Concatenate, Final, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
-from sqlalchemy import URL, Connection, make_url, text
+from sqlalchemy import URL, Connection, func, make_url, select, text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
@@ -20,6 +21,8 @@ from inflight.errors import CatalogError
 
 #: Newest migration; a test holds it equal to the head of ``migrations/versions``.
 HEAD: Final = "0006"
+#: Smallest difference of times that are recorded.
+_TICK: Final = dt.timedelta(microseconds=1)
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
@@ -185,6 +188,20 @@ class Database:
         if not self.engine.dialect.has_table(connection, "alembic_version"):
             return None
         return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+
+
+def time_in_order(session: Session, column: Any) -> dt.datetime:
+    """Return the present time, or one right behind the newest of a column (ISO 8601, UTC) when that is later.
+
+    What is recorded keeps its order when the clock of a machine is set back.
+    """
+    now, newest = present_time(), session.scalar(select(func.max(column)))
+    return now if newest is None else max(now, dt.datetime.fromisoformat(newest) + _TICK)
+
+
+def present_time() -> dt.datetime:
+    """Return what the clock of this machine says, UTC."""
+    return dt.datetime.now(dt.UTC)
 
 
 def address_without_password(url: URL) -> str:

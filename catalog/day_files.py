@@ -74,6 +74,7 @@ _MADE_WITH: Final = (
     "calibration_method",
     "calibration_model",
     "calibration_table",
+    "calibration_range",
     "calibration_context",
     "calibration_coefficients",
     "typical_values",

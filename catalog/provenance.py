@@ -6,7 +6,6 @@ A *context* pins mission, model version and tables of a run. *Lineage* is a set 
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -14,6 +13,7 @@ from typing import Any, Final, NamedTuple
 from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import Session
 
+from inflight.catalog.database import time_in_order
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, Validity, sha256_text
 from inflight.catalog.schema import ContextRow, DatasetRow, DayRow, EdgeRow, FileRow, ModelRow, TableRow
 from inflight.catalog.validity import require_tables
@@ -44,7 +44,7 @@ def save_model(
     if same and not new_version:
         return same[-1]
     version = max(known, default=0) + 1
-    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    created = time_in_order(session, ModelRow.created).isoformat(timespec="seconds")
     session.add(
         ModelRow(
             name=name,

@@ -11,7 +11,6 @@ Equal published days give equal files: nothing in them tells when or where they 
 from __future__ import annotations
 
 import csv
-import datetime as dt
 import json
 import math
 import re
@@ -28,7 +27,7 @@ from typing import Any, Final
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from inflight.catalog.database import Database
+from inflight.catalog.database import Database, time_in_order
 from inflight.catalog.day_files import DayHeader, file_version, logical_file_id, write_cdf, write_netcdf
 from inflight.catalog.days import (
     dataset_names,
@@ -685,7 +684,7 @@ def _readme(collection: ReleaseContents, folder: Path) -> str:
 
 def _register(session: Session, collection: ReleaseContents, staged: Path, target: Path) -> Path:
     """Freeze the collection and rename its folder in one transaction, which ends with the rename."""
-    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    created = time_in_order(session, ReleaseRow.created).isoformat(timespec="seconds")
     request = collection.request
     _refuse_known_version(session, request.version)
     row = ReleaseRow(

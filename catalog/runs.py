@@ -17,6 +17,7 @@ import shutil
 import socket
 import subprocess
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -30,7 +31,7 @@ from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from inflight.catalog.backends import Backend
-from inflight.catalog.database import Database
+from inflight.catalog.database import Database, present_time, time_in_order
 from inflight.catalog.days import adoptable_day, adoptable_days, day_record
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import plain_attributes
@@ -93,13 +94,13 @@ class Run:
     def __init__(
         self, workspace: Path, database: Database, kind: str, settings: Mapping[str, Any], context: str | None
     ) -> None:
-        now = dt.datetime.now(dt.UTC)
+        now = database.read(time_in_order, RunRow.started)
         self.id = f"{now:%Y%m%dT%H%M%S}-{kind}-{uuid.uuid4().hex[:8]}"
         self.kind, self.context, self.workspace = kind, context, workspace
         self.settings: dict[str, Any] = plain_attributes(settings, f"run '{kind}'")
         self.report: Mapping[str, Any] | None = None
         self._database = database
-        self._started = now.isoformat(timespec="microseconds")
+        self._started, self._began = now, time.monotonic()
         self._intact_stores: set[str] = set()
         #: Datasets it has days of.
         self._datasets: set[str] = set()
@@ -124,7 +125,9 @@ class Run:
                 host=socket.gethostname(),
                 pid=os.getpid(),
                 process=_process_start(os.getpid()),
-                started=self._started,
+                started=max(self._started, time_in_order(session, RunRow.started)).isoformat(
+                    timespec="microseconds"
+                ),
                 lease=_lease(self._database.backend),
             )
         )
@@ -141,7 +144,9 @@ class Run:
             self._pulse.stop()
         report = None if error else self.report
         try:
-            self._database.write_to((), close_run, self.id, state, cause, message, report)
+            self._database.write_to(
+                (), close_run, self.id, state, cause, message, report, time.monotonic() - self._began
+            )
         except CatalogError as refused:
             if error is None:
                 raise
@@ -449,14 +454,19 @@ def close_run(
     cause: str,
     message: str,
     report: Mapping[str, Any] | None = None,
+    elapsed: float | None = None,
 ) -> None:
-    """End a run; with a failure, also the days it had begun."""
-    ended = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
-    session.execute(
-        update(RunRow)
-        .where(RunRow.id == run_id)
-        .values(state=state, cause=cause, message=message, ended=ended, report=report)
-    )
+    """End a run; with a failure, also the days it had begun.
+
+    It ends `elapsed` seconds after it started where its process knows, whatever was done to the clock since.
+    """
+    row = session.get_one(RunRow, run_id)
+    started = dt.datetime.fromisoformat(row.started)
+    ended = max(present_time(), started) if elapsed is None else started + dt.timedelta(seconds=elapsed)
+    row.state, row.cause, row.message = state, cause, message
+    row.report = None if report is None else dict(report)
+    row.ended = ended.isoformat(timespec="microseconds")
+    session.flush()
     if state == "failed":
         session.execute(
             update(DayRow)
@@ -465,12 +475,39 @@ def close_run(
         )
 
 
-def run_records(session: Session, kind: str | None) -> list[RunRecord]:
-    """Return the records of runs, oldest first."""
-    query = select(RunRow).order_by(RunRow.started, RunRow.id)
+def run_records(session: Session, kind: str | None, last: int | None = None) -> list[RunRecord]:
+    """Return the records of all runs or of the `last`, oldest first."""
+    query = select(RunRow).order_by(RunRow.started.desc(), RunRow.id.desc()).limit(last)
     if kind is not None:
         query = query.where(RunRow.kind == kind)
-    return [row.as_record(RunRecord) for row in session.scalars(query)]
+    return [row.as_record(RunRecord) for row in session.scalars(query)][::-1]
+
+
+def days_of_run(session: Session, run_id: str) -> list[Day]:
+    """Return the days of a run, whatever became of them, by dataset and day."""
+    query = (
+        select(DayRow, StoreRow.path, DatasetRow.name)
+        .outerjoin(StoreRow, StoreRow.id == DayRow.store_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DayRow.run_id == run_id)
+        .order_by(DatasetRow.name, DayRow.day)
+    )
+    return [day_record(row, name, path) for row, path, name in session.execute(query)]
+
+
+def run_counts(session: Session, ids: Sequence[str]) -> dict[str, dict[str, dict[str, int]]]:
+    """Return how many days runs have by dataset and state: run -> dataset -> state -> count."""
+    query = (
+        select(DayRow.run_id, DatasetRow.name, DayRow.state, func.count())
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DayRow.run_id.in_(ids))
+        .group_by(DayRow.run_id, DatasetRow.name, DayRow.state)
+        .order_by(DatasetRow.name)
+    )
+    found: dict[str, dict[str, dict[str, int]]] = {one: {} for one in ids}
+    for run_id, name, state, count in session.execute(query):
+        found[run_id].setdefault(name, {})[state] = count
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from inflight.catalog.database import time_in_order
 from inflight.catalog.records import CertificationAct, TableRecord, Validity, is_gone
 from inflight.catalog.schema import (
     ApprovalRow,
@@ -185,7 +186,7 @@ def _keep_act(
             end=end,
             author=authority.author,
             reason=authority.reason,
-            created=dt.datetime.now(dt.UTC).isoformat(timespec="microseconds"),
+            created=time_in_order(session, CertificationActRow.created).isoformat(timespec="microseconds"),
             run_id=authority.run,
         )
     )
@@ -302,7 +303,7 @@ def approve_table(session: Session, table_id: int, person: str, note: str) -> No
     if not person.strip():
         raise CatalogError("an approval needs a person", remedy="say who: --by NAME")
     require_tables(session, [table_id])
-    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    created = time_in_order(session, ApprovalRow.created).isoformat(timespec="seconds")
     session.add(ApprovalRow(table_id=table_id, person=person.strip(), note=note, created=created))
     session.flush()
 

@@ -135,10 +135,12 @@ class Workspace:
 
         Raises
         ------
+        WorkspaceError
+            When there is no mission YAML any more.
         MissionError
             Naming file, line and key of everything that is wrong.
         """
-        return _parse(self.mission_file)
+        return _parse(Workspace.open(self.root).mission_file)
 
     def relative(self, path: Path | str) -> str:
         """Return a path relative to the workspace when it lies in it, else as it is."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -37,6 +38,8 @@ class BackgroundJob:
     #: Traceback of the error, for the terminal the page was started from.
     trace: str = ""
     _finished: threading.Event = field(default_factory=threading.Event)
+    #: When the stage began, and how many were done then.
+    _begun: tuple[float, int] = (0.0, 0)
 
     @property
     def is_finished(self) -> bool:
@@ -49,7 +52,19 @@ class BackgroundJob:
 
     def report_progress(self, stage: str, done: int, total: int) -> None:
         """Record the progress of the work."""
+        if stage != self.stage:
+            self._begun = time.monotonic(), done
         self.stage, self.done, self.total = stage, done, total
+
+    @property
+    def pace(self) -> str:
+        """How many of the stage are done in a second, and how long the rest takes; empty while unknown."""
+        begun, first = self._begun
+        seconds, made = time.monotonic() - begun, self.done - first
+        if made < 1 or self.total < 2 or seconds <= 0 or self.done >= self.total:
+            return ""
+        rate = made / seconds
+        return f"{rate:.2g}/s, {duration_text((self.total - self.done) / rate)} left"
 
     def carry_out(self, work: Callable[[Progress], Any]) -> None:
         """Do the work; an exception is kept as `error`, because no caller could catch it."""
@@ -88,3 +103,10 @@ class Background:
     def close(self) -> None:
         """Cancel jobs that have not begun; the running one ends by itself."""
         self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as a person says it: ``40 s``, ``12 min``, ``3.5 h``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -49,14 +50,19 @@ class DiagnosisView:
         self._pane = JobPane(session.background)
         self._figures = pn.widgets.Button(name="All figures of this diagnosis")
         self._figures.on_click(lambda event: self._begin_figures())
-        self.panel = pn.Column(self._figures, self._pane.panel, sizing_mode="stretch_width")
+        self._report = pn.widgets.Button(name="Report as a page of its own")
+        self._report.on_click(lambda event: self._begin_report())
+        self._model = pn.widgets.FileDownload(label="Model as YAML", callback=self._model_text, auto=True)
+        buttons = pn.Row(self._figures, self._report, self._model)
+        self.panel = pn.Column(buttons, self._pane.panel, sizing_mode="stretch_width")
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the last diagnosis of a comparison, of whichever days it is."""
         del days
         self._comparison = overview.comparison
         fields = self._session.last_diagnosis(overview.comparison)
-        self._figures.disabled = fields is None
+        self._figures.disabled = self._report.disabled = fields is None
+        self._model.filename = self._session.model_file(self._comparison)[0]
         if fields is None:
             self._pane.put(panes.hint("There is no diagnosis yet: 'The loop' makes one."))
         else:
@@ -69,6 +75,21 @@ class DiagnosisView:
             lambda progress: self._session.figures_of_diagnosis(comparison, progress),
             panes.sections,
         )
+
+    def _begin_report(self) -> None:
+        comparison = self._comparison
+        self._pane.begin(
+            "Report",
+            lambda progress: self._session.write_report(comparison, progress),
+            lambda page: pn.Column(
+                panes.text(paragraph(f" {page}", bold="The report is written:")),
+                pn.widgets.FileDownload(file=str(page), label=f"Download {page.name}"),
+            ),
+        )
+
+    def _model_text(self) -> io.StringIO:
+        self._model.filename, text = self._session.model_file(self._comparison)
+        return io.StringIO(text)
 
 
 def diagnosis_sections(fields: Fields) -> list[Section]:

@@ -91,7 +91,11 @@ class JobPane:
         show : callable
             Makes a pane of the result; runs in the page's thread.
         """
-        self._job, self._show = self._background.begin(name, work), show
+        self.follow(self._background.begin(name, work), show)
+
+    def follow(self, job: BackgroundJob, show: Callable[[Any], pn.viewable.Viewable]) -> None:
+        """Show the progress and the result of a job that was begun, as `begin` does."""
+        self._job, self._show = job, show
         self._status.visible = True
         self._status.object = panes.progress(self._job)
         # What changes while a browser still takes the page in may never reach it: a quick job's result.

@@ -21,7 +21,7 @@ from inflight.explorer.loop_state import (
 )
 from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.residual_rows import ResidualRows
-from inflight.explorer.residual_view import ResidualView, bokeh_pane, fit_figure
+from inflight.explorer.residual_view import ResidualView, fit_figure
 from inflight.explorer.session import Contributions, Days, ExplorerSession
 from inflight.explorer.time_view import TimeView
 from inflight.explorer.view_state import ViewState
@@ -343,7 +343,7 @@ class LoopView:
         drawn, floor = self._loop.changes, self._loop.sizes[1]
         if drawn or trial:
             plot = error_figure(drawn, trial, float(floor) if floor else float("nan"))
-            self._error.objects = [bokeh_pane(fit_figure(plot, _ERROR))]
+            self._error.objects = [panes.picture(fit_figure(plot, _ERROR))]
         else:
             text = "The model has not been changed yet: Try shows what the chosen effect would take off."
             self._error.objects = [panes.text(paragraph(text, kind="quiet"))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import traceback
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from inflight.explorer import panes
 from inflight.explorer.diagnosis_view import DiagnosisView
 from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
+from inflight.explorer.products_view import ProductsView
 from inflight.explorer.session import Days, ExplorerSession
-from inflight.explorer.view_state import ViewState
+from inflight.explorer.view_state import ViewState, parsed_day
 from inflight.explorer.views import MeasurementView, TablesView, View
 from inflight.figures import paragraph
 from inflight.tasks import error_fields
@@ -27,6 +29,30 @@ _DARK = """
   #header { filter: invert(1) hue-rotate(180deg) }
 }
 """
+
+
+def open_page(session: ExplorerSession) -> pn.template.BootstrapTemplate:
+    """Return the page of a browser; where the workspace cannot be read, one that says what to do."""
+    try:
+        return Page(session).template()
+    except Exception as error:
+        fields = error_fields(error)
+        if fields["message"].startswith("unexpected"):
+            traceback.print_exc()
+        hint = panes.hint("Mend the workspace and load this page again.")
+        return _template(session.workspace.root.name, panes.error(fields), hint)
+
+
+def _template(title: str, *parts: pn.viewable.Viewable) -> pn.template.BootstrapTemplate:
+    """Return a page; it asks nothing of any other server."""
+    made = pn.template.BootstrapTemplate(
+        title=title,
+        site="Inflight",
+        header_background=_COLOUR,
+        main=[pn.Column(*parts, sizing_mode="stretch_width")],
+    )
+    made.config.raw_css = [_DARK]
+    return made
 
 
 class Page:
@@ -54,6 +80,7 @@ class Page:
             LoopView(session, self._state, self._model_changed, self._select_days),
             MeasurementView(session),
             DiagnosisView(session),
+            ProductsView(session, self._state, self._model_changed),
             TablesView(session),
         )
         self._tabs = pn.Tabs(
@@ -69,11 +96,11 @@ class Page:
         self._tabs.param.watch(lambda event: self._show_active(), "active")
         self._apply.on_click(lambda event: self._choose(keep=True))
         for picker, end in ((self._first, self._state.first), (self._last, self._state.last)):
-            picker.value = _parsed(end)
+            picker.value = parsed_day(end)
         self._choose(keep=True)
 
     def template(self) -> pn.template.BootstrapTemplate:
-        """Return the page; it asks nothing of any other server."""
+        """Return the page."""
         chosen = pn.Row(
             self._comparison,
             self._first,
@@ -82,14 +109,8 @@ class Page:
             self._facts,
             sizing_mode="stretch_width",
         )
-        made = pn.template.BootstrapTemplate(
-            title=f"{self._mission.mission}: in-flight calibration",
-            site="Inflight",
-            header_background=_COLOUR,
-            main=[pn.Column(chosen, self._hint, self._tabs, sizing_mode="stretch_width")],
-        )
-        made.config.raw_css = [_DARK]
-        return made
+        title = f"{self._mission.mission}: in-flight calibration"
+        return _template(title, chosen, self._hint, self._tabs)
 
     def _choose(self, keep: bool = False) -> None:
         """Show the chosen comparison as the catalog has it now; `keep` the chosen span."""
@@ -124,7 +145,7 @@ class Page:
         self._facts.objects = [panes.text(paragraph(text, kind="quiet"))]
 
     def _model_changed(self) -> None:
-        """Show which model is in use now; the view in which it was changed shows that, others anew."""
+        """Show model and products as they are now; the view in which they changed shows that, others anew."""
         if self._overview is not None:
             own = self._shown.get(self._tabs.active)
             self._shown = {} if own is None else {self._tabs.active: own}
@@ -169,14 +190,6 @@ class Page:
             return None
         first, last = sorted((np.datetime64(first, "D"), np.datetime64(last, "D")))
         return Days(first, last)
-
-
-def _parsed(text: str) -> dt.date | None:
-    """Return a day of the address; None for none, and for what is no day."""
-    try:
-        return dt.date.fromisoformat(text)
-    except ValueError:
-        return None
 
 
 def _date(day: np.datetime64 | None) -> dt.date | None:

@@ -8,6 +8,7 @@ from typing import Any
 import panel as pn
 
 from inflight.explorer.background import BackgroundJob
+from inflight.explorer.export import with_export
 from inflight.figures import Section, render, text_style
 from inflight.tasks import location_of
 
@@ -26,9 +27,14 @@ def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewab
     """Return the body of a section: its text, then its figures side by side."""
     parts = [text(*paragraphs)] if paragraphs else []
     if figures:
-        panes = [pn.pane.Bokeh(figure, margin=4) for figure in figures]
+        panes = [pn.pane.Bokeh(with_export(figure), margin=4) for figure in figures]
         parts.append(pn.FlexBox(*panes, sizing_mode="stretch_width"))
     return pn.Column(*parts, sizing_mode="stretch_width")
+
+
+def picture(figure: Any) -> pn.viewable.Viewable:
+    """Return a figure in the width there is; it can be saved as PNG, SVG and CSV."""
+    return pn.pane.Bokeh(with_export(figure), sizing_mode="stretch_width", margin=4)
 
 
 def sections(shown: Sequence[Section]) -> pn.viewable.Viewable:

@@ -234,7 +234,7 @@ class ResidualView:
             fit_figure(plot, _HALF_MAP if changed else _MAP)
             self._brush(plot, "both", lambda event: self._map_brushed(event, found))
             plot.on_event(Tap, self._map_clicked)
-        self._maps.objects = [bokeh_pane(plot) for plot in plots]
+        self._maps.objects = [panes.picture(plot) for plot in plots]
 
     def _draw_curve(self, rows: ResidualRows) -> None:
         name = self._channel.value
@@ -250,7 +250,7 @@ class ResidualView:
     def _channel_pane(self, plot: figure, name: str, height: int) -> pn.viewable.Viewable:
         fit_figure(plot, height)
         self._brush(plot, "width", lambda event: self._curve_brushed(event, name))
-        return bokeh_pane(plot)
+        return panes.picture(plot)
 
     def _draw_picture(self, rows: ResidualRows) -> None:
         draw = dict(zip(_PICTURES, (self._axes, self._spectrum, self._places), strict=True))
@@ -298,7 +298,7 @@ class ResidualView:
             "Grey dotted lines are known periods: of orbit, day, spin and mission; a red point is a line "
             "that nothing known explains."
         )
-        return [bokeh_pane(plot), panes.text(paragraph(note, kind="quiet"))]
+        return [panes.picture(plot), panes.text(paragraph(note, kind="quiet"))]
 
     def _floor_of_means(self, rows: ResidualRows) -> float:
         """Return the noise floor of the rows, which are means of samples, nT; NaN where it is not known."""
@@ -322,7 +322,7 @@ class ResidualView:
         for plot in plots:
             fit_figure(plot, _HALF_MAP if len(plots) > 1 else _MAP)
             self._brush(plot, "both", self._places_brushed)
-        return [bokeh_pane(plot) for plot in plots]
+        return [panes.picture(plot) for plot in plots]
 
     # What is chosen and brushed.
 
@@ -398,7 +398,7 @@ def _narrow_section(text: Sequence[str], figures: Sequence[figure]) -> pn.viewab
     told = [one for one in text if "<table" not in one]
     if len(told) < len(text):
         told.append(paragraph("Its numbers stand in the tab Model against measurement.", kind="quiet"))
-    drawn = [bokeh_pane(fit_figure(plot, plot.height or _MAP)) for plot in figures]
+    drawn = [panes.picture(fit_figure(plot, plot.height or _MAP)) for plot in figures]
     return pn.Column(*drawn, panes.text(*told), sizing_mode="stretch_width")
 
 
@@ -421,8 +421,3 @@ def fit_figure(plot: figure, height: int) -> figure:
     plot.sizing_mode, plot.height = "stretch_width", height
     plot.toolbar_location, plot.toolbar.autohide = "right", True
     return plot
-
-
-def bokeh_pane(plot: figure) -> pn.viewable.Viewable:
-    """Return a figure as a part of the page."""
-    return pn.pane.Bokeh(plot, sizing_mode="stretch_width", margin=4)

@@ -6,24 +6,38 @@ function behind the verb of the same name. Results are cached until the data the
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.calibration import TableChanges, table_changes
 from inflight.catalog import Catalog, Day, Workspace
 from inflight.diagnosis import BeforeAfter
-from inflight.explorer.background import Background
+from inflight.errors import SettingsError
+from inflight.explorer.background import Background, BackgroundJob
+from inflight.explorer.product_day import product_day_sections
+from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest, plan_work
 from inflight.figures import LazySection, Section
 from inflight.flags import UNUSABLE, Flag
 from inflight.flows import lazy_client
 from inflight.mission import Mission
 from inflight.model import parse_tree
-from inflight.tasks import ModelHistory, Progress
+from inflight.tasks import (
+    CoverageDay,
+    ModelHistory,
+    Progress,
+    RunProgress,
+    coverage_days,
+    run_log,
+    runs_progress,
+)
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -33,13 +47,14 @@ from inflight.tasks.analysis import (
     last_diagnosis,
     measure_comparison,
     open_workbench,
+    require_sampled,
 )
+from inflight.tasks.analysis import report as write_report
 from inflight.tasks.pipelines import (
     CompareResult,
     ReprocessSettings,
     last_run,
     product_of,
-    reprocess,
     table_sections,
 )
 from inflight.time import Int64, day_of, parse_utc
@@ -99,27 +114,48 @@ class ExplorerSession:
         Opened.
     workers : int, optional
         Dask processes of a pass; the cores when absent.
+    allow_code : bool
+        Run the files of Python that the mission names (`effects`).
     """
 
-    def __init__(self, workspace: Workspace, workers: int | None = None) -> None:
-        self.workspace, self.workers = workspace, workers
+    def __init__(self, workspace: Workspace, workers: int | None = None, *, allow_code: bool = False) -> None:
+        self.workspace, self.workers, self.allow_code = workspace, workers, allow_code
         self.cat = Catalog(workspace.root)
         self.background = Background()
         #: Makes figures while `background` does what takes long.
         self.figure_background = Background()
+        #: What was begun by `begin_work` from any page.
+        self.begun: list[tuple[InOwnProcess, BackgroundJob]] = []
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
         self._read: dict[str, tuple[Any, ...]] = {}
         self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
     def close(self) -> None:
-        """Cancel jobs that have not begun."""
+        """Cancel jobs that have not begun, and stop the work of other processes."""
+        for work, _ in self.begun:
+            work.stop()
         self.background.close()
         self.figure_background.close()
 
     def mission(self) -> Mission:
-        """Return the mission as its file is now."""
-        return self.workspace.mission()
+        """Return the mission as its file is now.
+
+        Raises
+        ------
+        MissionError, WorkspaceError
+            As `Workspace.mission`.
+        SettingsError
+            When it names files of Python, and the page may run none.
+        """
+        mission = self.workspace.mission()
+        if mission.effects and not self.allow_code:
+            raise SettingsError(
+                f"the mission names effects in Python: {', '.join(mission.effects)}; this page runs none",
+                remedy="look into these files, then start 'inflight explore --allow-code'",
+                file=str(self.workspace.mission_file),
+            )
+        return mission
 
     def history(self, comparison: str) -> ModelHistory:
         """Return the models of the workspace as they are now; cached until a file or the catalog changes.
@@ -245,6 +281,18 @@ class ExplorerSession:
         progress("tables", 0, 1)
         return table_sections(self.cat, self.mission(), comparison)
 
+    def table_changes(self, before: str, after: str, progress: Progress) -> TableChanges:
+        """Return what changed from one table to another, named as ``main-window:4``.
+
+        Raises
+        ------
+        CatalogError
+            When there is no such table, or it is damaged.
+        """
+        progress("tables", 0, 2)
+        old, new = (self.cat.table_by_id(int(name.rpartition(":")[2])) for name in (before, after))
+        return table_changes(old, new)
+
     # The missing effect.
 
     def last_diagnosis(self, comparison: str) -> dict[str, Any] | None:
@@ -289,6 +337,28 @@ class ExplorerSession:
             )
         return diagnosis_sections(*examined)
 
+    def write_report(self, comparison: str, progress: Progress) -> Path:
+        """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.
+
+        Raises
+        ------
+        SettingsError, CatalogError
+            As `inflight.tasks.analysis.report`.
+        """
+        mission, last = self.mission(), self._last_request(comparison)
+        require_sampled(mission, comparison)
+        span = last.get("start"), last.get("end")
+        page = self.workspace.reports / f"{'-'.join(['report', comparison, *filter(None, span)])}.html"
+        settings = _settings(last, comparison)
+        with lazy_client(self.workers) as client:
+            write_report(self.cat, mission, page, *span, settings, client=client, progress=progress)
+        return page
+
+    def model_file(self, comparison: str) -> tuple[str, str]:
+        """Return name and text of the model in use, as its YAML file would hold it."""
+        used = ModelHistory(self.cat, self.mission(), comparison).used
+        return f"{used.name}-{used.version}.yaml", used.text
+
     def _last_request(self, comparison: str) -> Mapping[str, Any]:
         """Return span and settings of the last diagnosis; empty without one."""
         return (last_diagnosis(self.workspace, comparison) or {}).get("asked") or {}
@@ -303,15 +373,8 @@ class ExplorerSession:
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
-        history = self.history(comparison)
         days = self.cat.days(product_of(comparison), states=("published",))
-        contexts = {name: self.cat.context(name) for name in {day.context for day in days} if name}
-        stale = {
-            name
-            for name, made in contexts.items()
-            if made.model_name != history.used.name
-            or not history.same(made.model_version, history.used.version)
-        }
+        stale = self.history(comparison).stale_contexts(days)
         return sum(day.context in stale for day in days)
 
     def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
@@ -327,15 +390,69 @@ class ExplorerSession:
         MissionError, ModelError, CatalogError
             As `inflight.tasks.pipelines.reprocess`.
         """
+        request = WorkRequest("reprocess", settings=self.reprocess_settings(comparison))
+        return InOwnProcess(self.workspace.root, request, self.workers)(progress)
+
+    def reprocess_settings(self, comparison: str) -> dict[str, Any]:
+        """Return the settings of the last `inflight reprocess` of a comparison, or the defaults."""
         run = last_run(self.cat, comparison)
         known = ReprocessSettings.model_fields.keys() - {"use_table", "context"}
         last = {name: value for name, value in (run.settings if run else {}).items() if name in known}
-        settings = ReprocessSettings.model_validate(last | {"comparison": comparison})
-        with lazy_client(self.workers) as client:
-            made: dict[str, Any] = reprocess(
-                self.cat, self.mission(), settings=settings, client=client, progress=progress
-            ).as_json()
-        return made
+        return last | {"comparison": comparison}
+
+    # Products and runs.
+
+    def datasets(self) -> list[str]:
+        """Return the datasets of products and of the archive, products first."""
+        names = [one["dataset"] for one in self.cat.inventory()]
+        return [name for kind in ("l2/", "l1/") for name in names if name.startswith(kind)]
+
+    def coverage(self, dataset: str, progress: Progress) -> list[CoverageDay]:
+        """Return what became of each day of a dataset, and why."""
+        progress("coverage", 0, 1)
+        return coverage_days(self.cat, self.mission(), dataset)
+
+    def product_day(self, dataset: str, day: np.datetime64, progress: Progress) -> list[Section]:
+        """Return what there is of a day: its samples, its flags, its versions side by side.
+
+        Raises
+        ------
+        IntegrityError
+            When its store is damaged.
+        """
+        progress("day", 0, 1)
+        return product_day_sections(self.cat, dataset, day)
+
+    def runs(self, last: int) -> list[RunProgress]:
+        """Return how far the last runs are, whoever began them, the newest first."""
+        found = runs_progress(self.cat, last)
+        is_running = any(one.record.state == "running" for one in found)
+        return runs_progress(self.cat, last) if is_running and self.cat.close_dead_runs() else found
+
+    def run_log(self, run: str) -> list[str]:
+        """Return the log of a run; that of work begun here has the times of its stages, too."""
+        record = next((one for one in self.cat.runs() if one.id == run), None)
+        if record is None:
+            return []
+        stages = [work.log for work, job in self.begun if (job.result or {}).get("run") == run]
+        return [*run_log(self.cat, record), *(stages[0] if stages else ())]
+
+    def plan(self, request: WorkRequest, progress: Progress) -> WorkPlan:
+        """Return what a request would do, and what it costs.
+
+        Raises
+        ------
+        SettingsError, CatalogError
+            As `plan_work`.
+        """
+        progress("plan", 0, 1)
+        return plan_work(self.workspace, request)
+
+    def begin_work(self, request: WorkRequest) -> tuple[InOwnProcess, BackgroundJob]:
+        """Begin what was planned, behind the work that was begun before; every page shows its progress."""
+        work = InOwnProcess(self.workspace.root, request, self.workers)
+        self.begun.append((work, self.background.begin(request.name, work)))
+        return self.begun[-1]
 
     def open_equations(self, comparison: str, progress: Progress) -> None:
         """Open the workbench of the last diagnosis, so that the next change need not wait for it."""
@@ -352,7 +469,7 @@ class ExplorerSession:
         """
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
-            found: dict[str, Any] = bench.preview(effect).as_json()
+            found: dict[str, Any] = bench.preview(self._entry(effect)).as_json()
         return found
 
     def before_after(self) -> BeforeAfter | None:
@@ -387,7 +504,7 @@ class ExplorerSession:
             bench = self._workbench(comparison, client, progress)
             try:
                 if verb == "add":
-                    revision = bench.add(effect, empirical=empirical)
+                    revision = bench.add(self._entry(effect), empirical=empirical)
                 else:
                     revision = bench.undo() if verb == "undo" else bench.drop(effect)
             except Exception:
@@ -396,7 +513,33 @@ class ExplorerSession:
                 raise
         change: dict[str, Any] = revision.as_json()
         self._bench = (self._workbench_key(comparison), bench)
+        if verb == "add" and effect.lstrip().startswith("="):
+            self._save_formula(comparison, effect)
         return change
+
+    def _save_formula(self, comparison: str, effect: str) -> None:
+        """Save a formula that was added as a file of the workspace, under the name it has in the model."""
+        name = self.versions(comparison)[1][-1]
+        path = self.workspace.root / "effects" / f"{name}.yaml"
+        formula = json.dumps(effect.strip().removeprefix("=").strip(), ensure_ascii=False)
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(
+            f"# A formula of channels: 'inflight add effects/{path.name}', or this path in the explorer.\n"
+            f"effect: formula_field\nformula: {formula}\n",
+            encoding="utf-8",
+        )
+
+    def _entry(self, effect: str) -> str:
+        """Return what an effect's name stands for: of a saved formula, what its file holds."""
+        if not effect.endswith((".yaml", ".yml")):
+            return effect
+        path = (self.workspace.root / effect).resolve()
+        if path.parent != (self.workspace.root / "effects").resolve() or not path.is_file():
+            raise SettingsError(
+                f"{effect}: the workspace has no such file of an effect",
+                remedy="name one of its folder 'effects', such as effects/NAME.yaml",
+            )
+        return path.read_text(encoding="utf-8")
 
     def _workbench(self, comparison: str, client: Any, progress: Progress) -> Workbench:
         """Return the cached workbench, or a new one when mission, model or last diagnosis changed since."""

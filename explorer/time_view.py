@@ -14,7 +14,6 @@ from bokeh.plotting import figure
 from inflight.arrays import Floats
 from inflight.explorer import panes
 from inflight.explorer.residual_rows import ResidualRows
-from inflight.explorer.residual_view import bokeh_pane
 from inflight.explorer.session import Contributions, ExplorerSession, TimeEvent
 from inflight.explorer.traces import thin_trace
 from inflight.explorer.view_state import ViewState
@@ -113,14 +112,14 @@ class TimeView:
         plot.sizing_mode, plot.height = "stretch_width", _TRACE
         mark_events(plot, [(one.ms, one.end_ms, one.text) for one in self._events])
         plot.on_event(RangesUpdate, self._moved)
-        self._trace, parts = plot, [bokeh_pane(plot)]
+        self._trace, parts = plot, [panes.picture(plot)]
         self._made_source = None
         if self._made is not None and self._made.effects:
             self._made_source = ColumnDataSource({})
             sizes = {name: float(np.sqrt(np.nanmean(one**2))) for name, one in self._made.effects.items()}
             made = contribution_figure(self._made_source, sizes, span)
             made.sizing_mode, made.height = "stretch_width", _MADE
-            parts.append(bokeh_pane(made))
+            parts.append(panes.picture(made))
         self._fill(begin, end)
         self._figures.objects = parts
 

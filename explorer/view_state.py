@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+
 import panel as pn
 import param
 
@@ -18,6 +20,8 @@ class ViewState(param.Parameterized):
     select = param.String(default="", doc="Ranges of channels and phases that are looked at alone.")
     zoom = param.String(default="", doc="Visible span in time, UTC; the whole one when empty.")
     candidate = param.String(default="", doc="The chosen candidate.")
+    dataset = param.String(default="", doc="Dataset whose calendar is shown; the product when empty.")
+    day = param.String(default="", doc="The day chosen in it, YYYY-MM-DD.")
 
     def follow_address(self) -> None:
         """Take what the address says, and write what is chosen into it from now on."""
@@ -31,4 +35,13 @@ class ViewState(param.Parameterized):
         pn.state.location.update_query(**chosen)
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "picture", "select", "zoom", "candidate")
+def parsed_day(text: str) -> dt.date | None:
+    """Return a day of the address; None for none, and for what is no day."""
+    try:
+        return dt.date.fromisoformat(text)
+    except ValueError:
+        return None
+
+
+_CHOSEN = ("comparison", "first", "last", "tab", "channel", "picture", "select", "zoom", "candidate")
+_IN_ADDRESS = (*_CHOSEN, "dataset", "day")

@@ -11,6 +11,7 @@ from inflight.explorer import panes
 from inflight.explorer.job_pane import JobPane, lazy_tabs
 from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.table_versions import TableVersions
 from inflight.figures import Section
 
 
@@ -59,11 +60,13 @@ class TablesView:
     def __init__(self, session: ExplorerSession) -> None:
         self._session = session
         self._pane = JobPane(session.background)
-        self.panel = self._pane.panel
+        self._versions = TableVersions(session)
+        self.panel = pn.Column(self._pane.panel, self._versions.panel, sizing_mode="stretch_width")
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show the newest tables of a comparison; they have their own spans, so `days` is not used."""
         del days
+        self._versions.show(overview)
         self._pane.begin(
             "Tables", lambda progress: self._session.tables(overview.comparison, progress), _tables_pane
         )

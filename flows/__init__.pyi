@@ -1,5 +1,5 @@
 from .cluster import available_cores, dask_client, lazy_client
-from .launch import plan_span, run_with_prefect, run_without_prefect
+from .launch import plan_lines, plan_span, run_with_prefect, run_without_prefect
 from .span import DaySpan
 
 __all__ = [
@@ -7,6 +7,7 @@ __all__ = [
     "available_cores",
     "dask_client",
     "lazy_client",
+    "plan_lines",
     "plan_span",
     "run_with_prefect",
     "run_without_prefect",

@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any, Final
 
@@ -140,7 +140,9 @@ def _start_fork_server(environment: Mapping[str, str]) -> None:
 
 
 def _end_fork_server() -> None:
-    forkserver._forkserver._stop()  # type: ignore[attr-defined]
+    # A process that Python's own multiprocessing began has removed the folder of its sockets by now.
+    with suppress(FileNotFoundError):
+        forkserver._forkserver._stop()  # type: ignore[attr-defined]
 
 
 class _LazyClient:

@@ -127,14 +127,16 @@ def run_without_prefect(
             raise as_settings_error(error) from None
 
 
-def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return which days of a span a backfill would do, from the archive as it is.
+def plan_span(
+    workspace: Workspace, start: str | None, end: str | None, settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return which days of a span a reprocessing would make, from the archive as it is.
 
     Parameters
     ----------
     workspace : Workspace
         Where.
-    start, end : str
+    start, end : str or None
         UTC days, half-open.
     settings : mapping
         Of `ReprocessSettings`.
@@ -160,6 +162,29 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
         "days": {"planned": len(days), "unchanged": len(unchanged), "no_work": len(planned.no_work)},
         "batches": [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.in_batches(days)],
     }
+
+
+def plan_lines(verb: str, start: str | None, end: str | None, fields: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a verb has to do in a span, and what that costs at a measured rate.
+
+    Parameters
+    ----------
+    fields : mapping
+        As `plan_span`.
+    """
+    days, cost = fields["days"], fields["cost"]
+    span = (
+        f"{start} to {end}" if start and end else f"from {start}" if start else f"up to {end}" if end else ""
+    )
+    yield (
+        f"{verb} {span or 'all days'}: {days['planned']} days to do in {len(fields['batches'])} batches, "
+        f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
+    )
+    if cost and days["planned"]:
+        yield (
+            f"  some {cost['seconds']:.0f} s and {cost['bytes'] / 1e6:.0f} MB, at the rate of run "
+            f"{cost['run']}; files that have to be taken in first are not counted"
+        )
 
 
 def prefect_environment(home: Path) -> dict[str, str]:

@@ -16,6 +16,8 @@ settings : ReprocessSettings or DiagnoseSettings
     How it is done.
 workers : int or None
     Dask processes; the cores when None.
+reason : str
+    Why; kept with the runs in the catalog.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
 
 from inflight.catalog import Catalog, Workspace
 from inflight.flows.cluster import lazy_client
@@ -39,7 +43,7 @@ DEFAULT_SETTINGS = ReprocessSettings()
 #: Each day's own parameters with the month's offset along the spin axis.
 MONTHLY_SETTINGS = ReprocessSettings(table="daily")
 DIAGNOSE_SETTINGS = DiagnoseSettings()
-#: Of the processes of a backfill, as ``nice`` counts it by itself.
+#: Of the processes of a backfill, unless it is asked for otherwise, as ``nice`` counts it.
 BACKFILL_NICENESS = 10
 
 
@@ -72,11 +76,12 @@ def reprocess(
     end: DateOrNone = None,
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     workers: int | None = None,
+    reason: str = "",
 ) -> dict[str, Any]:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     with lazy_client(workers) as client:
-        return _reprocess_span(place, span, settings, client).as_json()
+        return _reprocess_span(place, span, settings, client, reason).as_json()
 
 
 def backfill(
@@ -87,6 +92,7 @@ def backfill(
     data: Path | None = None,
     workers: int | None = None,
     reason: str = "",
+    niceness: Annotated[int, Field(ge=0, le=19)] = BACKFILL_NICENESS,
 ) -> dict[str, Any]:
     """Take in what was delivered late for a span, then reprocess the days whose inputs changed.
 
@@ -94,11 +100,12 @@ def backfill(
 
     Parameters
     ----------
-    reason : str
-        Why; kept with the runs in the catalog.
+    niceness : int
+        How far its processes stand behind others of this machine: live days go before a backfill.
     """
     span = DaySpan(start=start, end=end)
-    return _ingest_and_reprocess("backfill", workspace, (span, span), settings, data, workers, reason)
+    spans = span, span
+    return _ingest_and_reprocess("backfill", workspace, spans, settings, data, workers, reason, niceness)
 
 
 def monthly(
@@ -235,10 +242,11 @@ def _reprocess_if_idle(
     end: DateOrNone = None,
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     workers: int | None = None,
+    reason: str = "",
 ) -> RunReport | None:
     from inflight.tasks.pipelines import reprocess_if_unchanged
 
-    del workers
+    del workers, reason
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
     return reprocess_if_unchanged(Catalog(place.root), place.mission(), *span.as_text(), settings=settings)
 
@@ -251,7 +259,9 @@ def _backfill_if_idle(
     data: Path | None = None,
     workers: int | None = None,
     reason: str = "",
+    niceness: int = BACKFILL_NICENESS,
 ) -> RunReport | None:
+    del reason, niceness
     ingested = _ingest_if_idle(workspace, data, None, start, end, workers)
     report = ingested and _reprocess_if_idle(workspace, start, end, settings, workers)
     return ingested.followed_by(report, "backfill") if ingested and report else None
@@ -334,13 +344,11 @@ def _ingest_and_reprocess(
     data: Path | None,
     workers: int | None,
     reason: str = "",
+    niceness: int = 0,
 ) -> dict[str, Any]:
-    """Take in the first span and reprocess the second one; `command` names the report.
-
-    Live days go before a backfill: its processes leave them the cores of this machine.
-    """
+    """Take in the first span and reprocess the second one; `command` names the report."""
     place, (delivered, reprocessed) = Workspace.open(workspace), spans
-    with lazy_client(workers, BACKFILL_NICENESS if command == "backfill" else 0) as client:
+    with lazy_client(workers, niceness) as client:
         ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
         report = _reprocess_span(place, reprocessed, settings, client, reason)
     return ingested.followed_by(report, command).as_json()

@@ -63,12 +63,16 @@ class Flag(IntFlag):
     EXTRAPOLATED = 1 << 20
     #: The mission YAML excludes the reading from every fit; it names author and reason.
     EXCLUDED = 1 << 21
+    #: The vector instrument measured in another range than the one the table is for, or in one not known.
+    OTHER_RANGE = 1 << 22
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
 
-UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL | Flag.EXCLUDED
+UNUSABLE |= (
+    Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL | Flag.EXCLUDED | Flag.OTHER_RANGE
+)
 
 
 def flag_meanings() -> tuple[list[int], str]:

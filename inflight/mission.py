@@ -109,12 +109,33 @@ class ExcludedInterval(Strict):
         )
 
 
+def _values(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+class MeasuringRange(Strict):
+    """One range of an instrument that measures in several: a channel tells which, and when."""
+
+    #: Channel that tells the range; each reading holds until the next.
+    channel: str
+    #: What it reads in this range.
+    value: Annotated[list[float], BeforeValidator(_values), Field(min_length=1)]
+
+    @property
+    def words(self) -> str:
+        """The range in words: ``fgm_range = 2 or 3``."""
+        return f"{self.channel} = {' or '.join(f'{one:g}' for one in self.value)}"
+
+
 class ScalarComparison(Strict):
     """|B_vector| minus the field strength of an absolute instrument (one row a sample, nT)."""
 
     kind: Literal["scalar"]
     vector: str
     scalar: str
+    #: Only what the vector instrument measured in this range: each range has a comparison, and so a
+    #: calibration table, of its own.
+    range: MeasuringRange | None = None
     #: The instrument whose stamps carry the comparison; the slower of the two when absent.
     base: str | None = None
     #: Model file this comparison begins with, relative to the mission YAML.
@@ -430,6 +451,28 @@ class Mission(Strict):
                 f"comparisons.{comparison}.product: the product of {product!r} is of {measured!r}, not of"
                 f" {instrument!r}"
             )
+
+    @model_validator(mode="after")
+    def _ranges(self) -> Self:
+        for name, comparison in self.comparisons.items():
+            if comparison.kind == "scalar" and comparison.range:
+                self._check_range(name, comparison.range.channel)
+        return self
+
+    def _check_range(self, comparison: str, channel: str) -> None:
+        """Raise ValueError unless the mission has a channel of one number a time by this name."""
+        homes = [(name, one) for name, one, _ in self.channel_instruments()]
+        found = [
+            self.instruments[name].channels[one] for name, one in homes if channel in (one, f"{name}.{one}")
+        ]
+        if len(found) != 1:
+            known = [one for _, one in homes] if not found else [".".join(home) for home in homes]
+            raise ValueError(
+                f"comparisons.{comparison}.range.channel: {len(found)} channels are called {channel!r}"
+                f"{did_you_mean(channel, known)}"
+            )
+        if found[0].axis_names:
+            raise ValueError(f"comparisons.{comparison}.range.channel: {channel!r} has several axes")
 
     def _check_ambient(self, comparison: str, instrument: str) -> None:
         """Raise ValueError unless an instrument can give the ambient field of a comparison."""

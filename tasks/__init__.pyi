@@ -8,6 +8,7 @@ from .analysis import (
 )
 from .archive import ingest, simulate
 from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
+from .coverage import COVERAGE, CoverageDay, comparison_of_product, coverage_days
 from .models import (
     ModelHistory,
     comparison_of,
@@ -19,6 +20,7 @@ from .models import (
 )
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release, plan_release
+from .release_documents import panels_of_day
 from .report import (
     Progress,
     RunReport,
@@ -29,14 +31,18 @@ from .report import (
     print_report,
     to_json,
 )
+from .run_progress import RunProgress, failure_lines, run_log, runs_progress
 
 __all__ = [
+    "COVERAGE",
+    "CoverageDay",
     "DiagnoseSettings",
     "Mapper",
     "ModelHistory",
     "Progress",
     "ReprocessSettings",
     "Revision",
+    "RunProgress",
     "RunReport",
     "Workbench",
     "as_settings_error",
@@ -44,9 +50,12 @@ __all__ = [
     "check_plumbing",
     "compare",
     "comparison_of",
+    "comparison_of_product",
+    "coverage_days",
     "current_model",
     "diagnose",
     "error_fields",
+    "failure_lines",
     "few_at_once",
     "find_model",
     "find_table",
@@ -55,11 +64,14 @@ __all__ = [
     "location_of",
     "make_release",
     "model_label",
+    "panels_of_day",
     "plan_release",
     "preflight_model",
     "print_report",
     "reprocess",
     "result_of",
+    "run_log",
+    "runs_progress",
     "simulate",
     "to_json",
     "with_progress",

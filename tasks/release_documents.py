@@ -368,7 +368,7 @@ def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) 
                 continue
             missing.append(_missing_of_day(day, dataset))
             spans += missing_spans(day, dataset)
-            if panels := _panels(dataset):
+            if panels := panels_of_day(dataset):
                 what = f"{panels[-1].title} {panels[-1].names[0]}".strip()
                 cells[day.day] = _drawn_day(place, day, dataset, panels, contents.request.version)
         if cells:
@@ -438,7 +438,7 @@ def _write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
             writer.writerows(rows)
 
 
-def _panels(dataset: xr.Dataset) -> list[Panel]:
+def panels_of_day(dataset: xr.Dataset) -> list[Panel]:
     """Return the curves of a day's product: its field, in Earth's axes if it has them, and the residual."""
     in_time = [str(name) for name, array in dataset.data_vars.items() if array.dims[:1] == ("time",)]
     fields = sorted(

@@ -55,6 +55,7 @@ from .table import (
     table_boundary_steps,
     trend_jumps,
 )
+from .table_comparison import ParameterChange, TableChanges, table_changes
 
 __all__ = [
     "CHANGE",
@@ -71,8 +72,10 @@ __all__ = [
     "BoundarySteps",
     "Interval",
     "NormalEquations",
+    "ParameterChange",
     "ParameterPrior",
     "ResidualCorrection",
+    "TableChanges",
     "block_equations",
     "calibration_table",
     "change_outside",
@@ -104,6 +107,7 @@ __all__ = [
     "remove_other_effects",
     "sub_block_count",
     "table_boundary_steps",
+    "table_changes",
     "to_sensor_angles",
     "trend_jumps",
     "usable_samples",

@@ -385,7 +385,7 @@ def _quality_flag(
 ) -> _Flags:
     """Return the samples' flags with those of missing channels, outliers and parameters from a prior."""
     flag = samples["flag"].values.astype(np.uint32)
-    missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
+    missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.OTHER_RANGE)
     lost = ~(finite_rows(reading) & finite_rows(field) & np.isfinite(scalar))
     flag[lost & (flag & missing == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
     good = usable_samples(samples, reading, field, scalar) & np.isfinite(residual)

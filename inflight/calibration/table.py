@@ -256,14 +256,22 @@ def nine_columns(names: list[str]) -> list[int]:
     return [one[0] for one in found]
 
 
-def _strengths(value: Floats, field: Floats) -> Floats:
-    """Return |K (E - E0)| of nine parameters (time, 9) for readings E (direction, 3); (time, direction)."""
+def calibrated_field(value: Floats, field: Floats) -> Floats:
+    """Return K (E - E0) of nine parameters (time, 9) for readings E (direction, 3), nT.
+
+    Yin (2010), eq. 2.5, angles in degrees; (time, direction, 3).
+    """
     cosine = np.cos(np.deg2rad(value[:, 3:6]))
     k = np.zeros((len(value), 3, 3))
     k[:, [0, 1, 2], [0, 1, 2]] = value[:, :3]
     k[:, [0, 0, 1], [1, 2, 2]] = cosine
     free = field[None] - value[:, None, 6:]
-    return np.asarray(np.linalg.norm(np.einsum("tij,tdj->tdi", k, free), axis=2))
+    return np.asarray(np.einsum("tij,tdj->tdi", k, free))
+
+
+def _strengths(value: Floats, field: Floats) -> Floats:
+    """Return the strength of `calibrated_field`; (time, direction)."""
+    return np.asarray(np.linalg.norm(calibrated_field(value, field), axis=2))
 
 
 def _steps(

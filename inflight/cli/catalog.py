@@ -1,4 +1,4 @@
-"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``diff``, ``verify``, ``gc`` and the rest."""
+"""Verbs of ``catalog``: ``list``, ``show``, ``gaps``, ``runs``, ``log``, ``diff``, ``verify``, ``gc`` ..."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import datetime as dt
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
+    from inflight.calibration import TableChanges
     from inflight.catalog import Catalog, Day, DayChange, RunRecord
 
 group = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
@@ -38,6 +40,9 @@ _CALLED = {
     "inflation": "squares of errors are larger than those of white noise by a factor of",
     "source": "told by",
 }
+SvgOption = Annotated[
+    Path | None, typer.Option("--svg", help="Draw it into this file.", metavar="FILE", show_default=False)
+]
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
@@ -254,6 +259,46 @@ def _summary_of_report(report: Mapping[str, Any]) -> str:
     return "; ".join(parts)
 
 
+@verb(group, "lineage")
+def lineage(
+    command: Command,
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="l2/field@2005-01-10, main-window:4, a delivered file, release:1.0, model:2, context:NAME "
+            "or a lineage id (day:12)."
+        ),
+    ],
+    *,
+    up: Annotated[bool, typer.Option("--up", help="Only what it was made from.")] = False,
+    down: Annotated[bool, typer.Option("--down", help="Only what was made from it.")] = False,
+    svg: SvgOption = None,
+) -> None:
+    """Show what something was made from and what was made from it, both ways to the end."""
+    graph = command.open_catalog().lineage_graph(name, "both" if up == down else "up" if up else "down")
+    if svg is not None:
+        svg.write_text(graph.svg(), "utf-8")
+    nodes = [_plain_fields(node) | {"text": node.text} for node in graph.nodes]
+    for node in nodes:
+        node["items"] = [_plain_fields(item) for item in node["items"]]
+    links = [
+        {
+            "parent": link.parent,
+            "child": link.child,
+            "parents": [item.id for item in link.parents],
+            "children": [item.id for item in link.children],
+        }
+        for link in graph.links
+    ]
+
+    def show(console: Console) -> None:
+        console.print(graph.text(), markup=False, soft_wrap=True)
+        if svg is not None:
+            console.print(f"drawn: {svg}", markup=False, soft_wrap=True)
+
+    command.emit({"command": "catalog lineage", "name": graph.name, "nodes": nodes, "links": links}, show)
+
+
 @verb(group, "approve")
 def approve(
     command: Command,
@@ -436,6 +481,31 @@ def runs(
     command.emit({"command": "catalog runs", "items": items}, show)
 
 
+@verb(group, "log")
+def log(
+    command: Command,
+    run: Annotated[
+        str | None,
+        typer.Argument(help="Of 'catalog runs', or how it begins (default: the last).", show_default=False),
+    ] = None,
+) -> None:
+    """Show the log of a run: what it was asked to do, what became of its days, errors with what to do."""
+    from inflight.errors import CatalogError
+    from inflight.tasks import run_log
+
+    catalog = command.open_catalog()
+    found = [record for record in catalog.runs() if record.id.startswith(run or "")]
+    if not found:
+        raise CatalogError(f"there is no run {run or ''}", remedy="'inflight catalog runs' lists them")
+    lines = run_log(catalog, found[-1])
+
+    def show(console: Console) -> None:
+        for line in lines:
+            console.print(line, soft_wrap=True, markup=False)
+
+    command.emit({"command": "catalog log", "run": found[-1].id, "lines": lines}, show)
+
+
 def _run_fields(record: RunRecord) -> dict[str, Any]:
     reason = str(record.settings.get("reason", ""))
     return {"run": record.id, **_plain_fields(record), "settings": dict(record.settings), "reason": reason}
@@ -452,18 +522,35 @@ def _seconds(item: Mapping[str, Any]) -> str:
 def diff(
     command: Command,
     before: Annotated[
-        str, typer.Argument(help="A release, such as 1.0; model:2, the products of that version; or now.")
+        str,
+        typer.Argument(
+            help="A release, such as 1.0; model:2, the products of that version; now; or a table, "
+            "such as main-window:4."
+        ),
     ],
-    after: Annotated[str, typer.Argument(help="The same.", show_default=True)] = "now",
+    after: Annotated[
+        str, typer.Argument(help="The same (of tables: the newest of the name).", show_default=True)
+    ] = "now",
     *,
     datasets: Annotated[
         list[str] | None,
         typer.Option("--dataset", help="Only datasets like this; may be repeated (default: l2/*)"),
     ] = None,
+    strength: Annotated[
+        float, typer.Option(help="Field in which changes of a table are told in nT, nT.")
+    ] = 50_000.0,
+    svg: SvgOption = None,
 ) -> None:
-    """Tell which days differ between two releases or versions, and by how much."""
-    found = list(command.open_catalog().differences(before, after, datasets or ["l2/*"]))
+    """Tell what differs between two releases or versions, day by day, or between two calibration tables."""
+    catalog = command.open_catalog()
+    name = before.removeprefix("tables/").partition(":")[0]
+    if name in {record.name for record in catalog.tables()}:
+        _table_diff(command, catalog, (before, name if after == "now" else after), strength, svg)
+        return
+    found = list(catalog.differences(before, after, datasets or ["l2/*"]))
     items = [_change_fields(one) for one in found]
+    if svg is not None:
+        svg.write_text(_picture_of_days(f"{before} to {after}", found), "utf-8")
 
     def show(console: Console) -> None:
         if not found:
@@ -485,6 +572,95 @@ def diff(
         )
 
     command.emit({"command": "catalog diff", "before": before, "after": after, "items": items}, show)
+
+
+def _table_diff(
+    command: Command, catalog: Catalog, names: tuple[str, str], strength: float, svg: Path | None
+) -> None:
+    """Tell what differs between two calibration tables, parameter by parameter."""
+    from inflight.calibration import table_changes
+    from inflight.tasks import find_table
+
+    old, new = (find_table(catalog, name.removeprefix("tables/")) for name in names)
+    labels = [f"{one.name}:{one.id}" for one in (old, new)]
+    found = table_changes(catalog.table_by_id(old.id), catalog.table_by_id(new.id), strength)
+    rows = found.rows()
+    if svg is not None:
+        svg.write_text(_picture_of_table(" to ".join(labels), found), "utf-8")
+    fields = {
+        "before": labels[0],
+        "after": labels[1],
+        "start": _utc(int(found.start[0])),
+        "end": _utc(int(found.end[-1])),
+        "spans": len(found.start),
+        "strength": strength,
+        "field": found.field_rms(),
+        "gained": list(found.gained),
+        "lost": list(found.lost),
+        "items": [_plain_fields(one) | {"at": _utc(one.at)} for one in rows],
+    }
+
+    def show(console: Console) -> None:
+        console.print(f"{' and '.join(labels)}, {fields['start']} to {fields['end']}", soft_wrap=True)
+        for what, names_of in (("gained", found.gained), ("lost", found.lost)):
+            if names_of:
+                console.print(f"parameters {what}: {', '.join(names_of)}", markup=False, soft_wrap=True)
+        if not rows:
+            console.print("the parameters of both have the same values")
+            return
+        numbers = [
+            [
+                one.parameter,
+                f"{one.rms:.4g}",
+                f"{one.largest:+.4g}",
+                "" if one.unit == "1" else one.unit,
+                _utc(one.at),
+                "" if one.sigmas != one.sigmas else f"{one.sigmas:.2f}",
+                "" if one.field != one.field else f"{one.field:.3g}",
+            ]
+            for one in rows
+        ]
+        heads = ("parameter", "rms", "largest", "unit", "from", "largest, sigmas", "rms in the field, nT")
+        console.print(text_table(heads, numbers))
+        if fields["field"] == fields["field"]:
+            console.print(
+                f"all of them together: {fields['field']:.3g} nT rms over time and directions of a field of "
+                f"{strength:.0f} nT (--strength)",
+                soft_wrap=True,
+            )
+        console.print("sigmas: the change over the larger sigma of both tables", soft_wrap=True)
+
+    command.emit({"command": "catalog diff", **fields}, show)
+
+
+def _picture_of_table(title: str, found: TableChanges) -> str:
+    from inflight.errors import CatalogError
+    from inflight.figures import changes_picture, table_change_panels
+
+    panels = table_change_panels(found)
+    if not panels:
+        raise CatalogError("no values differ: there is nothing to draw", remedy="leave out --svg")
+    return changes_picture(f"{title}: changes; the band is one sigma", panels)
+
+
+def _picture_of_days(title: str, changes: Sequence[DayChange]) -> str:
+    import numpy as np
+
+    from inflight.errors import CatalogError
+    from inflight.figures import ChangePanel, changes_picture
+
+    series: dict[tuple[str, str, str], list[tuple[np.datetime64, float]]] = {}
+    for one in changes:
+        if part := one.main:
+            series.setdefault((one.dataset, part.variable, part.units), []).append((one.day, part.rms))
+    if not series:
+        raise CatalogError("no values differ: there is nothing to draw", remedy="leave out --svg")
+    panels = []
+    for (dataset, variable, units), points in series.items():
+        days = np.array([day for day, _ in points])
+        values = np.array([rms for _, rms in points])
+        panels.append(ChangePanel(f"{dataset}: {variable}, rms of the day", units, days, days + 1, values))
+    return changes_picture(f"{title}: changes of days", panels)
 
 
 def _change_fields(change: DayChange) -> dict[str, Any]:

@@ -6,7 +6,7 @@ Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_U
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -58,6 +58,7 @@ CoverageOption = Annotated[
 ]
 ComparisonOption = Annotated[str, typer.Option(help="What is compared with what.")]
 DetailsOption = Annotated[bool, typer.Option("--details", help="List everything that was found.")]
+ReasonOption = Annotated[str, typer.Option(help="Why; kept with the runs: see 'catalog runs'.")]
 BatchOption = Annotated[
     int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
 ]
@@ -228,6 +229,7 @@ def reprocess(
         Path | None,
         typer.Option(help="Folder for what --as-of makes (default: as-of/VERSION)", show_default=False),
     ] = None,
+    reason: ReasonOption = "",
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
     details: DetailsOption = False,
@@ -266,7 +268,7 @@ def reprocess(
         use_table=use_table,
         context=named_context,
     )
-    parameters = _given(start=start, end=end, settings=settings)
+    parameters = _given(start=start, end=end, settings=settings, reason=reason or None)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
     place, checked = command.open_workspace(), ReprocessSettings.model_validate(settings)
     mission, checked = settings_of_context(command.open_catalog(), place.mission(), checked)
@@ -304,7 +306,11 @@ def backfill(
     end: Annotated[str, typer.Option(help="Day after the last one, YYYY-MM-DD.")],
     comparison: ComparisonOption = "main",
     batch_days: BatchOption = None,
-    reason: Annotated[str, typer.Option(help="Why; kept with the runs: see 'catalog runs'.")] = "",
+    reason: ReasonOption = "",
+    niceness: Annotated[
+        int | None,
+        typer.Option(min=0, max=19, help="How far it stands behind other work (default: 10)"),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only print the plan, and what it would cost.")
     ] = False,
@@ -314,7 +320,7 @@ def backfill(
 ) -> None:
     """Take in and reprocess a past span: planned first, then only what is needed."""
     from inflight.errors import CatalogError
-    from inflight.flows import plan_span
+    from inflight.flows import plan_lines, plan_span
 
     settings = _given(comparison=comparison, batch_days=batch_days)
     try:
@@ -325,13 +331,18 @@ def backfill(
         fields = None  # what is to be taken in may be all there is of the span
 
     def show_plan(console: Console) -> None:
-        for line in _plan_lines(start, end, fields) if fields else ():
+        for line in plan_lines("backfill", start, end, fields) if fields else ():
             console.print(line, soft_wrap=True, markup=False)
 
     if not dry_run:
         if not command.json:
             show_plan(command.console)
-        parameters = {"start": start, "end": end, "settings": settings, **_given(reason=reason or None)}
+        parameters = {
+            "start": start,
+            "end": end,
+            "settings": settings,
+            **_given(reason=reason or None, niceness=niceness),
+        }
         report = run_flow(command, "backfill", parameters, workers=workers, prefect=not no_prefect)
         there = report.days["done"] + report.days["unchanged"]
         report = replace(report, extra={**report.extra, "plan": fields})
@@ -345,17 +356,3 @@ def backfill(
             console.print(f"  {first} to {last}  ({count} days)")
 
     command.emit({"command": "backfill", "dry_run": True, **fields}, show)
-
-
-def _plan_lines(start: str, end: str, fields: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a backfill has to do, and what that costs at a measured rate."""
-    days, cost = fields["days"], fields["cost"]
-    yield (
-        f"backfill {start} to {end}: {days['planned']} days to do in {len(fields['batches'])} batches, "
-        f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
-    )
-    if cost and days["planned"]:
-        yield (
-            f"  some {cost['seconds']:.0f} s and {cost['bytes'] / 1e6:.0f} MB, at the rate of run "
-            f"{cost['run']}; files that have to be taken in first are not counted"
-        )

@@ -406,17 +406,24 @@ def explore(
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print where the page is, open no browser.")
     ] = False,
+    no_token: Annotated[
+        bool,
+        typer.Option("--no-token", help="Show the page to all users and programs of this machine."),
+    ] = False,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Run the files of Python that the mission names as effects."),
+    ] = False,
     workers: WorkersOption = None,
 ) -> None:
     """Explore the workspace in the browser: model against measurement, the missing effect, tables.
 
-    Serves this machine alone until Ctrl-C.
+    Serves this machine alone, and there who has the token of the address, until Ctrl-C.
     """
     workspace = command.open_workspace()
-    workspace.mission()
     from inflight.explorer import Server
 
-    server = Server(workspace, port, workers)
+    server = Server(workspace, port, workers, with_token=not no_token, allow_code=allow_code)
 
     def ready(url: str) -> None:
         fields = {"command": "explore", "url": url, "workspace": str(workspace.root)}

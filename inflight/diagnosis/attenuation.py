@@ -528,22 +528,12 @@ class _Columns:
         """Return noise of a source; straight between the readings of a slow channel."""
         shape = series[source].reshape(len(series.tt2000), -1).shape
         rng = np.random.default_rng(ATTENUATION_SETTINGS.seed)
-        every = self._spacing(source)
+        every = spacing_of(self.data, source)
         drawn = rng.normal(0.0, size, (-(-shape[0] // every) + 1, shape[1]))
         if every > 1:
             at, knots = np.arange(shape[0]), every * np.arange(len(drawn))
             drawn = np.stack([np.interp(at, knots, column) for column in drawn.T], axis=1)
         return np.asarray(drawn[: shape[0]])
-
-    def _spacing(self, source: str) -> int:
-        """Return how many rows lie between readings of a source, at least one."""
-        mission, step = self.data.mission, self.data.series.step_s
-        own = [
-            mission.instruments[instrument].cadence / SECOND
-            for instrument, name, _ in mission.channel_instruments()
-            if source in (name, f"{instrument}.{name}")
-        ]
-        return max(1, round(max(own, default=0.0) / step))
 
     def products(self, source: str, cadence_s: float = 0.0) -> Floats:
         """Return products of the columns of noise of unit variance, N; (column, column).
@@ -572,21 +562,8 @@ class _Columns:
         return np.repeat(self.weight, len(self.plain) // len(self.weight))
 
     def bound(self, source: str) -> float:
-        """Return the most that a row's noise may be, by the median of fourth differences; squared units."""
-        values = self.data.series[source].reshape(len(self.weight), -1)
-        if source == _FIELD:
-            values = np.linalg.norm(values, axis=1)[:, None]
-        every = self._spacing(source)
-        fourth = _fourth(self.data.series, values, every)
-        if not fourth.size:
-            return 0.0
-        size = MAD_TO_SIGMA * np.median(np.abs(fourth), axis=0)
-        if not size.any():
-            # Most readings are the one before: what they are rounded to.
-            steps = np.abs(np.diff(values, axis=0))
-            steps = np.where(steps > 0, steps, np.nan)
-            return float(np.nanmedian(steps) ** 2 / 12.0) if np.isfinite(steps).any() else 0.0
-        return float(np.max(size) ** 2 / _GAIN)
+        """Return the most that a row's noise may be (`noise_bound`)."""
+        return noise_bound(self.data, source)
 
     def of_field(self, residual: Floats) -> Variance:
         """Return the variance of the noise of the field's size, by what the residual shares with it."""
@@ -598,7 +575,7 @@ class _Columns:
 
     def of_channel(self, source: str, bound: float, residual: Floats) -> Variance:
         """Return the variance of a channel's noise, by what its quick part has left in the residual."""
-        series, every = self.data.series, self._spacing(source)
+        series, every = self.data.series, spacing_of(self.data, source)
         size = np.sqrt(bound)
         drawn = self.noise(source, size, series)
         values = series[source].reshape(drawn.shape)
@@ -617,6 +594,35 @@ class _Columns:
         block = np.repeat(series.block, len(self.plain) // len(series.block))
         found, sigma = _ratio(contribution * residual.reshape(-1), expected, block)
         return _between(found, sigma, bound)
+
+
+def spacing_of(data: DiagnosisData, source: str) -> int:
+    """Return how many rows lie between readings of a source, at least one."""
+    mission, step = data.mission, data.series.step_s
+    own = [
+        mission.instruments[instrument].cadence / SECOND
+        for instrument, name, _ in mission.channel_instruments()
+        if source in (name, f"{instrument}.{name}")
+    ]
+    return max(1, round(max(own, default=0.0) / step))
+
+
+def noise_bound(data: DiagnosisData, source: str) -> float:
+    """Return the most that a row's noise may be, by the median of fourth differences; squared units."""
+    series = data.series
+    values = series[source].reshape(len(series.tt2000), -1)
+    if source == _FIELD:
+        values = np.linalg.norm(values, axis=1)[:, None]
+    fourth = _fourth(series, values, spacing_of(data, source))
+    if not fourth.size:
+        return 0.0
+    size = MAD_TO_SIGMA * np.median(np.abs(fourth), axis=0)
+    if not size.any():
+        # Most readings are the one before: what they are rounded to.
+        steps = np.abs(np.diff(values, axis=0))
+        steps = np.where(steps > 0, steps, np.nan)
+        return float(np.nanmedian(steps) ** 2 / 12.0) if np.isfinite(steps).any() else 0.0
+    return float(np.max(size) ** 2 / _GAIN)
 
 
 def _between(value: float, sigma: float, bound: float) -> Variance:

@@ -22,16 +22,31 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.design import Term, design_matrix, term_of
+from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, noise_bound
 from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors, effect_or_none
-from inflight.diagnosis.refine import ANGLES, WIDTH_SETTINGS, can_add_columns, join_terms
+from inflight.diagnosis.refine import (
+    ANGLES,
+    WIDTH_SETTINGS,
+    FormTrials,
+    best_lag,
+    can_add_columns,
+    join_terms,
+)
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
-from inflight.diagnosis.scoring import Index, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
+from inflight.diagnosis.scoring import (
+    Index,
+    draw_signs,
+    family_wise_p,
+    make_folds,
+    score,
+    sign_flip_ratios,
+)
 from inflight.diagnosis.search import VISIBILITY_SETTINGS, Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import hac_t, solve_scaled
 from inflight.model import ModelEffect
-from inflight.samples import base_channels
+from inflight.samples import base_channels, slow_response
 
 #: What a channel may act on, and the effect that does it: ``effect(channel)``.
 ACTS_ON: Mapping[str, str] = {
@@ -68,6 +83,8 @@ class FormSettings:
         A cell that explains this part of what an effect does, in its place, is related to it; assumed.
     small_mean : float
         A channel whose mean is no more than this part of its spread is taken as it is; assumed.
+    in_place : int
+        Other channels at most that are held against an effect with their noise; a bound on time, assumed.
     nearly : float
         Cells and products that reach this part of the t and of the gain of an addition are held against
         everything.
@@ -80,6 +97,7 @@ class FormSettings:
     own_t: float = 1.0
     related: float = 0.5
     small_mean: float = 0.02
+    in_place: int = 4
     nearly: float = 0.5
 
 
@@ -256,6 +274,117 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
             for one in without:
                 out[one.name] = max(out.get(one.name, (0.0, "")), (float(found.gain[best]), name))
     return {name: cell for name, (_, cell) in out.items()}
+
+
+def alike_but_for_noise(search: Search, data: DiagnosisData) -> dict[str, tuple[str, ...]]:
+    """Return effects that another channel explains as well, but for noise of its own readings.
+
+    A temperature that a current makes is read with noise or in coarse steps; the current's slow response has
+    none of it and leaves less, whichever of both is the cause. Noise of variance v in what is followed leaves
+    ``v |A b|^2``, with b the coefficients and A what a channel of 1 makes; where a channel leaves no more
+    than that beyond the effect, the data cannot tell. A response is tried with the lag that is best for it.
+    """
+    taken = [
+        one
+        for one in search.accepted
+        if one.change is None and not one.agnostic and not one.number and one.channels
+    ]
+    if not taken or not can_add_columns(search, data):
+        return {}
+    noise = {name: noise_bound(data, name) for name in driving_channels(data) if name not in GEOMETRY}
+    noise = {name: one for name, one in noise.items() if one < _most_noise(data, name)}
+    out = {}
+    for option, near in _near_in_place(search, data, taken, list(noise)).items():
+        trials = FormTrials(search, data, option)
+        own = trials.loss([search.library.by_key[key] for key in option.terms])
+        found: dict[str, tuple[float, str]] = {}
+        for label, cell, entry in near:
+            cell, entry = _at_best_lag(search, data, trials, label, cell) or (cell, entry)  # noqa: PLW2901
+            columns = trials.columns(term_of(entry, f"{label}({cell.name}) in place"))
+            values = solve_scaled(columns @ columns.T, columns @ trials.rest)
+            made = trials.root * (_acting_columns(data, entry) @ values).reshape(-1)
+            variance = noise[cell.channel] * _noise_kept(data, cell)
+            by_noise = np.bincount(trials.block, weights=variance * made**2, minlength=trials.blocks)
+            behind = float(hac_t((trials.remaining([columns]) - own - by_noise)[:, None])[0])
+            name = f"{label}({cell.channel}){cell.lag_text}"
+            if behind < min(search.rules.rival_t, found.get(cell.channel, (np.inf, ""))[0]):
+                found[cell.channel] = behind, name
+        if found:
+            out[option.name] = tuple(name for _, name in sorted(found.values()))
+    return out
+
+
+def _near_in_place(
+    search: Search, data: DiagnosisData, taken: Sequence[Option], channels: Sequence[str]
+) -> dict[Option, list[tuple[str, Followed, ModelEffect]]]:
+    """Return the values and responses of other channels that explain much in the place of an effect.
+
+    Of each row of the table and channel the best one, those that explain most first; what explains as much
+    beside the effect as in its place is another effect.
+    """
+    folds, rules, rows = make_folds(len(search.raw)), search.rules, CellRows(search, data)
+    found: dict[Option, dict[tuple[str, str], tuple[float, Followed, ModelEffect]]] = {}
+    for label in ACTS_ON.values() if channels else ():
+        cells = _cells(search, data, label, channels, held=True)
+        row = _TableRow.of(rows, label, [one for one in cells if one.how in ("value", "response")])
+        if row is None:
+            continue
+        products, y = row.products, row.products.residuals[0]
+        beside = score(products, search.present_in(products), row.places, y, folds)
+        for option in taken:
+            present = search.present_in(products, option)
+            own = score(products, present, [products.index(option.columns)], y, folds)
+            scores = score(products, present, row.places, y, folds)
+            near = (scores.t > rules.t) & (scores.gain > FORM_SETTINGS.related * own.gain[0])
+            near &= beside.gain * beside.loss0.sum() < 0.5 * scores.gain * scores.loss0.sum()
+            best = found.setdefault(option, {})
+            for number in np.flatnonzero(near):
+                cell, gain = row.cells[number], float(scores.gain[number])
+                key = label, cell.channel
+                if cell.channel not in option.channels and gain > best.get(key, (0.0,))[0]:
+                    best[key] = gain, cell, row.entries[cell]
+    return {
+        option: [
+            (label, cell, entry)
+            for (label, _), (_, cell, entry) in sorted(best.items(), key=lambda one: -one[1][0])[
+                : FORM_SETTINGS.in_place
+            ]
+        ]
+        for option, best in found.items()
+    }
+
+
+def _at_best_lag(
+    search: Search, data: DiagnosisData, trials: FormTrials, label: str, cell: Followed
+) -> tuple[Followed, ModelEffect] | None:
+    """Return a response with the lag that leaves least, and its effect; None of a value."""
+    if cell.how != "response":
+        return None
+
+    def at(lag: float) -> tuple[Followed, ModelEffect]:
+        name = f"{cell.name.replace(cell.lag_text, '')}@lag={lag:.4g}s"
+        other = replace(cell, name=name, lag_s=float(f"{lag:.4g}"))
+        entry = _entry(data, label, other)
+        assert entry is not None  # the mission has the sensor: it had it for another lag
+        return other, entry
+
+    def loss(lag: float) -> Floats:
+        return trials.loss([term_of(at(lag)[1], f"lag {lag:.6g}")])
+
+    return at(best_lag(search, data, loss)[0])
+
+
+def _most_noise(data: DiagnosisData, channel: str) -> float:
+    """Return the variance of noise from which on a channel says nothing."""
+    return ATTENUATION_SETTINGS.most * float(np.nanvar(data.series[channel]))
+
+
+def _noise_kept(data: DiagnosisData, cell: Followed) -> float:
+    """Return which part of the variance of white noise is left in what follows a channel."""
+    if not cell.lag_s:
+        return 1.0
+    noise = np.random.default_rng(ATTENUATION_SETTINGS.seed).normal(size=len(data.series.tt2000))
+    return float(np.var(slow_response(noise, data.series.step_s, cell.lag_s)))
 
 
 def _core_name(label: str, cell: Followed) -> str:

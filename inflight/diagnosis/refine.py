@@ -363,7 +363,7 @@ def _with_lag(search: Search, data: DiagnosisData, option: Option) -> Refined:
     def loss(lag: float) -> Floats:
         return trials.loss([term(lag)])
 
-    best, sigma = _best_lag(search, data, loss, _lag_of_bank(search, option))
+    best, sigma = best_lag(search, data, loss, _lag_of_bank(search, option))
     if float(hac_t((loss(0.0) - loss(best))[:, None])[0]) < search.rules.t:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
         return search, plain[0] if plain else option
@@ -428,7 +428,7 @@ def _lag_of_bank(search: Search, option: Option) -> float | None:
     return peak_of(*scan_lags(blocks.sum(axis=0), own, places, y))
 
 
-def _best_lag(
+def best_lag(
     search: Search, data: DiagnosisData, loss: Callable[[float], Floats], about: float | None = None
 ) -> tuple[float, float | None]:
     """Return the lag that leaves least, s, and its error by leaving out folds of blocks.
@@ -496,7 +496,7 @@ def _with_slow_factor(
     def loss(lag: float) -> Floats:
         return trials.loss([term(lag, f"{option.mechanism}@trial")])
 
-    best, sigma = _best_lag(search, data, loss)
+    best, sigma = best_lag(search, data, loss)
     if old and abs(best - old) <= LAG_SETTINGS.near * old:
         return search, now
     before, after = trials.loss([source]), loss(best)

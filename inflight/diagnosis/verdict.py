@@ -20,7 +20,13 @@ from inflight.arrays import Floats
 from inflight.design import Term
 from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, Freed, Told, of_samples, without_attenuation
 from inflight.diagnosis.choices import nearest_rivals, turned_over
-from inflight.diagnosis.forms import add_forms, add_interactions, instead_of_several, left_follows
+from inflight.diagnosis.forms import (
+    add_forms,
+    add_interactions,
+    alike_but_for_noise,
+    instead_of_several,
+    left_follows,
+)
 from inflight.diagnosis.model_numbers import line_of, rounded, words_of
 from inflight.diagnosis.refine import (
     LAG_SETTINGS,
@@ -190,9 +196,13 @@ def run_search(
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
     otherwise = left_follows(search, known) if remaining.is_there else {}
-    instead = instead_of_several(search, known)
+    instead, alike = instead_of_several(search, known), alike_but_for_noise(search, known)
     effects = tuple(
-        replace(one, left_follows=otherwise.get(one.name, ""), instead=instead.get(one.name, ""))
+        replace(
+            _with_rivals(one, alike.get(one.name, ())),
+            left_follows=otherwise.get(one.name, ""),
+            instead=instead.get(one.name, ""),
+        )
         for one in effects
     )
     effects = tuple(
@@ -261,6 +271,12 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
     """Return True when more than noise is left, and it is faster than the samples of the search."""
     more = native_rms(data, search) ** 2 - data.floor.high_nT**2
     return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
+
+
+def _with_rivals(effect: FoundEffect, more: Sequence[str]) -> FoundEffect:
+    """Return an effect with further causes that do as well in its place."""
+    rivals = tuple(dict.fromkeys((*effect.rivals, *more)))
+    return replace(effect, rivals=rivals, status="rivals" if more else effect.status)
 
 
 def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:

@@ -63,6 +63,7 @@ _KINDS = {
     "scalar_response": "an averaging of the scalar sensor that is not known",
     "oscillator": "a reference oscillator that is off",
     "heading": "a field of the scalar sensor itself",
+    "heading_anisotropy": "a reading of the scalar sensor that depends on the field's direction in it",
     "remanent": "a permanent field of the spacecraft",
     "affine": "scale factors, angles and offsets that change",
 }

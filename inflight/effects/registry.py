@@ -44,6 +44,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     sensors.ChannelBias,
     sensors.ChannelClock,
     Heading,
+    sensors.HeadingAnisotropy,
     channels.Induced,
     channels.SoftIron,
     channels.Eddy,

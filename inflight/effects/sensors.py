@@ -1,7 +1,7 @@
 """The equations of vector and scalar magnetometers.
 
 Vector: scale factors, misalignment angles, offsets (Yin 2010, eq. 2.5), non-linearity, temperature, and
-parameters that follow a channel. Scalar: time shift, response, oscillator, bias, heading error (Yin 2010,
+parameters that follow a channel. Scalar: time shift, response, oscillator, bias, heading errors (Yin 2010,
 section 2.5). `correct` gives the reading of a perfect sensor, `disturb` the raw one.
 """
 
@@ -17,6 +17,7 @@ from inflight.effects.base import (
     Effect,
     Parameter,
     Values,
+    field_direction,
     field_strength,
     multiply,
     reach_of_rate,
@@ -337,6 +338,31 @@ class Heading(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the constant vector; (time, axis) nT."""
         return np.asarray(np.broadcast_to(values["vector"], (samples.sizes["time"], 3)))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
+
+class HeadingAnisotropy(Effect):
+    """Heading error of second order: a scalar reading that depends on the axis of the field in the sensor.
+
+    Corrected ``F - h M h`` with the field's direction h and a symmetric matrix M without trace, of which `zz`
+    is ``-(xx + yy)``: the trace is `scalar_bias`, and what follows h itself is `heading`. Unlike what a scale
+    factor does, it does not grow with the field.
+    """
+
+    family = "sensor"
+    acts_on = ("scalar",)
+    follows_field = True
+    matrix = Parameter("nT", ("xx", "yy", "xy", "xz", "yz"), sigma=0.5)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``M h``, whose part along h the sensor reads; (time, axis) nT."""
+        xx, yy, xy, xz, yz = np.moveaxis(values["matrix"], -1, 0)
+        flat = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, -xx - yy], axis=-1)
+        return multiply(flat, field_direction(samples))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from .causes import (
     torquer_mean_figures,
     with_and_without_figure,
 )
+from .coverage import COVERAGE_COLOURS, coverage_figure, coverage_legend
 from .dependence import (
     along_field_figures,
     axis_figure,
@@ -57,6 +58,7 @@ from .dual import (
     timeline_figure,
     unit_steps_figure,
 )
+from .graph import Arrow, Box, graph_picture
 from .page import (
     LazySection,
     Section,
@@ -87,11 +89,14 @@ from .parameters import (
 from .quicklook import (
     THUMBNAIL_BINS,
     CalendarDay,
+    ChangePanel,
     Panel,
     by_day_picture,
     calendar_page,
+    changes_picture,
     day_picture,
     ranges,
+    table_change_panels,
 )
 from .residual import (
     contribution_figure,
@@ -139,12 +144,16 @@ __all__ = [
     "AFTER",
     "BEFORE",
     "COMPONENTS",
+    "COVERAGE_COLOURS",
     "HIGHLIGHT",
     "PARTS",
     "PLANES",
     "REFERENCE",
     "THUMBNAIL_BINS",
+    "Arrow",
+    "Box",
     "CalendarDay",
+    "ChangePanel",
     "LazySection",
     "Panel",
     "Section",
@@ -161,6 +170,7 @@ __all__ = [
     "calendar_page",
     "candidate_table",
     "change_tables",
+    "changes_picture",
     "channel_figures",
     "clock_figure",
     "coefficient_figures",
@@ -169,6 +179,8 @@ __all__ = [
     "contribution_figure",
     "correction_figure",
     "correlation_figure",
+    "coverage_figure",
+    "coverage_legend",
     "cross_talk_figure",
     "daily_figure",
     "day_night_figure",
@@ -191,6 +203,7 @@ __all__ = [
     "fold_figure",
     "found_effects_html",
     "gain_change_figure",
+    "graph_picture",
     "heat_map_figures",
     "histogram_figure",
     "html_page",
@@ -236,6 +249,7 @@ __all__ = [
     "stack_figures",
     "strongest_pairs",
     "switching_steps_figure",
+    "table_change_panels",
     "temperature_figure",
     "text_style",
     "timeline_figure",

@@ -15,7 +15,9 @@ import numpy.typing as npt
 from markupsafe import Markup
 
 from inflight.arrays import Floats
+from inflight.calibration import TableChanges
 from inflight.figures.page import render
+from inflight.time import to_utc
 
 #: Okabe and Ito's colours for the axes: told apart by colour-blind readers.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
@@ -174,6 +176,93 @@ def day_picture(
             hours=[(hour, f"{width * hour / 24:.1f}") for hour in range(0, 25, 3)],
         )
     )
+
+
+@dataclass(frozen=True)
+class ChangePanel:
+    """Changes with time.
+
+    Attributes
+    ----------
+    title, unit : str
+    start, end : ndarray of datetime64, shape (span,)
+        From when to when each holds.
+    values : ndarray, shape (span,)
+    sigma : ndarray, shape (span,), optional
+        Half the height of the band about zero that a change within its errors stays in.
+    """
+
+    title: str
+    unit: str
+    start: npt.NDArray[np.datetime64]
+    end: npt.NDArray[np.datetime64]
+    values: Floats
+    sigma: Floats | None = None
+
+
+def changes_picture(title: str, panels: Sequence[ChangePanel]) -> str:
+    """Return changes as an SVG, a panel below the other, all over the same time."""
+    width, height = _PANEL
+    first = min(panel.start.min() for panel in panels)
+    last = max(panel.end.max() for panel in panels)
+    drawn = []
+    for place, panel in enumerate(panels):
+        x, right = (width * ((at - first) / (last - first)) for at in (panel.start, panel.end))
+        band = np.zeros(len(x)) if panel.sigma is None else np.nan_to_num(panel.sigma)
+        # Values are seen whole; a band that is much wider is cut.
+        size = float(np.nanmax(np.abs(panel.values), initial=0.0)) or 1.0
+        most = 1.05 * max(size, min(float(band.max(initial=0.0)), 3 * size))
+        least = -most if panel.sigma is not None or np.nanmin(panel.values) < 0 else 0.0
+
+        def y(value: Floats, most: float = most, least: float = least) -> Floats:
+            return np.asarray(height * (most - np.clip(value, least, most)) / (most - least))
+
+        known = np.flatnonzero(np.isfinite(panel.values)).tolist()
+        level, top, bottom = y(panel.values), y(band), y(-band)
+        drawn.append(
+            {
+                "top": 50 + place * (height + 34),
+                "title": f"{panel.title} ({panel.unit})" if panel.unit not in ("", "1") else panel.title,
+                "curve": "".join(
+                    f"M{x[at]:.1f},{level[at]:.1f}H{max(right[at], x[at] + 2):.1f}" for at in known
+                ),
+                "band": "".join(
+                    f"M{x[at]:.1f},{top[at]:.1f}H{right[at]:.1f}V{bottom[at]:.1f}H{x[at]:.1f}z"
+                    for at in np.flatnonzero(band > 0).tolist()
+                ),
+                "zero": f"{float(y(np.zeros(1))[0]):.1f}",
+                "least": f"{least:.4g}",
+                "most": f"{most:.4g}",
+            }
+        )
+    return (
+        str(
+            render(
+                "changes.svg",
+                title=title,
+                panels=drawn,
+                bottom=50 + len(panels) * (height + 34),
+                width=width,
+                height=height,
+                margin=_MARGIN,
+                first=str(first.astype("datetime64[m]")),
+                last=str(last.astype("datetime64[m]")),
+            )
+        )
+        + "\n"
+    )
+
+
+def table_change_panels(found: TableChanges) -> list[ChangePanel]:
+    """Return what changed from one calibration table to another: all parameters together, then each."""
+    start, end = to_utc(found.start), to_utc(found.end)
+    together = ChangePanel("all parameters together, rms over directions", "nT", start, end, found.field)
+    panels = [together] if np.isfinite(found.field_rms()) else []
+    for one in found.rows():
+        at = found.parameters.index(one.parameter)
+        change, sigma = found.change[:, at], found.sigma[:, at]
+        panels.append(ChangePanel(one.parameter, one.unit, start, end, change, sigma))
+    return panels
 
 
 def calendar_page(title: str, what: str, days: Mapping[np.datetime64, CalendarDay]) -> str:

@@ -157,12 +157,14 @@ def align(
         lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
         values, method = _resample(name, series, places, lag)
         if name in _MISSING:
-            lost = ~finite_rows(values)
+            own = _flags_at(series, places.target(lag))
+            # A reading in another range is there: it is no more than left out.
+            lost = ~finite_rows(values) & (own & np.uint32(Flag.OTHER_RANGE) == 0)
             flag[lost] |= np.uint32(_MISSING[name])
             if name == "scalar":
                 # No place near the Earth or in the solar wind has no field: the instrument failed.
                 flag[values <= 0] |= np.uint32(Flag.OUT_OF_RANGE)
-            flag |= _flags_at(series, places.target(lag))
+            flag |= own
         attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
         # `axis` belongs to vectors of three, other components get a dimension of their own.
         component = "axis" if values.ndim > 1 and values.shape[1] == 3 else f"{name}_component"

@@ -737,7 +737,8 @@ def make_blocks(
     todo = [block[0] for block in plan.blocks if block[0] not in kept]
     if not todo:
         return "", [kept[day] for day in sorted(kept)], {}
-    with cat.run("diagnose", settings.model_dump(), context=context) as run:
+    planned = {"days_planned": len(todo)}
+    with cat.run("diagnose", {**settings.model_dump(), **planned}, context=context) as run:
         kept |= reuse_interrupted_days(run, dataset, keys, todo)
         todo = [day for day in todo if day not in kept]
         size = settings.batch_blocks

@@ -496,7 +496,10 @@ def ingest(
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
-    with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
+    settings |= {"start": str(start or ""), "end": str(end or "")}
+    with cat.run(
+        "ingest", settings | {"days_planned": sum(len(plan.todo) + len(plan.adopt) for plan in plans)}
+    ) as run:
         jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
         by_instrument = {plan.delivery.instrument: plan for plan in plans}
         results = iter_results(client, make_batch, [(job,) for job in jobs])

@@ -27,6 +27,9 @@ SPIN_PHASE = "spin_phase"
 #: Name of the need of the channel with the direction of the spin axis; samples do not hold it.
 SPIN_AXIS = "spin_axis"
 
+#: Name of the need of the channel that tells a comparison's measuring range; samples do not hold it.
+RANGE = "measuring_range"
+
 #: Name of the known ambient field in samples.
 AMBIENT = "ambient"
 
@@ -183,7 +186,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         )
         for role, name in roles.items()
     ]
-    for needed_by in (clock_of, axis_of, ambient_of):
+    for needed_by in (clock_of, axis_of, ambient_of, range_of):
         needs += needed_by(mission, model.comparison)
     known = _Names(mission)
     used = {channel for entry in model.effects for channel in entry.effect.channels}
@@ -329,6 +332,16 @@ def ambient_of(mission: Mission, comparison: str) -> list[Need]:
             cadence_ns=mission.instruments[entry.ambient].cadence,
         )
     ]
+
+
+def range_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells the range of a scalar comparison; none where it states no range."""
+    entry = mission.comparisons[comparison]
+    if entry.kind != "scalar" or entry.range is None:
+        return []
+    homes = channels_by_name(mission)
+    (name,) = (one for one, home in homes.items() if entry.range.channel in (one, home[1], ".".join(home)))
+    return [replace(_need_of(mission, name), name=RANGE)]
 
 
 class _Names:

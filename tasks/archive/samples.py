@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
@@ -51,6 +51,7 @@ from inflight.samples import (
 from inflight.spin import PhaseFault, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
     INPUT_SETTINGS,
+    RANGE,
     SPIN_AXIS,
     SPIN_PHASE,
     ArchiveIndex,
@@ -59,6 +60,7 @@ from inflight.tasks.archive.inputs import (
     channels_by_name,
     geometry_channels,
     position_channel,
+    range_of,
 )
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
 from inflight.units import factor_and_offset, parse_unit
@@ -222,6 +224,9 @@ def _read(cat: Catalog, day: Day, name: str) -> tuple[npt.NDArray[Any], dict[str
     return _CACHE.get((day.segment, day.rows, name), lambda: cat.read_variable(day, name))
 
 
+#: Before and after every stamp, and too far for a difference of two to overflow.
+_NEVER = -(2**61), 2**61
+
 _FLIP_KINDS = ("flip", "flip_back")
 
 _DAY = np.timedelta64(1, "D")
@@ -254,6 +259,48 @@ def exclusion_flags(mission: Mission, comparison: str, stamps: Int64) -> np.ndar
         if one.instrument in instruments:
             out[(one.start <= stamps) & (stamps < one.end)] = np.uint32(Flag.EXCLUDED)
     return out
+
+
+def in_own_range(
+    mission: Mission, comparison: str, need: Need, telling: Series | None, vector: Series
+) -> Series:
+    """Return a vector instrument's readings without those of other ranges than that of a comparison.
+
+    A reading is in the range when those of the channel before and after it are; farther than one and a half
+    cadences from any the range is not known. The others are NaN and flagged ``OTHER_RANGE``, so that no mean
+    or interpolation mixes ranges.
+
+    Parameters
+    ----------
+    telling : Series or None
+        The channel that tells the range.
+
+    Raises
+    ------
+    SamplesError
+        When the channel's day is not in the archive.
+    """
+    entry = mission.comparisons[comparison]
+    if telling is None or entry.kind != "scalar" or entry.range is None:
+        raise SamplesError(
+            "nothing tells the measuring range",
+            channel=f"{need.instrument}.{need.channel}",
+            remedy="ingest the day's files",
+        )
+    told = np.asarray(telling.values, dtype=np.float64)
+    known = np.isfinite(told)
+    # One more at both ends that is too far away to count.
+    at = np.concatenate([[_NEVER[0]], telling.stamps[known] + need.lag_ns, [_NEVER[1]]])
+    inside = np.concatenate([[False], np.isin(told[known], entry.range.value), [False]])
+    before, after = (np.searchsorted(at, vector.stamps, side=side) for side in ("right", "left"))
+    reach = 3 * need.cadence_ns // 2
+    near = vector.stamps - at[before - 1] <= reach, at[after] - vector.stamps <= reach
+    wrong = near[0] & ~inside[before - 1] | near[1] & ~inside[after]
+    other = wrong | ~(near[0] | near[1])
+    values = np.array(vector.values, dtype=np.float64)
+    marked = np.where(other & finite_rows(values), np.uint32(Flag.OTHER_RANGE), np.uint32(0))
+    values[other] = np.nan
+    return replace(vector, values=values, flag=marked if vector.flag is None else vector.flag | marked)
 
 
 def position_edges(mission: Mission) -> list[np.datetime64]:
@@ -558,9 +605,10 @@ def load_samples(
     if not surroundings:
         needs = [replace(need, around_ns=0) for need in needs]
     base = next(need for need in needs if need.name == base_role(mission, model.comparison))
-    needs = [need for need in needs if need.name != SPIN_AXIS]
+    needs = [need for need in needs if need.name not in (SPIN_AXIS, RANGE)]
     clock = next((need for need in needs if need.name == SPIN_PHASE), None)
     present = _present(cat, [need for need in needs if need is not clock], base, day, index)
+    present |= _own_range(cat, mission, model.comparison, present, day, index)
     stamps = present[base.name].stamps
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start - base.around_ns) & (stamps < end + base.around_ns)])
@@ -615,6 +663,22 @@ def _present(
             f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
         )
     return {name: series for name, series in channels.items() if series is not None}
+
+
+def _own_range(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    present: Mapping[str, Series],
+    day: np.datetime64,
+    index: ArchiveIndex,
+) -> dict[str, Series]:
+    """Return the vector readings of the range of a comparison; nothing when it states none."""
+    own = {}
+    for need in range_of(mission, comparison):
+        telling = channel_series(cat, need, day, index)
+        own["vector"] = in_own_range(mission, comparison, need, telling, present["vector"])
+    return own
 
 
 def _model_field(

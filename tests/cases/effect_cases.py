@@ -34,6 +34,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "oscillator": ("ovm", {"channel": "frequency_ratio"}),
     "scalar_bias": ("ovm", {}),
     "heading": ("ovm", {}),
+    "heading_anisotropy": ("ovm", {}),
     "induced": ("ovm", {}),
     "soft_iron": ("ovm", {}),
     "eddy": ("fgm", {}),

@@ -76,6 +76,41 @@ class RunContract:
         with pytest.raises(CatalogError, match=r"v01\.03"):
             catalog.read_day(NAME, DAYS[2], version="v01.03")
 
+    def test_a_clock_set_back_mixes_and_loses_nothing_and_times_keep_their_order(self, catalog, monkeypatch):
+        back = dt.timedelta(0)
+        for module in ("database", "runs"):
+            clock = f"inflight.catalog.{module}.present_time"
+            monkeypatch.setattr(clock, lambda: dt.datetime.now(dt.UTC) + back)
+        for seed, hours in enumerate((0, -5, -29, 1)):
+            with catalog.run("reprocess", {"seed": seed}) as run:
+                # Set back while the run is under way; another process opens the catalog then.
+                back = dt.timedelta(hours=hours)
+                Catalog(catalog.workspace)
+                run.stage(NAME, samples(DAYS[0], seed=seed), day=DAYS[0])
+                made = run.stage_table("offsets", table(float(seed)), start=0, end=10)
+                run.publish(certify=[(made, 0, 10, None)], supersede=True)
+            catalog.save_model("m", f"effects: [{seed}]")
+        found = catalog.runs()
+        assert [one.settings["seed"] for one in found] == [0, 1, 2, 3]
+        assert [one.state for one in found] == ["done"] * 4
+        assert sorted(one.id[:15] for one in found) == [one.id[:15] for one in found]
+        took = [
+            dt.datetime.fromisoformat(one.ended) - dt.datetime.fromisoformat(one.started) for one in found
+        ]
+        assert all(dt.timedelta(0) < one < dt.timedelta(minutes=1) for one in took)
+        assert catalog.rate("reprocess").seconds > 0
+        assert [day.version for day in catalog.revisions(NAME)] == ["v01.00", "v01.01", "v01.02", "v01.03"]
+        np.testing.assert_array_equal(
+            catalog.read_day(NAME, DAYS[0])["field"], samples(DAYS[0], seed=3)["field"]
+        )
+        assert [one.created for one in catalog.models()] == sorted(one.created for one in catalog.models())
+        # What was valid by then is told in the order in which it was done.
+        acts = catalog.certification_acts()
+        assert [act.table for act in acts] == [1, 2, 3, 4]
+        for at, act in enumerate(acts):
+            before = catalog.certification_acts(until=dt.datetime.fromisoformat(act.created))
+            assert before == acts[:at]
+
     def test_the_baseline_leads_the_version_and_never_goes_back(self, catalog):
         publish(catalog, NAME, DAYS[:1])
         catalog.set_baseline(2)
@@ -414,6 +449,12 @@ class RegistryContract:
             ("file:" + "1" * 64, raw.id),
         }
         assert [edge.child for edge in catalog.lineage("file:" + "1" * 64, up=False)] == [raw.id, product.id]
+        for named in ("a.cdf", "file:" + "1" * 64, NAME, product.id, "model:1", f"context:{context[:8]}"):
+            graph = catalog.lineage_graph(named)
+            found = {node.kind: node.text for node in graph.nodes if node.side != "here"}
+            assert found.get("product", "2005-12-30 v01.00") == "2005-12-30 v01.00"
+            assert {"product", "archive", "delivered files", "model", "context"} >= set(found), named
+            assert graph.edges
         assert catalog.verify() == []
 
 

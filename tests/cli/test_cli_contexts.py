@@ -8,6 +8,7 @@ from tiny_mission import TINY_START, make_tiny_workspace
 
 from inflight.catalog import Catalog
 from inflight.cli import main
+from inflight.time import to_tt2000
 
 FIRST = np.datetime64(TINY_START, "D")
 
@@ -131,3 +132,21 @@ def test_a_context_is_refused_with_settings_that_contradict_it(inflight, workspa
     assert "did you mean 'first'" in unknown.json["error"]["message"]
     monthly = inflight(*run, "--context", "first", "--table", "continuous")
     assert "no table 'main-continuous'" in monthly.json["error"]["message"]
+
+
+def test_a_table_is_held_against_the_newest_one_of_its_name(inflight, workspace, tmp_path):
+    catalog = Catalog(workspace)
+    first, last = (catalog.tables("main-window")[at] for at in (0, -1))
+    picture = tmp_path / "tables.svg"
+    told = inflight("catalog", "diff", f"main-window:{first.id}", "-w", workspace, "--svg", picture, "--json")
+    assert told.code == 0, told.err
+    assert (told.json["before"], told.json["after"]) == (f"main-window:{first.id}", f"main-window:{last.id}")
+    for item in told.json["items"]:
+        at = np.datetime64(item["at"], "ns")
+        values = [
+            table.isel(interval=int(np.flatnonzero(table["start"].values <= to_tt2000(at))[-1]))["value"]
+            for table in (catalog.table_by_id(first.id), catalog.table_by_id(last.id))
+        ]
+        apart = float(values[1].sel(parameter=item["parameter"]) - values[0].sel(parameter=item["parameter"]))
+        assert item["largest"] == apart
+    assert told.json["items"][0]["parameter"] in picture.read_text()

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.archive import simulated_workspace
 from inflight.catalog import Workspace
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.tasks.analysis import DiagnoseSettings
+from inflight.tasks.analysis import DiagnoseSettings, Workbench
 from inflight.tasks.analysis.diagnosis import diagnose
 from inflight.tasks.pipelines import reprocess
 
@@ -115,3 +116,12 @@ def test_a_current_beside_the_sensor_is_named(tmp_path):
     found = diagnose(cat, mission, settings=DiagnoseSettings())
     names = [one.name for one in found.entries]
     assert any("battery_current" in name for name in names), names
+    # Taken out of the product, it stands apart, and beside the field that still has it.
+    Workbench(cat, mission).add("channel_field(battery_current)")
+    assert reprocess(cat, mission).exit_code == 0
+    product = cat.read_day("l2/field", SETTINGS.day_list[0])
+    turn = Rotation.from_quat(mission.instruments["fgm"].orientation)
+    (term,) = (name for name in product if name.startswith("correction_"))
+    still_in = turn.apply(product["field_sensor"].values + product[term].values)
+    np.testing.assert_allclose(product["before_stray_field"].values, still_in, atol=2e-4)
+    assert np.abs(product["before_stray_field"].values - product["field_spacecraft"].values).max() > 1

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from diagnosis_cases import CHANNELS, DAWN_DUSK, POLAR, STEP_S, case_of, flight_of, read
+from diagnosis_cases import CHANNELS, DAWN_DUSK, POLAR, STEP_S, case_of, flight_of, read, with_channels
 
 from inflight.samples import slow_response
 from inflight.samples.derived import play
@@ -42,9 +42,23 @@ def in_full_sun():
     return case_of(flight, hidden, channels=CHANNELS[1:4], block_days=1 / 14)
 
 
+@lru_cache(maxsize=1)
+def with_thermometer():
+    """Ten days in which a heater warms the boom; residuals of the boom's temperature and of the current."""
+    flight = flight_of(POLAR, 10)
+    current = flight["heater_current"] / np.std(flight["heater_current"])
+    warm = 10.0 * slow_response(current, STEP_S, 1800.0)
+    reading = warm + np.random.default_rng(5).normal(0.0, 0.3, warm.size)
+    flight = with_channels(flight, boom_temperature=reading)
+    along = np.array([0.5, 0.0, 0.8])
+    hidden = [read(flight, 0, 0.1 * warm[:, None] * along), read(flight, 1, 0.5 * current[:, None] * along)]
+    return case_of(flight, hidden, channels=USED, block_days=0.25)
+
+
 @lru_cache(maxsize=8)
 def told_of(case, residual, *without):
-    return {"polar": polar, "in_full_sun": in_full_sun}[case]().diagnose(residual, without, draws=500)
+    cases = {"polar": polar, "in_full_sun": in_full_sun, "with_thermometer": with_thermometer}
+    return cases[case]().diagnose(residual, without, draws=500)
 
 
 def families(told):
@@ -139,3 +153,21 @@ def test_a_bias_is_found_but_said_to_be_weakly_known():
     assert told.verdict == "CONFOUNDED" or one.retained < 0.02
     named = {rival["name"] for rival in told.confusion_set}
     assert any("scale_factor" in name for name in named)
+
+
+# F6: a temperature that is read with noise, and the current that makes it, which is not.
+
+
+def test_a_noisy_thermometer_stays_a_rival_of_the_current_that_warms_it():
+    (one,) = told_of("with_thermometer", 0).effects
+    # The slow response of the current leaves less, for it has no noise: that makes it no cause.
+    assert one.status == "rivals"
+    assert {name.split("@")[0] for name in (one.name, *one.rivals)} == {
+        "channel_field(boom_temperature)",
+        "channel_field(heater_current)",
+    }
+
+
+def test_a_thermometer_is_no_rival_of_a_current_that_acts_at_once():
+    (one,) = told_of("with_thermometer", 1).effects
+    assert (one.name, one.status, one.rivals) == ("channel_field(heater_current)", "sure", ())

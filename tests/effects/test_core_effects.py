@@ -131,6 +131,17 @@ def test_a_scalar_sensor_reads_the_projection_of_a_field_on_the_direction(sign):
     assert_allclose(raw["vector"].values, b, rtol=0, atol=0)
 
 
+def test_a_second_order_heading_error_is_the_same_for_fields_that_oppose():
+    truth = true_samples(2)
+    xx, yy, xy, xz, yz = 0.4, -0.1, 0.2, -0.3, 0.05
+    raw = one("heading_anisotropy", matrix=[xx, yy, xy, xz, yz]).disturb(truth)
+    b = truth["vector"].values
+    x, y, z = (b / np.linalg.norm(b, axis=1, keepdims=True)).T
+    # Written out, so that neither sign nor factor of a product is taken from the code.
+    expected = xx * (x * x - z * z) + yy * (y * y - z * z) + 2 * (xy * x * y + xz * x * z + yz * y * z)
+    assert_allclose(raw["scalar"].values - truth["scalar"].values, expected, rtol=0, atol=ROUNDING)
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_scalar_bias_adds_to_the_reading(sign):
     truth = true_samples(2)

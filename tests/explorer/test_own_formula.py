@@ -3,7 +3,7 @@
 import pytest
 from heated_mission import HEATER_FIELD, housekeeping, make_heated_workspace
 
-from inflight.errors import ModelError
+from inflight.errors import ModelError, SettingsError
 from inflight.explorer.session import ExplorerSession
 
 FORMULA = "= heater_current / 1000 * (boom_temperature < 8)"
@@ -31,6 +31,13 @@ def test_a_formula_is_tried_added_and_has_the_hidden_coefficients(tmp_path):
         for one, true in zip(added["coefficients"], HEATER_FIELD, strict=True):
             assert abs(one["value"] - true) < 5 * one["sigma"] < 0.5
         assert session.versions("main")[1][-1] == "formula_field_heater_current_boom_temperature"
+        # The file is what 'inflight add FILE' takes, and so does the page: the same residual.
+        (saved,) = (session.workspace.root / "effects").iterdir()
+        session.change("main", "undo", "", nobody)
+        again = session.preview("main", f"effects/{saved.name}", nobody)
+        assert again["error"]["held_out_nT"] == pytest.approx([before, after])
+        with pytest.raises(SettingsError, match="no such file"):
+            session.preview("main", "effects/../mission.yaml", nobody)
         with pytest.raises(ModelError, match="has not"):
             session.preview("main", "= heater_curent", nobody)
         with pytest.raises(ModelError, match="is not allowed"):

@@ -4,7 +4,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from inflight.figures.quicklook import CalendarDay, Panel, calendar_page, day_picture, ranges
+from inflight.figures.quicklook import (
+    CalendarDay,
+    ChangePanel,
+    Panel,
+    calendar_page,
+    changes_picture,
+    day_picture,
+    ranges,
+)
 
 
 def test_ranges_keep_a_spike_and_leave_gaps():
@@ -35,6 +43,17 @@ def test_days_without_data_are_drawn_without_a_curve():
     picture = day_picture("day", part, [Panel("field", "nT", [""], np.full((10, 1), np.nan))], part < 0)
     ElementTree.fromstring(picture)
     assert 'd=""' in picture
+
+
+def test_changes_stand_at_their_time_and_height():
+    start = np.array(["2005-01-01", "2005-01-03"], "datetime64[D]")
+    panel = ChangePanel("offset", "nT", start, start + 1, np.array([2.0, -1.0]), np.array([0.5, 0.5]))
+    picture = ElementTree.fromstring(changes_picture("1 to 2", [panel]))
+    band, zero, curve = (one.get("d") for one in picture.iter() if one.tag.endswith("path"))
+    # 900 pixels of three days; 150 of twice 2.1 nT.
+    assert curve == f"M0.0,{150 * (2.1 - 2) / 4.2:.1f}H300.0M600.0,{150 * (2.1 + 1) / 4.2:.1f}H900.0"
+    assert zero == "M0,75.0H900"
+    assert band.startswith(f"M0.0,{150 * (2.1 - 0.5) / 4.2:.1f}H300.0V{150 * (2.1 + 0.5) / 4.2:.1f}H0.0z")
 
 
 def test_the_calendar_links_days_and_says_why_others_are_missing():

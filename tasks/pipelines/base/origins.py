@@ -43,7 +43,8 @@ def origin_attributes(
     dict
         ``calibration_method`` (pipeline, versions of its algorithms), ``calibration_model``,
         ``calibration_table`` (name:key, and what taught the row that holds), ``calibration_coefficients`` (a
-        list: value at noon and where it is from), ``calibration_context`` where one was named (name:id),
+        list: value at noon and where it is from), ``calibration_range`` of an instrument with several
+        measuring ranges, ``calibration_context`` where one was named (name:id),
         ``exclusions`` that touch the day, and ``typical_values`` where channels were missing.
     """
     start, end = day_bounds(day)
@@ -56,6 +57,9 @@ def origin_attributes(
         "calibration_model": batch.model_name,
         "calibration_table": f"{batch.table_name}{_taught(row, (start, end))}",
     }
+    comparison = batch.mission.comparisons[batch.model.comparison]
+    if comparison.kind == "scalar" and comparison.range:
+        attributes["calibration_range"] = comparison.range.words
     if batch.context_name:
         attributes["calibration_context"] = batch.context_name
     coefficients = [

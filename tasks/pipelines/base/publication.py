@@ -243,10 +243,10 @@ def record_failure(
     failed: dict[np.datetime64, dict[str, str]],
 ) -> None:
     """Register with the run why a day could not be made, and add it to `failed`."""
-    run.record(dataset, day, "failed", failure.cause, failure.message)
     failed[day] = problem(
         failure.cause, failure.message, day=day, channel=failure.channel, remedy=failure.remedy
     )
+    run.record(dataset, day, "failed", failure.cause, failure.message, {"problem": failed[day]})
 
 
 def rounded(product: xr.Dataset) -> xr.Dataset:

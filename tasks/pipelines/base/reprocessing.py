@@ -52,7 +52,8 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     InflightError
         When the tables of all days cannot be made; statistics of days remain for the next run.
     """
-    with cat.run("reprocess", plan.recorded, context=plan.context) as run:
+    planned = {"days_planned": len(pipeline.days_to_do(cat, plan)[0])}
+    with cat.run("reprocess", {**plan.recorded, **planned}, context=plan.context) as run:
         work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
         run.record_no_work(plan.product, plan.no_work)
         is_fitted = plan.settings.use_table is None and plan.settings.context is None

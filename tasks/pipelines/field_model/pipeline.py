@@ -105,7 +105,7 @@ class FieldModelPipeline(Pipeline):
     """Twelve parameters of a vector sensor, ``B = M E + b``, against a model of the main field."""
 
     tag = "field_model"
-    versions = Versions(statistics=1, tables=1, products=1)
+    versions = Versions(statistics=1, tables=1, products=2)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a comparison with a field model."""
@@ -412,6 +412,15 @@ def twelve_table(
     return with_changes(with_learnt_spans(table, taught[:, 0], taught[:, 1]))
 
 
+def _row_of_day(table: xr.Dataset, day: np.datetime64) -> xr.Dataset:
+    """Return the interval of a table that holds the begin of a day."""
+    start, _ = day_bounds(day)
+    inside = np.flatnonzero((table["start"].values <= start) & (start < table["end"].values))
+    if not inside.size:
+        raise CatalogError("the table holds nothing on the day", day=str(day), remedy="reprocess the span")
+    return table.isel(interval=int(inside[-1]))
+
+
 def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     """Return the level-2 product of a day.
 
@@ -420,7 +429,8 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     xarray.Dataset
         `field_sensor` (the sensor's nominal axes), `field_spacecraft`, `field_nec`, `field_model` (the
         model's, spacecraft axes), `residual`, `residual_preflight` (spacecraft axes), `uncertainty` (sensor
-        axes), ``correction_<effect>``; (time, axis) nT; `latitude`, `longitude`, `flag`.
+        axes), ``correction_<effect>``, `before_stray_field` (spacecraft axes); (time, axis) nT; `latitude`,
+        `longitude`, `flag`.
     """
     import xarray as xr
 
@@ -428,15 +438,16 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
     samples, model = _samples(batch, day, surroundings=True), batch.model.bind(table)
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     start, end = day_bounds(day)
-    inside = np.flatnonzero((table["start"].values <= start) & (start < table["end"].values))
-    if not inside.size:
-        raise CatalogError("the table holds nothing on the day", day=str(day), remedy="reprocess the span")
-    row = table.isel(interval=int(inside[-1]))
+    row = _row_of_day(table, day)
     corrected = model.corrected(samples)
     reading, _, _ = readings_of(batch.model, samples)
     field, sensor = np.asarray(corrected["field"].values), own_equation(model).sensor
-    body, reference = sensor.rotation.apply(np.nan_to_num(field)), np.asarray(samples[REFERENCE].values)
-    body = np.where(np.isfinite(field), body, np.nan)
+    reference = np.asarray(samples[REFERENCE].values)
+
+    def turned(values: Floats) -> Floats:
+        return np.where(np.isfinite(values), sensor.rotation.apply(np.nan_to_num(values)), np.nan)
+
+    body = turned(field)
     flag = np.asarray(samples["flag"].values, dtype=np.uint32)
     lost = ~np.isfinite(field).all(axis=1) & (flag & np.uint32(UNUSABLE) == 0)
     flag = np.where(lost, flag | np.uint32(Flag.CHANNEL_MISSING), flag)
@@ -476,8 +487,13 @@ def field_model_product(batch: ProductBatch, day: np.datetime64) -> xr.Dataset:
         nec = to_nec(body, attitude, here, frame)
         variables["field_nec"] = told(nec, "calibrated field", "nec")
     flag = np.where(np.isfinite(attitude).all(axis=1), flag, flag | np.uint32(Flag.NO_ATTITUDE))
-    for name, term in model.correction_terms(cast("xr.Dataset", corrected)).items():
+    terms = model.correction_terms(cast("xr.Dataset", corrected))
+    for name, term in terms.items():
         variables[f"correction_{name}"] = told(term, f"taken out of the reading: {name}", "sensor")
+    with_terms = model.before_corrections(cast("xr.Dataset", corrected), terms)
+    if with_terms is not None:
+        text = "calibrated field, nothing of the spacecraft's taken out"
+        variables["before_stray_field"] = told(turned(with_terms), text, "spacecraft")
     latitude, longitude = latitude_longitude(here)
     degrees = {"units": "deg"}
     return xr.Dataset(

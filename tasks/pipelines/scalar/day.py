@@ -129,6 +129,8 @@ def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     flag = samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
     fields = [np.asarray(samples[role].values, dtype=np.float64) for role in ("vector", "scalar")]
     measured = (flag == 0) & finite_rows(fields[0]) & (fields[1] > 0)
+    # A day in another range tells nothing of this one, and nothing is wrong with it.
+    measured |= (samples["flag"].values & np.uint32(Flag.OTHER_RANGE) > 0) & (fields[1] > 0)
     if is_enough(good):
         fit = fit_block(*parts, good, reference, prior, sub_block_count(good.sum() * step / SECOND))
         residual = {"before_nT": fit.before, "after_nT": fit.after}
