@@ -17,13 +17,19 @@ from inflight.tasks import Progress
 _POLL_MS = 100
 
 
-def lazy_tabs(parts: Sequence[LazySection], background: Background) -> pn.Tabs:
+def lazy_tabs(
+    parts: Sequence[LazySection],
+    background: Background,
+    section: Callable[..., pn.viewable.Viewable] = panes.section,
+) -> pn.Tabs:
     """Return sections behind tabs, each made when its tab is opened for the first time.
 
     Parameters
     ----------
     parts : sequence of Later
         Made in a thread of the background.
+    section : callable
+        Makes a pane of text and figures.
     """
     job_panes = [JobPane(background) for _ in parts]
     begun: set[int] = set()
@@ -37,7 +43,7 @@ def lazy_tabs(parts: Sequence[LazySection], background: Background) -> pn.Tabs:
         if index not in begun:
             begun.add(index)
             heading, make = parts[index]
-            job_panes[index].begin(heading, lambda progress: make(), lambda body: panes.section(*body))
+            job_panes[index].begin(heading, lambda progress: make(), lambda body: section(*body))
 
     tabs.param.watch(lambda event: show(event.new), "active")
     if parts:

@@ -10,14 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from inflight.diagnosis import what_it_is
-from inflight.figures import short_name
+from inflight.diagnosis import LEFT, what_it_is
+from inflight.figures import short_name, signature_facts
+from inflight.residual import is_at_floor
 
 Fields = Mapping[str, Any]
 #: Gain that is left, in parts of the gain before, of a candidate that what was found explains; assumed.
 _EXPLAINED = 0.1
-#: Residual in parts of the noise floor that is at it; assumed.
-AT_FLOOR = 1.05
+#: Candidates told to resemble a signature at most, and the least part of the mean square they take off.
+_NEAREST, _RESEMBLES = 3, 0.01
 #: Why an effect of the model is not tried.
 IN_MODEL = "in the model already"
 #: Chance of a gain by chance that is no finding; stated.
@@ -89,6 +90,61 @@ def candidate_rows(fields: Fields, effects: Sequence[str] = ()) -> list[Candidat
         CandidateRow(one["name"], _words(one), None, "", reason=one["reason"]) for one in fields["unscorable"]
     ]
     return [row for row in rows if _entry_name(row.name) not in known] + own + dead
+
+
+@dataclass(frozen=True)
+class SignatureCard:
+    """What is left that no effect of the library explains.
+
+    Attributes
+    ----------
+    words : str
+        What it looks like, and how sure that is.
+    facts : tuple of (str, str)
+        Period, axes, shape, size, lag: name and value.
+    resembles : tuple of str
+        Candidates that come nearest, with the part of the mean square each would take off; none was taken.
+    effect : str
+        What `inflight add` takes to put it into the model as an empirical effect; empty of what no term
+        describes.
+    """
+
+    words: str
+    facts: tuple[tuple[str, str], ...]
+    resembles: tuple[str, ...]
+    effect: str
+
+
+def signature_card(fields: Fields, effects: Sequence[str] = ()) -> SignatureCard | None:
+    """Return the signature of what a diagnosis leaves; None where only noise is left, or nothing is known.
+
+    Parameters
+    ----------
+    fields : mapping
+        As `Diagnosis.as_json`.
+    effects : sequence of str
+        Names of the model's own: what describes the signature is not added again.
+    """
+    signature = fields["remaining"]["signature"]
+    if signature is None or fields["remaining"]["verdict"] == "NOTHING_LEFT":
+        return None
+    left = next((one for one in fields["entries"] if one["name"] == LEFT), None)
+    words = f"{left['words']} ({left['how_sure']})" if left else "it is there, and these data hardly show it"
+    effect = signature["added_by"].strip('"')
+    if not effect and signature["channel"]:
+        lag = f"@lag={signature['lag_s']:.4g}s" if signature["lag_s"] else ""
+        effect = f"channel_field({signature['channel']}){lag}"
+    if {_entry_name(effect), effect.partition("(")[0]} & set(effects):
+        return None
+    found = {one["name"] for one in fields["effects"]}
+    near = [
+        one
+        for one in fields["candidates"]
+        if not one["placebo"] and one["name"] not in found and one["gain_now"] > _RESEMBLES
+    ]
+    near.sort(key=lambda one: -one["gain_now"])
+    resembles = tuple(f"{_words(one)} ({one['gain_now']:.0%})" for one in near[:_NEAREST])
+    return SignatureCard(words, tuple(signature_facts(signature)), resembles, effect)
 
 
 def _entry_name(candidate: str) -> str:
@@ -168,7 +224,7 @@ class LoopState:
         state = f"{self.model[:1].upper()}{self.model[1:]}"
         if size is not None:
             state += f" leaves {size:.4g} nT rms of days not used in the fit"
-            at = "at" if floor and size <= AT_FLOOR * floor else "above"
+            at = "at" if floor and is_at_floor(size, floor) else "above"
             state += f", {at} the noise floor of {floor:.4g} nT." if floor else ", and has no noise floor."
         else:
             state += ": what it leaves of days not used in a fit has not been measured yet."
@@ -182,7 +238,7 @@ class LoopState:
         if found is None:
             return "Diagnose: it ranks what may be missing."
         if "stale" in found:
-            if size and floor and size <= AT_FLOOR * floor:
+            if size and floor and is_at_floor(size, floor):
                 return f"{reprocess}Diagnose: it confirms that nothing is left."
             return "Diagnose again: what is ranked here was measured with another model."
         named = next((one for one in found["entries"] if one["command"]), None)

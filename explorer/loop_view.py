@@ -6,43 +6,46 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import panel as pn
-from bokeh.events import SelectionGeometry
-from bokeh.models import BoxSelectTool
-from bokeh.plotting import figure
 
-from inflight.diagnosis import residual_map
+from inflight.diagnosis import BeforeAfter
 from inflight.explorer import panes
 from inflight.explorer.job_pane import JobPane
-from inflight.explorer.loop_state import CandidateRow, LoopState, candidate_rows
+from inflight.explorer.loop_state import (
+    CandidateRow,
+    LoopState,
+    SignatureCard,
+    candidate_rows,
+    signature_card,
+)
 from inflight.explorer.overview import ComparisonOverview
-from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.residual_rows import ResidualRows
+from inflight.explorer.residual_view import ResidualView, fit_figure
+from inflight.explorer.session import Contributions, Days, ExplorerSession
+from inflight.explorer.time_view import TimeView
 from inflight.explorer.view_state import ViewState
 from inflight.figures import (
     change_tables,
-    dependence_figure,
     error_figure,
-    heat_map_figures,
     html_table,
     paragraph,
 )
-from inflight.tasks.pipelines import CompareResult
 
 Fields = Mapping[str, Any]
 pn.extension("tabulator")
 
 _THIRD = {"flex": "1 1 0", "min-width": "0"}
+_TWO_THIRDS = {"flex": "2 1 0", "min-width": "0"}
 _HEADING = {"margin": "0 10px"}
-#: Heights of figures and of the table, pixels.
-_MAP, _CURVE, _ERROR, _TABLE = 330, 270, 340, 520
+#: Heights of the figure, of the table, and of an effect's numbers at most, pixels.
+_ERROR, _TABLE, _NUMBERS = 340, 520, 280
 _TABLE_STYLE = """
 .tabulator .tabulator-row .tabulator-cell, .tabulator .tabulator-header .tabulator-col {
   font-size: 13px; padding: 4px 6px; white-space: normal !important; height: auto !important }
+.tabulator .tabulator-tableholder { overflow-x: hidden !important }
 """
 _GREY, _CHIP = "#6b6b6b", "#8a5a00"
-_SELECTED_DAYS = "Drag over days of the map to look at them alone."
 
 
 class LoopView:
@@ -69,47 +72,43 @@ class LoopView:
         select: Callable[[Days | None], None],
     ) -> None:
         self._session, self._state = session, state
-        self._notify, self._select = changed, select
+        self._notify = changed
         self._overview: ComparisonOverview | None = None
         self._days: Days | None = None
-        self._measured: CompareResult[Any] | None = None
         self._rows: list[CandidateRow] = []
         self._loop: LoopState | None = None
         self._sentence = pn.pane.HTML("", sizing_mode="stretch_width", margin=(4, 10))
-        self._make_left()
+        self._time = TimeView(session, state)
+        self._residual = ResidualView(session, state, select, self._time.go_to, self._show_in_time)
+        self._left = (_heading("Where it fails"), *self._residual.parts)
         self._make_middle()
         self._make_right()
-        columns = [
+        left, middle, right = (
             pn.Column(*parts, styles=_THIRD, sizing_mode="stretch_width")
             for parts in (self._left, self._middle, self._right)
-        ]
+        )
+        # What goes on in time has the width of two columns.
+        both = pn.Row(middle, right, sizing_mode="stretch_width")
+        wide = pn.Column(both, self._time.panel, styles=_TWO_THIRDS, sizing_mode="stretch_width")
         self.panel = pn.Column(
-            self._sentence, pn.Row(*columns, sizing_mode="stretch_width"), sizing_mode="stretch_width"
+            self._sentence, pn.Row(left, wide, sizing_mode="stretch_width"), sizing_mode="stretch_width"
         )
 
-    def _make_left(self) -> None:
-        self._residual_pane = JobPane(self._session.background)
-        self._curve = pn.Column(sizing_mode="stretch_width")
-        self._channel = pn.widgets.Select(
-            name="Residual against", options=[], sizing_mode="stretch_width", visible=False
-        )
-        self._whole = pn.widgets.Button(name="Default span")
-        self._whole.on_click(lambda event: self._select(None))
-        self._channel.param.watch(lambda event: self._channel_chosen(event.new), "value")
-        self._left = (
-            _heading("Where it fails"),
-            self._residual_pane.panel,
-            self._channel,
-            self._curve,
-        )
+    def _show_in_time(self, rows: ResidualRows | None, are_products: bool) -> None:
+        if rows is None or self._overview is None:
+            self._time.clear()
+        else:
+            self._time.show(self._overview.comparison, rows, are_products)
 
     def _make_middle(self) -> None:
         self._diagnosis_pane = JobPane(self._session.background)
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._diagnose.on_click(lambda event: self._begin_diagnosis())
+        self._card = pn.Column(sizing_mode="stretch_width")
         self._middle = (
             _heading("Which effect is missing"),
             self._diagnose,
+            self._card,
             self._diagnosis_pane.panel,
         )
 
@@ -118,6 +117,8 @@ class LoopView:
         self._error, self._versions, self._numbers = (
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
+        # A field of many coefficients must not push away what goes on in time.
+        self._numbers.styles = {"max-height": f"{_NUMBERS}px", "overflow-y": "auto"}
         self._other = pn.widgets.TextInput(
             name="Effect",
             placeholder="a channel, an effect, an entry, or = a formula of channels",
@@ -151,9 +152,11 @@ class LoopView:
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Show a comparison and a span."""
+        if self._overview is None or self._overview.comparison != overview.comparison:
+            self._time.show_contributions(None)
         self._overview, self._days = overview, days
         self._other.value = self._state.candidate
-        self._show_residual()
+        self._residual.show(overview, days)
         diagnosis = self._show_diagnosis()
         self._model_pane.put()
         self._numbers.objects = []
@@ -161,86 +164,13 @@ class LoopView:
         if diagnosis is not None:
             self._model_pane.begin(
                 "Reads the equations of the last diagnosis",
-                lambda progress: self._session.open_equations(overview.comparison, progress),
-                lambda nothing: panes.text(),
+                lambda progress: self._session.open_contributions(overview.comparison, progress),
+                self._opened,
             )
 
-    # Where it fails.
-
-    def _show_residual(self) -> None:
-        assert self._overview is not None
-        self._measured, self._curve.objects = None, []
-        self._channel.visible = False
-        overview, days = self._overview, self._days
-        if overview.note:
-            self._residual_pane.put(
-                panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables.")
-            )
-            return
-        if days is None or not overview.products:
-            self._residual_pane.put(panes.hint("There are no products to hold against the measurements yet."))
-            return
-        self._residual_pane.begin(
-            "Model against measurement",
-            lambda progress: self._session.measure(overview.comparison, days, progress),
-            self._residual,
-        )
-
-    def _residual(self, measured: CompareResult[Any]) -> pn.viewable.Viewable:
-        data, report = measured.data, measured.report
-        if data is None:
-            return panes.text(*[line.text for line in report.summary()])
-        self._measured = measured
-        self._list_channels(data.found)
-        rows = data.rows
-        coordinates = {name.replace(" ", "_"): values for name, values in rows.items()}
-        found = residual_map(rows["tt2000"].astype(np.int64), rows["after"], coordinates)
-        (plot,) = heat_map_figures(found, changed=False)
-        _fit(plot, _MAP)
-        brush = BoxSelectTool(dimensions="height", persistent=False)
-        plot.add_tools(brush)
-        plot.toolbar.active_drag = brush
-        plot.on_event(SelectionGeometry, self._brushed)
-        note = f"Residual of products of model version {report.version}. {_SELECTED_DAYS}"
-        return pn.Column(
-            panes.picture(plot),
-            pn.Row(panes.text(paragraph(note, kind="quiet")), self._whole, sizing_mode="stretch_width"),
-            sizing_mode="stretch_width",
-        )
-
-    def _brushed(self, event: SelectionGeometry) -> None:
-        """Look at the days between the ends of a selection alone."""
-        ends = sorted(event.geometry[end] for end in ("y0", "y1"))
-        first, last = (np.datetime64(int(end), "ms").astype("datetime64[D]") for end in ends)
-        assert self._days is not None
-        days = Days(max(first, self._days.first), min(last, self._days.last))
-        if days.first <= days.last and days != self._days:
-            self._select(days)
-
-    def _list_channels(self, found: Sequence[Any]) -> None:
-        order = sorted(found, key=lambda one: (not one.is_clear, -one.amplitude))
-        names = [one.coordinate for one in order]
-        chosen = self._state.channel if self._state.channel in names else next(iter(names), None)
-        self._channel.param.update(options=names, value=chosen, visible=bool(names))
-        self._draw_channel(chosen)
-
-    def _channel_chosen(self, name: str | None) -> None:
-        if name:
-            self._state.channel = name
-            self._draw_channel(name)
-
-    def _draw_channel(self, name: str | None) -> None:
-        if self._measured is None or name is None:
-            return
-        data, earlier = self._measured.data, self._measured.report.earlier
-        found = next((one for one in data.found if one.coordinate == name), None)
-        if found is None:
-            return
-        label = f"model version {earlier.version}" if earlier else ""
-        level = 0.1 * self._measured.report.floor.level_nT
-        plot = _fit(dependence_figure(found, data.earlier.get(name), label, level), _CURVE)
-        plot.yaxis.axis_label = "mean residual (nT)"
-        self._curve.objects = [panes.picture(plot)]
+    def _opened(self, made: Contributions | None) -> pn.viewable.Viewable:
+        self._time.show_contributions(made)
+        return panes.text()
 
     # Which effect.
 
@@ -264,6 +194,7 @@ class LoopView:
         assert self._overview is not None
         fields = self._session.last_diagnosis(self._overview.comparison)
         if fields is None:
+            self._card.objects = []
             self._diagnosis_pane.put(panes.hint("There is no diagnosis yet: diagnose this span."))
         else:
             self._diagnosis_pane.put(self._candidates(fields))
@@ -271,12 +202,15 @@ class LoopView:
 
     def _candidates(self, fields: Fields) -> pn.viewable.Viewable:
         assert self._overview is not None
-        self._rows = candidate_rows(fields, self._session.versions(self._overview.comparison)[1])
+        effects = self._session.versions(self._overview.comparison)[1]
+        self._rows = candidate_rows(fields, effects)
         names = [row.name for row in self._rows if not row.reason]
         dead = {row.name for row in self._rows} - set(names)
         named = [one["name"] for one in fields["entries"] if one["name"] in names]
         if not self._other.value or self._other.value in dead:
             self._other.value = named[0] if named else ""
+        card = signature_card(fields, effects)
+        self._card.objects = [] if card is None else self._signature_parts(card)
         table = candidate_widget(self._rows)
         if self._other.value in names:
             table.selection = [names.index(self._other.value)]
@@ -284,16 +218,34 @@ class LoopView:
         parts = [] if not fields.get("stale") else [panes.hint(_of_another_model(fields))]
         return pn.Column(*parts, table, sizing_mode="stretch_width")
 
+    def _signature_parts(self, card: SignatureCard) -> list[pn.viewable.Viewable]:
+        """Return what is known of what has no name, with what puts it into the model."""
+        facts = [*card.facts, *(("resembles", one) for one in card.resembles)]
+        text = panes.text(
+            paragraph(f" {card.words}", bold="The library has no name for what is left:"),
+            html_table(["signature", ""], facts, kind="wide told"),
+        )
+        if not card.effect:
+            return [text]
+        try_it = pn.widgets.Button(name="Try it")
+        add_it = pn.widgets.Button(name="Add as an empirical term", button_type="primary")
+        try_it.on_click(lambda event: self._change("try", card.effect))
+        add_it.on_click(lambda event: self._change("add", card.effect, empirical=True))
+        return [text, pn.Row(try_it, add_it)]
+
     def _chosen(self, selection: Sequence[int]) -> None:
         if selection and not self._rows[selection[0]].reason:
             self._other.value = self._rows[selection[0]].name
+            self._residual.follow(self._other.value)
 
     # The error falls.
 
-    def _change(self, verb: str) -> None:
+    def _change(self, verb: str, effect: str = "", *, empirical: bool = False) -> None:
+        """Try, add, drop or undo; what is tried or added is what is written, unless it is named."""
         if self._overview is None:
             return
-        effect = {"undo": "", "drop": self._own.value or ""}.get(verb, self._other.value.strip())
+        written = {"undo": "", "drop": self._own.value or ""}.get(verb, self._other.value.strip())
+        effect = effect or written
         if verb != "undo" and not effect:
             self._model_pane.put(panes.hint(f"Choose what to {verb} first."))
             return
@@ -301,24 +253,40 @@ class LoopView:
         if verb == "try":
             self._model_pane.begin(
                 f"Try {effect}",
-                lambda progress: self._session.preview(comparison, effect, progress),
-                self._tried,
+                lambda progress: (
+                    self._session.preview(comparison, effect, progress),
+                    self._session.before_after(),
+                ),
+                lambda found: self._tried(effect, *found),
             )
         else:
             self._model_pane.begin(
                 f"{verb} {effect}".strip(),
-                lambda progress: self._session.change(comparison, verb, effect, progress),
-                self._changed,
+                lambda progress: (
+                    self._session.change(comparison, verb, effect, progress, empirical=empirical),
+                    self._session.before_after(),
+                    self._session.contributions(),
+                ),
+                lambda found: self._changed(effect, *found),
             )
 
-    def _tried(self, change: Fields) -> pn.viewable.Viewable:
+    def _tried(self, effect: str, change: Fields, seen: BeforeAfter | None) -> pn.viewable.Viewable:
         self._draw_error(change)
+        self._show_change(effect, change, seen)
         why = change["not_justified"]
         doubt = f" These data do not speak for it: {why}." if why else ""
         return self._told(paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved."), change)
 
-    def _changed(self, change: Fields) -> pn.viewable.Viewable:
+    def _show_change(self, effect: str, change: Fields, seen: BeforeAfter | None) -> None:
+        """Show on the left what a change does to the residual, against the channel of its effect."""
+        self._residual.show_change(seen, effect, str(change["effect"]), change["error"]["noise_floor_nT"])
+
+    def _changed(
+        self, effect: str, change: Fields, seen: BeforeAfter | None, made: Contributions | None
+    ) -> pn.viewable.Viewable:
         self._notify()
+        self._show_change(effect, change, seen)
+        self._time.show_contributions(made)
         # The diagnosis shown is of the model before.
         self._show_diagnosis()
         self._show_model()
@@ -342,7 +310,8 @@ class LoopView:
 
     def _reprocessed(self, report: Fields) -> pn.viewable.Viewable:
         self._notify()
-        self._show_residual()
+        assert self._overview is not None
+        self._residual.show(self._overview, self._days)
         self._show_model()
         days = report["days"]
         return panes.text(f"Reprocessed: {days['done']} days made anew, {days['unchanged']} unchanged.")
@@ -374,7 +343,7 @@ class LoopView:
         drawn, floor = self._loop.changes, self._loop.sizes[1]
         if drawn or trial:
             plot = error_figure(drawn, trial, float(floor) if floor else float("nan"))
-            self._error.objects = [panes.picture(_fit(plot, _ERROR))]
+            self._error.objects = [panes.picture(fit_figure(plot, _ERROR))]
         else:
             text = "The model has not been changed yet: Try shows what the chosen effect would take off."
             self._error.objects = [panes.text(paragraph(text, kind="quiet"))]
@@ -453,10 +422,3 @@ def _of_another_model(fields: Fields) -> str:
 
 def _heading(text: str) -> pn.viewable.Viewable:
     return panes.text(paragraph("", bold=text))
-
-
-def _fit(plot: figure, height: int) -> figure:
-    """Let a figure take the width there is, its tools beside it: a row of tools has no room above."""
-    plot.sizing_mode, plot.height = "stretch_width", height
-    plot.toolbar_location, plot.toolbar.autohide = "right", True
-    return plot

@@ -61,8 +61,15 @@ def list_comparisons(mission: Mission) -> list[str]:
     return sorted(mission.comparisons, key=lambda name: (name != "main", name))
 
 
-def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> ComparisonOverview:
+def summarise_comparison(
+    cat: Catalog, mission: Mission, comparison: str, history: ModelHistory | None = None
+) -> ComparisonOverview:
     """Return the overview of a comparison; only the catalog's records are read.
+
+    Parameters
+    ----------
+    history : ModelHistory, optional
+        Of the comparison as it is now, where it is known.
 
     Raises
     ------
@@ -85,7 +92,7 @@ def summarise_comparison(cat: Catalog, mission: Mission, comparison: str) -> Com
         days[-1] if days else None,
         len(products),
         len(archived),
-        ModelHistory(cat, mission, comparison).used.label,
+        (history or ModelHistory(cat, mission, comparison)).used.label,
         tuple(sorted(name for name in names if owner_of_table(name, mission) == comparison)),
         pipeline.note if pipeline else "",
     )

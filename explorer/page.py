@@ -116,7 +116,7 @@ class Page:
         """Show the chosen comparison as the catalog has it now; `keep` the chosen span."""
         try:
             self._mission = self._session.mission()
-            overview = summarise_comparison(self._session.cat, self._mission, self._comparison.value)
+            overview = self._summary(self._comparison.value)
         except Exception as error:
             self._overview = None
             self._hint.objects = [panes.error(error_fields(error))]
@@ -128,6 +128,10 @@ class Page:
         self._show_facts(overview)
         self._shown.clear()
         self._show_active()
+
+    def _summary(self, comparison: str) -> ComparisonOverview:
+        history = self._session.history(comparison)
+        return summarise_comparison(self._session.cat, self._mission, comparison, history)
 
     def _show_facts(self, overview: ComparisonOverview) -> None:
         listed = {
@@ -145,9 +149,7 @@ class Page:
         if self._overview is not None:
             own = self._shown.get(self._tabs.active)
             self._shown = {} if own is None else {self._tabs.active: own}
-            self._show_facts(
-                summarise_comparison(self._session.cat, self._mission, self._overview.comparison)
-            )
+            self._show_facts(self._summary(self._overview.comparison))
 
     def _bound_span(self, overview: ComparisonOverview, keep: bool) -> None:
         span = overview.span()

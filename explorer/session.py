@@ -9,18 +9,23 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from inflight.arrays import Floats
 from inflight.calibration import TableChanges, table_changes
-from inflight.catalog import Catalog, Workspace
+from inflight.catalog import Catalog, Day, Workspace
+from inflight.diagnosis import BeforeAfter
 from inflight.errors import SettingsError
 from inflight.explorer.background import Background, BackgroundJob
 from inflight.explorer.product_day import product_day_sections
 from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest, plan_work
 from inflight.figures import LazySection, Section
+from inflight.flags import UNUSABLE, Flag
 from inflight.flows import lazy_client
 from inflight.mission import Mission
 from inflight.model import parse_tree
@@ -30,7 +35,6 @@ from inflight.tasks import (
     Progress,
     RunProgress,
     coverage_days,
-    find_model,
     run_log,
     runs_progress,
 )
@@ -53,9 +57,14 @@ from inflight.tasks.pipelines import (
     product_of,
     table_sections,
 )
+from inflight.time import Int64, day_of, parse_utc
+
+Texts = npt.NDArray[np.str_]
 
 #: Comparisons cached: the aggregates of 3000 days are some hundred megabytes.
 _CACHED = 3
+#: Days whose samples are kept, and effects whose contributions are drawn, at most.
+_DAYS_KEPT, _EFFECTS = 12, 6
 
 
 @dataclass(frozen=True)
@@ -68,6 +77,32 @@ class Days:
     def bounds(self) -> tuple[str, str]:
         """Return the half-open span: first day, and the day after the last."""
         return str(self.first), str(self.last + np.timedelta64(1, "D"))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of products: TT2000, the residual (nT), and names of the flags of each, empty where good."""
+
+    tt2000: Int64
+    residual: Floats
+    flags: Texts
+
+
+@dataclass(frozen=True)
+class TimeEvent:
+    """Something that happened, from when until when (the same of an instant), ms of UTC, and what."""
+
+    ms: float
+    end_ms: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """What each effect of the model makes of the residual: nT by effect, (sample,), the largest first."""
+
+    tt2000: Int64
+    effects: Mapping[str, Floats]
 
 
 class ExplorerSession:
@@ -93,6 +128,8 @@ class ExplorerSession:
         self.begun: list[tuple[InOwnProcess, BackgroundJob]] = []
         self._measured: dict[tuple[Any, ...], CompareResult[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+        self._read: dict[str, tuple[Any, ...]] = {}
+        self._history: tuple[tuple[Any, ...], ModelHistory] | None = None
 
     def close(self) -> None:
         """Cancel jobs that have not begun, and stop the work of other processes."""
@@ -119,6 +156,24 @@ class ExplorerSession:
                 file=str(self.workspace.mission_file),
             )
         return mission
+
+    def history(self, comparison: str) -> ModelHistory:
+        """Return the models of the workspace as they are now; cached until a file or the catalog changes.
+
+        Raises
+        ------
+        MissionError, ModelError
+            When the mission's model files are wrong.
+        """
+        mission = self.mission()
+        named = (mission.preflight, mission.comparisons[comparison].preflight, *mission.effects)
+        files = [self.workspace.root / name for name in named if name]
+        stamps = [path.stat().st_mtime_ns if path.is_file() else 0 for path in files]
+        versions = [(one.name, one.version, one.sha256) for one in self.cat.models()]
+        key = (comparison, mission.text, *stamps, *versions)
+        if self._history is None or self._history[0] != key:
+            self._history = key, ModelHistory(self.cat, mission, comparison)
+        return self._history[1]
 
     # Model against measurement.
 
@@ -151,6 +206,69 @@ class ExplorerSession:
             for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
         return self._measured[key]
+
+    def samples(self, comparison: str, first: int, last: int, most: int) -> Samples | None:
+        """Return the samples of products between two times, TT2000; None where there are more than `most`.
+
+        Raises
+        ------
+        CatalogError, IntegrityError
+            When a product is damaged.
+        """
+        product = product_of(comparison)
+        ends = day_of(np.array([first, last]))
+        days = self.cat.days(product, slice(str(ends[0]), str(ends[1] + 1)), states=("published",))
+        if not days or sum(day.count for day in days) > most:
+            return None
+        parts = [self._samples_of_day(day) for day in days]
+        tt2000, residual, flag = (np.concatenate(one) for one in zip(*parts, strict=True))
+        part = slice(*np.searchsorted(tt2000, [first, last]))
+        tt2000, residual, flag = tt2000[part], residual[part], flag[part]
+        values, place = np.unique(flag, return_inverse=True)
+        names = np.array([_flag_names(int(one)) for one in values] or [""])
+        bad = (flag & np.uint32(UNUSABLE)) != 0
+        return Samples(tt2000, np.where(bad, np.nan, residual), names[place])
+
+    def _samples_of_day(self, day: Day) -> tuple[Int64, Floats, npt.NDArray[np.uint32]]:
+        """Return stamps, residual and flags of a product; those looked at last are kept."""
+        if day.id not in self._read:
+            data = self.cat.read(day, ("residual", "flag"), with_time=False)
+            parts = (data[name].values for name in ("tt2000", "residual", "flag"))
+            self._read[day.id] = tuple(parts)
+            for old in list(self._read)[:-_DAYS_KEPT]:
+                del self._read[old]
+        return self._read[day.id]
+
+    def events(self, comparison: str) -> list[TimeEvent]:
+        """Return what happened: the mission's events, the model's steps and episodes, models of products."""
+        mission, history = self.mission(), self.history(comparison)
+        found = [(str(one.at), str(one.at), one.name) for one in mission.events]
+        for entry in parse_tree(history.used.text)["effects"]:
+            begin, name = entry.get("at", entry.get("from")), entry.get("name", entry["effect"])
+            if begin is not None:
+                found.append((str(begin), str(entry.get("to", begin)), str(name)))
+        days = self.cat.days(product_of(comparison), states=("published",))
+        contexts = {day.context for day in days if day.context}
+        made = {name: self.cat.context(name).model_version for name in contexts}
+        for before, day in pairwise(day for day in days if day.context):
+            if made[str(before.context)] != made[str(day.context)]:
+                text = f"products of model version {made[str(day.context)]}"
+                found.append((str(day.day), str(day.day), text))
+        return [TimeEvent(_milliseconds(one), _milliseconds(other), text) for one, other, text in found]
+
+    def open_contributions(self, comparison: str, progress: Progress) -> Contributions | None:
+        """Open the workbench of the last diagnosis, and return what each effect of the model in use makes."""
+        self.open_equations(comparison, progress)
+        return self.contributions()
+
+    def contributions(self) -> Contributions | None:
+        """Return what each effect of the model in use makes; asked for within a job that has a workbench."""
+        if self._bench is None:
+            return None
+        tt2000, made = self._bench[1].contributions()
+        sizes = {name: float(np.nanstd(values)) for name, values in made.items()}
+        order = sorted((name for name in made if sizes[name] > 0), key=lambda name: -sizes[name])
+        return Contributions(tt2000, {name: made[name] for name in order[:_EFFECTS]})
 
     def tables(self, comparison: str, progress: Progress) -> list[Section]:
         """Return what the newest published tables of a comparison show; none when there are no tables.
@@ -185,7 +303,7 @@ class ExplorerSession:
         found = last_diagnosis(self.workspace, comparison)
         if found is None:
             return None
-        history = ModelHistory(self.cat, self.mission(), comparison)
+        history = self.history(comparison)
         if history.same(found["model"].get("version"), history.used.version):
             return found
         return found | {"stale": history.used.label}
@@ -249,14 +367,14 @@ class ExplorerSession:
 
     def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
-        known = ModelHistory(self.cat, self.mission(), comparison)
+        known = self.history(comparison)
         entries = parse_tree(known.used.text)["effects"]
         return known.items(), [str(entry.get("name", entry["effect"])) for entry in entries]
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
         days = self.cat.days(product_of(comparison), states=("published",))
-        stale = ModelHistory(self.cat, self.mission(), comparison).stale_contexts(days)
+        stale = self.history(comparison).stale_contexts(days)
         return sum(day.context in stale for day in days)
 
     def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
@@ -354,7 +472,13 @@ class ExplorerSession:
             found: dict[str, Any] = bench.preview(self._entry(effect)).as_json()
         return found
 
-    def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
+    def before_after(self) -> BeforeAfter | None:
+        """Return the residual before and after what was tried or changed last; asked for within its job."""
+        return None if self._bench is None else self._bench[1].before_after()
+
+    def change(
+        self, comparison: str, verb: str, effect: str, progress: Progress, *, empirical: bool = False
+    ) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on Gram blocks that stay in memory.
 
         Parameters
@@ -363,6 +487,8 @@ class ExplorerSession:
             ``add``, ``drop`` or ``undo``.
         effect : str
             As the verbs take it; ``undo`` takes none.
+        empirical : bool
+            What is added is there for what it looks like: its cause is not known.
 
         Returns
         -------
@@ -377,7 +503,10 @@ class ExplorerSession:
         with lazy_client(self.workers) as client:
             bench = self._workbench(comparison, client, progress)
             try:
-                revision = bench.undo() if verb == "undo" else getattr(bench, verb)(self._entry(effect))
+                if verb == "add":
+                    revision = bench.add(self._entry(effect), empirical=empirical)
+                else:
+                    revision = bench.undo() if verb == "undo" else bench.drop(effect)
             except Exception:
                 # The workbench may hold half a change.
                 self._bench = None
@@ -425,9 +554,18 @@ class ExplorerSession:
 
     def _workbench_key(self, comparison: str) -> tuple[Any, ...]:
         """Return what a workbench was made from: mission, model in use, request of the last diagnosis."""
-        mission = self.mission()
-        used = find_model(self.cat, mission, comparison)
-        return comparison, mission.text, used.version, used.text, str(self._last_request(comparison))
+        used = self.history(comparison).used
+        request = str(self._last_request(comparison))
+        return comparison, self.mission().text, used.version, used.text, request
+
+
+def _flag_names(flag: int) -> str:
+    """Return the names of a sample's flags in words; empty of a good one."""
+    return ", ".join(str(one.name).lower().replace("_", " ") for one in Flag if one and flag & one)
+
+
+def _milliseconds(utc: str) -> float:
+    return float(parse_utc(utc).astype("datetime64[us]").astype(np.int64) / 1e3)
 
 
 def _settings(request: Mapping[str, Any], comparison: str) -> DiagnoseSettings:

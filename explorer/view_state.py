@@ -16,6 +16,9 @@ class ViewState(param.Parameterized):
     last = param.String(default="", doc="Last day, YYYY-MM-DD.")
     tab = param.String(default="", doc="Heading of the tab in words of the address.")
     channel = param.String(default="", doc="What the residual is drawn against.")
+    picture = param.String(default="", doc="Which picture stands below that.")
+    select = param.String(default="", doc="Ranges of channels and phases that are looked at alone.")
+    zoom = param.String(default="", doc="Visible span in time, UTC; the whole one when empty.")
     candidate = param.String(default="", doc="The chosen candidate.")
     dataset = param.String(default="", doc="Dataset whose calendar is shown; the product when empty.")
     day = param.String(default="", doc="The day chosen in it, YYYY-MM-DD.")
@@ -40,4 +43,5 @@ def parsed_day(text: str) -> dt.date | None:
         return None
 
 
-_IN_ADDRESS = ("comparison", "first", "last", "tab", "channel", "candidate", "dataset", "day")
+_CHOSEN = ("comparison", "first", "last", "tab", "channel", "picture", "select", "zoom", "candidate")
+_IN_ADDRESS = (*_CHOSEN, "dataset", "day")

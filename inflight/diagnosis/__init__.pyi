@@ -1,6 +1,7 @@
 from .additions import (
     Addition,
     AdditionMaker,
+    Column,
     FitSetup,
     JointFit,
     addition_of,
@@ -24,12 +25,14 @@ from .figure_data import (
     error_waterfall,
     heat_maps,
     number_curves,
+    place_map,
     residual_map,
     responses,
     rival_curves,
     sizes_of,
     superposed_epoch,
     trials,
+    with_blocks,
 )
 from .model_numbers import effects_at, held_numbers, line_of
 from .refine import LagProfile
@@ -42,8 +45,8 @@ from .requests import (
     parse_entry,
     require_known,
 )
-from .residual import DiagnosisData, Native
-from .result import HEADING, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
+from .residual import DiagnosisData, Native, holds_every_sample, remaining_floor, residual_with
+from .result import HEADING, LEFT, MEANING, SCALE_DRIFT, Diagnosis, Signature, plain_json
 from .scoring import (
     Index,
     ModelColumns,
@@ -76,6 +79,7 @@ from .words import WHY_MOVED, fall_text, quantity, what_it_is
 __all__ = [
     "DRIFTS",
     "HEADING",
+    "LEFT",
     "MEANING",
     "SCALE_DRIFT",
     "VISIBILITY_SETTINGS",
@@ -84,6 +88,7 @@ __all__ = [
     "AdditionMaker",
     "BeforeAfter",
     "CalibrationBias",
+    "Column",
     "CrossTalk",
     "Diagnosis",
     "DiagnosisData",
@@ -131,6 +136,7 @@ __all__ = [
     "heat_maps",
     "held_already",
     "held_numbers",
+    "holds_every_sample",
     "lag_profile",
     "line_of",
     "make_folds",
@@ -140,13 +146,16 @@ __all__ = [
     "pack_blocks",
     "parse_entry",
     "periods_of",
+    "place_map",
     "plain_json",
     "prior_precision",
     "project_out",
     "quantity",
+    "remaining_floor",
     "require_known",
     "residual_lines",
     "residual_map",
+    "residual_with",
     "responses",
     "rival_curves",
     "row_variance",
@@ -161,4 +170,5 @@ __all__ = [
     "trials",
     "values_of",
     "what_it_is",
+    "with_blocks",
 ]

@@ -162,6 +162,37 @@ class FitSetup:
             held_out=max(float(held), 0.0) / rows,
         )
 
+    def block_factors(
+        self, columns: Sequence[Column], fixed: Mapping[str, float], fitted: JointFit
+    ) -> dict[str, Floats]:
+        """Return what a fit multiplies each column of the Gram blocks by, in their scaled units; (block,).
+
+        Added to the residual, each column times its factor gives the residual after the fit.
+        """
+        whole, names, _ = self._model_grams(columns, fixed)
+        made, factors = {one.name: one for one in columns}, dict[str, Floats]()
+
+        def put(name: str, value: Any) -> None:
+            known = factors.setdefault(name, np.zeros(len(self.raw)))
+            known += np.asarray(value) / self.raw.scale[self.raw.index([name])[0]]
+
+        for name in names:
+            for part, weight in made[name].parts if name in made else [(name, 1.0)]:
+                factor = made[name].factor if name in made else None
+                put(part, weight * fitted.value[name] * (1.0 if factor is None else factor))
+        for name, change in fixed.items():
+            put(name, change)
+        gone, others, y = self._base_names, whole.index(names), whole.residuals[0]
+        at = whole.index(gone)
+        value = np.array([fitted.value[name] for name in names]) / whole.scale[others]
+        prior = np.diag(prior_precision(whole, gone, self._base_sigma, self.variance))
+        for group in self.intervals if gone else ():
+            total = whole.rows(at, blocks=np.asarray(group)).sum(axis=0)
+            found = -solve_scaled(total[:, at] + prior, total[:, y] + total[:, others] @ value)
+            for name, one in zip(gone, found, strict=True):
+                factors.setdefault(name, np.zeros(len(self.raw)))[np.asarray(group)] += one
+        return factors
+
     def marginalised(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
     ) -> tuple[GramBlocks, ModelColumns]:

@@ -69,6 +69,8 @@ class ViewSettings:
         Parameters of a cross-talk matrix at most; candidates whose values are worked out.
     rivals : int
         Rivals of one effect that are drawn at most.
+    latitude_deg, local_time_h : float
+        Cells of a map of places.
     """
 
     map_rows: int = 84
@@ -84,6 +86,8 @@ class ViewSettings:
     most_parameters: int = 42
     most_trials: int = 16
     rivals: int = 3
+    latitude_deg: float = 5.0
+    local_time_h: float = 0.5
 
 
 VIEW_SETTINGS = ViewSettings()
@@ -157,8 +161,12 @@ class BeforeAfter:
 def before_after(search: Search, data: DiagnosisData) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
     data = with_correctable_rows(search, data)
-    series = data.series
     before, after = (remaining_residual(search, data, one) for one in (False, True))
+    return with_blocks(data.series, before, after)
+
+
+def with_blocks(series: Series, before: Floats, after: Floats) -> BeforeAfter:
+    """Return a series with its residual (sample, row) before and after, nT, and blocks for its errors."""
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEW_SETTINGS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
@@ -433,6 +441,23 @@ def residual_map(tt2000: Int64, residual: Floats, coordinates: Mapping[str, Floa
         place[good] * columns + column, np.ones(int(good.sum())), residual[good], (rows, columns)
     )
     return HeatMap(name, unit, (first, first + rows * length), reach, means, means)
+
+
+def place_map(latitude: Floats, local_time: Floats, residual: Floats) -> Floats:
+    """Return the mean residual (sample,) by latitude and local time, nT; (latitude, local time).
+
+    Parameters
+    ----------
+    latitude, local_time : ndarray, shape (sample,)
+        deg and h. Cells are of `ViewSettings.latitude_deg` and `ViewSettings.local_time_h`, from -90 deg and
+        from midnight; NaN where nothing was measured.
+    """
+    step, hours = VIEW_SETTINGS.latitude_deg, VIEW_SETTINGS.local_time_h
+    rows, columns = round(180.0 / step), round(24.0 / hours)
+    good = np.isfinite(latitude) & np.isfinite(local_time) & np.isfinite(residual)
+    row = np.clip(((latitude[good] + 90.0) / step).astype(np.int64), 0, rows - 1)
+    column = np.clip((local_time[good] % 24.0 / hours).astype(np.int64), 0, columns - 1)
+    return _cell_means(row * columns + column, np.ones(row.size), residual[good], (rows, columns))
 
 
 def _cell_means(cell: Int64, weight: Floats, values: Floats, shape: tuple[int, int]) -> Floats:

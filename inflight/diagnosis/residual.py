@@ -150,13 +150,34 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
         Of the native samples, nothing taken off.
     """
     good = series["weight"] > 0
-    if samples > STRUCTURE_SETTINGS.every * good.sum() or series.turn_rows > 1:
+    if not holds_every_sample(series, samples):
         return floor
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
     parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if good[a:b].any()]
     found = join_floors([floor_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
     return found if found.high_nT < floor.low_nT else floor
+
+
+def holds_every_sample(series: Series, samples: float) -> bool:
+    """Return True when the series has each of a span's native samples, as far as a noise floor needs it."""
+    used = float(np.sum(series["weight"] > 0))
+    return samples <= STRUCTURE_SETTINGS.every * used and series.turn_rows == 1
+
+
+def residual_with(
+    series: Series, sensor_matrices: dict[str, Floats], terms: Sequence[Term], factors: Mapping[str, Floats]
+) -> Floats:
+    """Return the residual of the series with columns of terms added; (sample, row), nT.
+
+    Parameters
+    ----------
+    factors : mapping of str to ndarray, shape (block,)
+        What each column is multiplied by, as `FitSetup.block_factors` returns it.
+    """
+    channels = {name for term in terms for name in term.channels}
+    rows = series.rows(sensor_matrices, derived_channels(series, channels))
+    return _with_columns(rows.residual.copy(), terms, rows, factors, series.block)
 
 
 def remaining_residual(search: Search, data: DiagnosisData, accepted: bool = True) -> Floats:

@@ -195,6 +195,93 @@ def response_figures(found: FieldResponse) -> list[figure]:
     return plots
 
 
+def channel_figures(
+    found: FieldResponse,
+    labels: tuple[str, str],
+    level: float = float("nan"),
+    amplitude: Dependence | None = None,
+    earlier: Dependence | None = None,
+) -> list[figure]:
+    """Draw a residual against a channel, or the fields along the axes that would make it follow the channel.
+
+    The band of a curve is one sigma between blocks; the grey envelope is what the same channel at other times
+    explains, so that only what leaves it counts. Of two states the first is grey, the second coloured. Of
+    several axes the last figure has the legend.
+
+    Parameters
+    ----------
+    found : FieldResponse
+        Its axes may be ``residual`` alone.
+    labels : tuple of str
+        What the states are called; the first of one state alone.
+    level : float
+        Within it, nT, either way, between dotted lines, is what does not matter.
+    amplitude : Dependence, optional
+        Told in the title of a residual.
+    earlier : Dependence, optional
+        What an earlier version of the model left, drawn dashed.
+    """
+    changed = "after" in found.branches
+    curves = [curve for branch in found.branches.values() for curve in branch]
+    reach = _reach(curves, [*found.low, *found.high])
+    plots = []
+    for axis, name in enumerate(found.axes):
+        whole = name == "residual"
+        title = found.channel if whole else f"{found.channel}: field along {name}"
+        if whole and amplitude is not None:
+            title += f": rms {with_error(amplitude.amplitude, amplitude.sigma_amplitude)} nT"
+        what = "mean residual (nT)" if whole else f"field along {name} (nT)"
+        plot = plain_figure(title, _axis(found.channel, found.unit), what, y_range=reach)
+        if np.isfinite(level):
+            edge = {"line_color": "#222222", "line_dash": "dotted", "line_alpha": 0.8}
+            plot.add_layout(BoxAnnotation(bottom=-level, top=level, fill_color=None, **edge))
+        known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
+        if known.sum() > 1:
+            plot.varea(
+                found.centre[known],
+                found.low[axis][known],
+                found.high[axis][known],
+                fill_color=_CHANCE,
+                fill_alpha=0.35,
+                legend_label="chance",
+            )
+        if earlier is not None and whole:
+            met = np.isfinite(earlier.mean)
+            plot.line(
+                earlier.centre[met],
+                earlier.mean[met],
+                color=BETWEEN,
+                line_dash="dashed",
+                legend_label="version before",
+            )
+        for branch, parts in found.branches.items():
+            colour, marker = _BRANCHES["all" if branch == "after" else branch]
+            if changed and branch != "after":
+                colour = REFERENCE
+            label = {"all": labels[0], "after": labels[1]}.get(branch, f"{labels[0]}, {branch}")
+            curve = parts[axis]
+            met = np.isfinite(curve.mean) & np.isfinite(curve.centre)
+            order = np.flatnonzero(met)[np.argsort(curve.centre[met])]
+            sigma = np.nan_to_num(curve.sigma[order])
+            error_band(plot, curve.centre[order], curve.mean[order], sigma, colour)
+            plot.line(curve.centre[order], curve.mean[order], color=colour, line_width=1.5)
+            plot.scatter(
+                curve.centre[order],
+                curve.mean[order],
+                color=colour,
+                marker=marker,
+                size=6,
+                legend_label=label,
+                name=branch,
+            )
+        if name == found.axes[-1]:
+            legend_below(plot)
+        elif plot.legend:
+            plot.legend.visible = False
+        plots.append(plot)
+    return plots
+
+
 def response_legend() -> str:
     """Return the common legend of all response figures as HTML."""
     marks = (

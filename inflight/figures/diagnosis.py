@@ -390,6 +390,18 @@ def most_significant(coefficients: Sequence[Fields]) -> list[Fields]:
 def _signature(signature: Fields | None) -> list[str]:
     if signature is None:
         return []
+    text = ", ".join(f"{name} {value}" for name, value in signature_facts(signature))
+    return [paragraph(f" {text}", bold="Signature of what is left:")]
+
+
+def signature_facts(signature: Fields) -> list[tuple[str, str]]:
+    """Return what is known of what is left, as names and values; what is not known is left out.
+
+    Parameters
+    ----------
+    signature : mapping
+        As `inflight.diagnosis.Signature.as_json`.
+    """
     period, lag, duty = signature["period_s"], signature["lag_s"], signature["duty"]
     amplitude = signature["amplitude_nT"]
     parts = [
@@ -397,6 +409,10 @@ def _signature(signature: Fields | None) -> list[str]:
         ("axis", signature["axis"] or ""),
         ("shape", signature["shape"] or ""),
         ("half of peak to peak" if period else "amplitude", f"{amplitude:.3g} nT" if amplitude else ""),
+        *(
+            (f"on {name}", f"{_formatted(size, '.3g')} ± {_formatted(sigma, '.2g')} nT")
+            for name, (size, sigma) in signature["amplitudes"].items()
+        ),
         *(
             (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
             for name, (size, sigma) in signature["steps"].items()
@@ -406,8 +422,7 @@ def _signature(signature: Fields | None) -> list[str]:
         ("lag", format_period(lag) if lag else ""),
         ("duty", f"{duty:.2f}" if duty is not None else ""),
     ]
-    text = ", ".join(f"{name} {value}" for name, value in parts if value)
-    return [paragraph(f" {text}", bold="Signature of what is left:")]
+    return [(name, value) for name, value in parts if value]
 
 
 def separating_blocks_html(fields: Fields) -> list[str]:

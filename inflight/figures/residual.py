@@ -6,11 +6,22 @@ and after share one scale of colours.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Range1d
+from bokeh.models import (
+    BoxAnnotation,
+    ColorBar,
+    ColumnDataSource,
+    FixedTicker,
+    Label,
+    LinearColorMapper,
+    Range1d,
+    Span,
+    WheelZoomTool,
+)
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
@@ -19,6 +30,7 @@ from inflight.figures.style import (
     AFTER,
     BEFORE,
     BETWEEN,
+    HIGHLIGHT,
     REFERENCE,
     legend_below,
     log_ticks,
@@ -34,6 +46,9 @@ Days = npt.NDArray[np.datetime64]
 
 #: What the two states are called unless a page says otherwise.
 STATES = ("pre-flight model", "calibrated")
+
+#: Told apart by readers who see no red or no green, too (Okabe and Ito, 2008).
+_DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#6b5d00")
 
 _HALF_DAY = np.timedelta64(12, "h")
 
@@ -100,6 +115,82 @@ def series_figure(time: Days, mean: Floats, low: Floats, high: Floats) -> figure
     return plot
 
 
+def trace_figure(sources: Mapping[str, ColumnDataSource], span: Range1d) -> figure:
+    """Draw a residual in time from sources that are filled later: means between their extremes; nT.
+
+    Parameters
+    ----------
+    sources : mapping of str to ColumnDataSource
+        ``residual``, or ``before`` and ``after``, with columns ``x`` (ms of UTC), ``mean``, ``low`` and
+        ``high``; ``flagged`` with ``x``, ``y`` and ``flag``.
+    span : Range1d
+        What is visible, ms of UTC; shared with other figures.
+    """
+    plot = plain_figure("Residual in time", "UTC", "residual (nT)", x_axis_type="datetime", x_range=span)
+    colours = {"residual": AFTER, "before": REFERENCE, "after": AFTER}
+    for name in (one for one in sources if one in colours):
+        band = {"x": "x", "y1": "low", "y2": "high", "source": sources[name]}
+        plot.varea(**band, color=colours[name], alpha=0.2)
+        plot.line("x", "mean", source=sources[name], color=colours[name], legend_label=name, name=name)
+    marks = {"marker": "x", "size": 7, "color": HIGHLIGHT, "legend_label": "flagged", "name": "flagged"}
+    dots = plot.scatter("x", "y", source=sources["flagged"], **marks)
+    plot.hover.renderers, plot.hover.tooltips = [dots], [("flags", "@flag"), ("nT", "@y{0.0000}")]
+    _as_strip(plot)
+    return plot
+
+
+def contribution_figure(source: ColumnDataSource, sizes: Mapping[str, float], span: Range1d) -> figure:
+    """Draw what each effect of a model makes of the residual in time; nT, one below the other.
+
+    Parameters
+    ----------
+    source : ColumnDataSource
+        With ``x`` (ms of UTC) and a column an effect; filled later.
+    sizes : mapping of str to float
+        Rms of each effect, nT, the largest first: what the legend tells.
+    """
+    plot = plain_figure(
+        "What each effect of the model makes of it", "UTC", "nT", x_axis_type="datetime", x_range=span
+    )
+    dashes = ("solid", "dashed", "dotdash", "solid", "dashed", "dotdash")
+    for place, (name, size) in enumerate(sizes.items()):
+        colour = _DISTINCT[place % len(_DISTINCT)]
+        plot.line(
+            "x",
+            name,
+            source=source,
+            color=colour,
+            line_dash=dashes[place % len(dashes)],
+            line_width=1.5,
+            legend_label=f"{name}: {size:.3g} nT rms",
+            name=name,
+        )
+    plot.hover.tooltips = [("", "$name"), ("nT", "$y{0.0000}")]
+    _as_strip(plot)
+    plot.legend.ncols = 3
+    return plot
+
+
+def mark_events(plot: figure, events: Sequence[tuple[float, float, str]]) -> None:
+    """Draw events from when until when (ms of UTC), with what happened."""
+    for place, (begin, end, text) in enumerate(events):
+        if end > begin:
+            band = BoxAnnotation(left=begin, right=end, fill_color=BETWEEN, fill_alpha=0.15)
+            plot.add_layout(band)
+        plot.add_layout(Span(location=begin, dimension="height", line_color=BETWEEN, line_dash="dashed"))
+        height = 4 + 13 * (place % 4)
+        label = Label(x=begin, y=height, y_units="screen", x_offset=3, text=text, text_font_size="11px")
+        plot.add_layout(label)
+
+
+def _as_strip(plot: figure) -> None:
+    """Make a figure one that is as wide as the page: zoomed in time alone, its legend beside it."""
+    plot.toolbar_location = "right"
+    zoom = next(tool for tool in plot.tools if isinstance(tool, WheelZoomTool))
+    zoom.dimensions, plot.toolbar.active_scroll = "width", zoom
+    legend_below(plot)
+
+
 def histogram_figure(
     edges: Floats, before: Floats, after: Floats, labels: tuple[str, str] = STATES
 ) -> figure:
@@ -126,24 +217,25 @@ _SPANNED = 0.98
 _WIDTH, _HEIGHT = 560, 330
 
 
-def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
-    """Draw a map before and after the found effects (`changed`), or one; grey cells were not measured."""
-    values = np.abs(found.before[np.isfinite(found.before)])
-    limit = float(np.quantile(values, _SPANNED)) if values.size else 0.0
-    limit = max(limit, 1e-6)
+def heat_map_figures(found: HeatMap, changed: bool = True, stacked: bool = False) -> list[figure]:
+    """Draw a map before and after a change (`changed`), or one; grey cells were not measured.
+
+    Beside each other the last has the scale of colours; of those that are `stacked` each has it.
+    """
+    limit = _colour_limit(found.before)
     label = f"{found.coordinate.replace('_', ' ')} ({found.unit})"
     # Bokeh's axes of time count milliseconds of UTC since 1970.
     start, end = to_utc(np.array(found.span)).astype("datetime64[ms]").astype(np.float64).tolist()
     plots = []
     pair = [("before", found.before), ("after", found.after)]
     for title, map_ in pair if changed else [("now", found.before)]:
-        last = title != "before"
+        last = stacked or title != "before"
         # One scale, but a mapper a figure: each becomes a document of its own.
         mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
         plot = plain_figure(
             f"Mean residual (nT) {title}, by time and {found.coordinate.replace('_', ' ')}",
             label,
-            "",
+            "UTC",
             y_axis_type="datetime",
             x_range=(0.0, found.reach),
             y_range=(start, end),
@@ -161,7 +253,46 @@ def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
         plot.grid.visible = False
         plot.hover.tooltips = [(found.coordinate.replace("_", " "), "$x{0.0}"), ("nT", "@image{0.0000}")]
         if last:
-            bar = ColorBar(color_mapper=mapper, width=14, padding=4)
+            bar = ColorBar(color_mapper=mapper, width=14, padding=4, title="nT")
             plot.add_layout(bar, "right")
         plots.append(plot)
     return plots
+
+
+def place_map_figures(states: Mapping[str, Floats]) -> list[figure]:
+    """Draw the mean residual by local time and latitude, a figure a state, all on one scale of colours.
+
+    Parameters
+    ----------
+    states : mapping of str to ndarray, shape (latitude, local time)
+        As `inflight.diagnosis.place_map` returns them, by what they are called; nT.
+    """
+    first = next(iter(states.values()))
+    limit = _colour_limit(first)
+    plots = []
+    for name, values in states.items():
+        mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
+        plot = plain_figure(
+            f"Mean residual (nT){name and f', {name},'} by local time and latitude",
+            "local time (h)",
+            "latitude (deg)",
+            x_range=(0.0, 24.0),
+            y_range=(-90.0, 90.0),
+            width=_WIDTH,
+            height=_HEIGHT,
+        )
+        plot.image(image=[values.astype(np.float32)], x=0.0, y=-90.0, dw=24.0, dh=180.0, color_mapper=mapper)
+        plot.xaxis.ticker = FixedTicker(ticks=list(range(0, 25, 3)))
+        plot.yaxis.ticker = FixedTicker(ticks=list(range(-90, 91, 30)))
+        plot.grid.visible = False
+        places = [("local time", "$x{0.0} h"), ("latitude", "$y{0} deg")]
+        plot.hover.tooltips = [*places, ("nT", "@image{0.0000}")]
+        plot.add_layout(ColorBar(color_mapper=mapper, width=14, padding=4, title="nT"), "right")
+        plots.append(plot)
+    return plots
+
+
+def _colour_limit(values: Floats) -> float:
+    """Return the value at the ends of a scale of colours, nT."""
+    known = np.abs(values[np.isfinite(values)])
+    return max(float(np.quantile(known, _SPANNED)) if known.size else 0.0, 1e-6)

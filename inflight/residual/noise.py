@@ -99,6 +99,8 @@ class NoiseFloor:
         return (self.high_nT - self.low_nT) / (2 * NOISE_SETTINGS.wide)
 
 
+#: Size of a residual in parts of its noise floor that is at it; assumed.
+AT_FLOOR = 1.05
 NO_FLOOR = NoiseFloor(float("nan"), float("nan"), float("nan"))
 
 
@@ -290,6 +292,11 @@ NO_STATISTICS = ResidualStatistics(
 def above_floor(rms: float, floor: float) -> float:
     """Return the rms of what is in a residual beside its noise, nT; all of it where there is no floor."""
     return math.sqrt(max(rms**2 - floor**2, 0.0)) if math.isfinite(floor) else rms
+
+
+def is_at_floor(rms: float, floor: float) -> bool:
+    """Return True for a residual within five percent of its noise floor, nT; False where there is none."""
+    return math.isfinite(floor) and rms <= AT_FLOOR * floor
 
 
 def residual_statistics(residual: Floats) -> ResidualStatistics:

@@ -14,24 +14,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
+from inflight.arrays import Floats
 from inflight.catalog import Catalog, Workspace
-from inflight.design import SENSOR_EQUATIONS, Library, Term
+from inflight.design import SENSOR_EQUATIONS, Library, Term, sensor_matrices
 from inflight.diagnosis import (
     DRIFTS,
     VISIBILITY_SETTINGS,
     Addition,
     AdditionMaker,
+    BeforeAfter,
+    Column,
     Diagnosis,
     FitSetup,
     JointFit,
     Request,
     Rules,
     Search,
+    Series,
     addition_of,
     addition_of_entry,
     best_lag,
@@ -39,14 +44,18 @@ from inflight.diagnosis import (
     find_request,
     held_already,
     held_numbers,
+    holds_every_sample,
     line_of,
     neutral_changes,
     plain_json,
+    remaining_floor,
     require_known,
+    residual_with,
     row_variance,
     run_search,
     time_variable_columns,
     values_of,
+    with_blocks,
 )
 from inflight.effects import Remanent, RemanentMoment
 from inflight.errors import ModelError, did_you_mean
@@ -54,6 +63,7 @@ from inflight.lsq import GramBlocks
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, with_dipole
 from inflight.residual import above_floor
+from inflight.samples import parse_channel
 from inflight.tasks.analysis.diagnosis import (
     PassResult,
     begin_search,
@@ -80,7 +90,7 @@ from inflight.tasks.models import (
 )
 from inflight.tasks.pipelines import spacecraft_units_of, trend_of_products
 from inflight.tasks.report import Progress
-from inflight.time import SECOND, DayLike, parse_duration
+from inflight.time import SECOND, DayLike, Int64, parse_duration
 
 #: What `Workbench.set_numbers` calls the place of an effect's source.
 DIPOLE = ".dipole"
@@ -254,6 +264,53 @@ def fitted_values(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str
     ]
 
 
+class _Fitted(NamedTuple):
+    """A model as it was fitted: on which series, how, with which additions and changes, and what came out."""
+
+    series: Series
+    linearised: Model
+    setup: FitSetup
+    fixed: Mapping[str, float]
+    additions: Sequence[Addition]
+    fit: JointFit
+
+    @property
+    def factors(self) -> dict[str, Floats]:
+        """What each column of the Gram blocks is multiplied by."""
+        columns = [column for one in self.additions for column in one.columns]
+        return self.setup.block_factors(columns, self.fixed, self.fit)
+
+    def residual(self) -> Floats:
+        """Return what it leaves of the series; (sample, row), nT."""
+        series, factors = self.series, self.factors
+        every = [*self.setup.base, *self.setup.refined, *self._needs]
+        # Terms of one sensor share their key; columns are of one term.
+        used = {tuple(term.columns): term for term in every if factors.keys() & set(term.columns)}
+        matrices = sensor_matrices(self.linearised, int(series.tt2000[len(series.tt2000) // 2]))
+        return residual_with(series, matrices, list(used.values()), factors)
+
+    @property
+    def _needs(self) -> list[Term]:
+        return [term for one in self.additions for term in one.needs]
+
+    @property
+    def _channels(self) -> set[str]:
+        """Recorded channels of what was added."""
+        names = {name for term in self._needs for name in term.channels}
+        return {part.channel for name in names for part in parse_channel(name).parts}
+
+    @property
+    def is_complete(self) -> bool:
+        """True when the series has every channel of what was added."""
+        return self._channels <= set(self.series.channels)
+
+    @property
+    def unknown(self) -> npt.NDArray[np.bool_]:
+        """Samples of the series in which a channel of what was added is not known; (sample,)."""
+        lost = [self.series.missing[name] for name in self._channels if name in self.series.missing]
+        return np.any(lost, axis=0) if lost else np.zeros(len(self.series.tt2000), dtype=bool)
+
+
 @dataclass
 class Workbench:
     """The Gram blocks of a span in memory, and the model that is being revised with them.
@@ -298,6 +355,9 @@ class Workbench:
         self._refitted = False
         #: What the last search keeps of its model for later days (`standing_of`).
         self.standing: dict[str, Any] | None = None
+        #: The model before the last change or preview and after it, as they were fitted.
+        self._change: tuple[_Fitted, _Fitted] | None = None
+        self._seen: tuple[tuple[_Fitted, _Fitted], BeforeAfter] | None = None
         #: Fits made last: that of the present model, and what was previewed, are needed again.
         self._last: list[tuple[GramBlocks, tuple[Any, ...], JointFit]] = []
         self._restore()
@@ -363,6 +423,71 @@ class Workbench:
         return [
             one.name for one in self.made.plan.library.candidates if not (one.placebo or one.number)
         ] + kinds
+
+    def before_after(self) -> BeforeAfter | None:
+        """Return the residual of every sample of the pass before and after the last change or preview.
+
+        Returns
+        -------
+        BeforeAfter or None
+            At the cadence of the search, nT, everything fitted in both. None without a change, and after one
+            that made a pass of its own: its samples are others.
+        """
+        if self._change is None or self._change[0].series is not self._change[1].series:
+            return None
+        if not all(one.is_complete for one in self._change):
+            return None
+        # Asked for by the noise floor, and by who draws it.
+        if self._seen is None or self._seen[0] is not self._change:
+            before, after = self._change
+            series, unknown = before.series, before.unknown | after.unknown
+            series = series.without(unknown) if unknown.any() else series
+            self._seen = self._change, with_blocks(series, before.residual(), after.residual())
+        return self._seen[1]
+
+    def contributions(self) -> tuple[Int64, dict[str, Floats]]:
+        """Return the times of the pass's samples, and what each effect of the model makes of the residual.
+
+        Returns
+        -------
+        times : ndarray of int64, shape (sample,)
+            TT2000.
+        effects : dict of str to ndarray, shape (sample,)
+            By name in the model, nT, of the first component: the columns of its numbers that a fit may move,
+            times their values; an effect that is not linear in them is drawn as if it were. Without the
+            sensors' own equations. NaN where nothing was measured.
+        """
+        setup, model, series = self._whole, self.current.model, self.made.loaded.series
+        values = {name: value for entry in model.effects for name, value in values_of(entry).items()}
+        terms = {tuple(term.columns): term for term in setup.refined} | {
+            tuple(term.columns): term for one in self.additions for term in one.needs
+        }
+        columns = [
+            (entry.name, Column(name, ((raw, 1.0),)))
+            for term in setup.refined
+            for entry in model.effects
+            if entry.name == term.entry.name and not isinstance(entry.effect, SENSOR_EQUATIONS)
+            for raw in term.columns
+            for name in [raw.removeprefix("model:")]
+        ]
+        columns += [(one.entries[0].name, column) for one in self.additions for column in one.columns]
+        factors: dict[str, dict[str, Floats]] = {}
+        for effect, column in columns:
+            for raw, weight in column.parts:
+                if column.name not in values or raw not in setup.raw.names:
+                    continue
+                size = weight * values[column.name] / setup.raw.scale[setup.raw.index([raw])[0]]
+                each = np.ones(len(setup.raw)) if column.factor is None else column.factor
+                own = factors.setdefault(effect, {})
+                own[raw] = own.get(raw, 0.0) - size * each
+        matrices = sensor_matrices(self.made.plan.model, int(series.tt2000[len(series.tt2000) // 2]))
+        zero, known = residual_with(series, matrices, [], {})[:, 0], series["weight"] > 0
+        made = {}
+        for effect, own in factors.items():
+            used = [term for term in terms.values() if own.keys() & set(term.columns)]
+            with_it = residual_with(series, matrices, used, own)[:, 0]
+            made[effect] = np.where(known, with_it - zero, np.nan)
+        return series.tt2000, made
 
     # Changes of the model.
 
@@ -539,6 +664,7 @@ class Workbench:
         free = replace(setup, refined=tuple(_without_sigma(term, numbers) for term in setup.refined))
         after = free.fit(columns, fixed, interleaved=apart)
         message = f"{REFIT} {', '.join(numbers) or 'all numbers'}"
+        self._change = None
         model, parent = self._model(free, self.additions, self.dropped, after), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
         self._last, self._refitted = [], True
@@ -618,6 +744,7 @@ class Workbench:
         setup = _fit_setup_of(self._prepared(used, []), self.settings)
         setup = replace(setup, refined=tuple(_without_sigma(term, freed) for term in setup.refined))
         after = setup.fit([], {})
+        self._change = None
         value, sigma = _fitted_of(setup.refined, after)
         model, parent = model.with_values(value, sigma), self.current.version
         self.current = self._saved(model, message, model.text, before, after)
@@ -648,6 +775,7 @@ class Workbench:
         found = version_before_change(self.cat, self.mission, self.current)
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         before, first = self._fit(setup, fixed, self.additions), self.current
+        was = self._fitted(setup, fixed, self.additions, before)
         message = f"undo version {first.version}: back to version {found.version}"
         # Fitted as the version it is, before it is saved with what that leaves; on other Gram blocks where
         # those there are hold its numbers elsewhere.
@@ -660,6 +788,7 @@ class Workbench:
         self._restore()
         setup, fixed = self._fit_setup(self.additions, self.dropped)
         after = self._fit(setup, fixed, self.additions)
+        self._change = was, self._fitted(setup, fixed, self.additions, after)
         self.current = first
         self.current = self._saved(found.model, message, found.text, before, after)
         return self._revision("undo", message, first.version, before, after)
@@ -691,7 +820,22 @@ class Workbench:
         same = self._held(dropped)[1] == self._held(self.dropped)[1]
         old = self._fit_setup(self.additions, self.dropped, setup if same else None)
         before = self._fit(*old, self.additions, interleaved)
-        return before, self._fit(setup, fixed, additions, interleaved), setup
+        after = self._fit(setup, fixed, additions, interleaved)
+        self._change = (
+            self._fitted(*old, self.additions, before),
+            self._fitted(setup, fixed, additions, after),
+        )
+        return before, after, setup
+
+    def _fitted(
+        self, setup: FitSetup, fixed: Mapping[str, float], additions: Sequence[Addition], fit: JointFit
+    ) -> _Fitted:
+        """Return a fit with the series it is of: a pass over few columns has few channels in its own."""
+        made = self.made
+        if self._narrow is not None and self._narrow[1].loaded.raw is setup.raw:
+            narrow = self._narrow[1]
+            made = made if narrow.plan.model.text == made.plan.model.text else narrow
+        return _Fitted(made.loaded.series, made.plan.model, setup, fixed, additions, fit)
 
     def _saved(
         self, model: Model, message: str, text: str, before: JointFit, after: JointFit
@@ -828,12 +972,23 @@ class Workbench:
             in_sample=(sizes[0], sizes[1]),
             held_out=(sizes[2], sizes[3]),
             moved=[],
-            floor=loaded.floor.level_nT,
+            floor=self._floor(),
             days=sum(map(len, self.made.plan.blocks)) - len(self.made.failed),
             about=self.root.version,
             run=self.made.run,
             context=self.made.context,
         )
+
+    def _floor(self) -> float:
+        """Return the noise floor of what the last change leaves, nT: a fast cause looks like noise."""
+        loaded = self.made.loaded
+        samples = loaded.sums["count"]
+        if self._change is None or not holds_every_sample(loaded.series, samples):
+            return loaded.floor.level_nT
+        seen = self.before_after()
+        if seen is None:
+            return loaded.floor.level_nT
+        return remaining_floor(seen.series, seen.after, samples, loaded.floor).level_nT
 
     # The search.
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from heated_mission import HEATER_FIELD
 
 from inflight.catalog import Catalog
 from inflight.errors import CatalogError, ModelError
@@ -9,7 +10,9 @@ from inflight.explorer.diagnosis_view import diagnosis_sections
 from inflight.explorer.loop_state import IN_MODEL, LoopState, candidate_rows
 from inflight.explorer.loop_view import ledger
 from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.traces import thin_trace
 from inflight.tasks.analysis import compare, last_diagnosis, open_workbench
+from inflight.time import to_tt2000
 
 DAYS = Days(np.datetime64("2024-03-01"), np.datetime64("2024-03-04"))
 EFFECT = "channel_field(heater_current)"
@@ -58,6 +61,12 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert (rows[0].name, rows[0].words) == (EFFECT, "a field that follows heater_current")
     tried = session.preview("main", EFFECT, nobody)
     assert tried["coefficients"]
+    # What is drawn of it is what is told, and the heater, taken off, is no noise any more.
+    seen = session.before_after()
+    sizes = [float(np.sqrt(np.mean(one[seen.good] ** 2))) for one in (seen.before, seen.after)]
+    assert sizes == pytest.approx(tried["error"]["in_sample_nT"], rel=1e-3)
+    assert tried["error"]["noise_floor_nT"] == pytest.approx(0.05 * np.sqrt(2), rel=0.01)
+    assert found["residual"]["noise_floor_nT"] == pytest.approx(0.05 * np.sqrt(2), rel=0.01)
     assert len(session.versions("main")[0]) == 1
 
     added = session.change("main", "add", EFFECT, nobody)
@@ -65,6 +74,11 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert after < 0.5 * before
     assert tried["error"]["held_out_nT"] == pytest.approx([before, after])
     assert session.stale_products("main") == 4
+    # What the heater makes of the residual is its field along the measured one.
+    made, seen = session.contributions(), session.before_after()
+    (values,) = (one for name, one in made.effects.items() if "heater_current" in name)
+    truth = seen.series.direction()[:, 0] @ HEATER_FIELD * seen.series["heater_current"] / 1000
+    assert np.abs(values - truth)[seen.good].max() < 0.05
     # What was found is in the model now: the diagnosis is of the one before, and says so.
     stale = session.last_diagnosis("main")
     assert stale["stale"].endswith("version 2")
@@ -83,6 +97,33 @@ def test_the_effect_is_found_added_and_taken_back(session, workspace):
     assert "stale" not in session.last_diagnosis("main")
     assert session.stale_products("main") == 0
     assert "add channel_field(heater_current)" in ledger(session.versions("main")[0])
+
+
+def test_what_is_drawn_in_time_goes_down_to_samples_with_their_flags(session):
+    first, last = to_tt2000(np.array(["2024-03-02T06:00", "2024-03-02T18:00"], dtype="datetime64[us]"))
+    samples = session.samples("main", int(first), int(last), 10_000)
+    assert samples.tt2000.size == 720
+    day = Catalog(session.workspace.root).current("l2/field", "2024-03-02")
+    flag = Catalog(session.workspace.root).read(day, ["flag"])["flag"].values[360:1080]
+    assert ((samples.flags == "") == (flag == 0)).all()
+    assert session.samples("main", int(first), int(last), 1000) is None
+    # Thinned, no extreme is lost, and a gap stays one.
+    residual = samples.residual.copy()
+    residual[300:400] = np.nan
+    curve = (samples.tt2000, residual, residual, residual)
+    time, mean, low, high = thin_trace(*curve, int(first), int(last), 50)
+    assert time.size <= 50
+    assert (np.nanmin(low), np.nanmax(high)) == (np.nanmin(residual), np.nanmax(residual))
+    assert np.isnan(mean[(time > samples.tt2000[315]) & (time < samples.tt2000[384])]).all()
+
+
+def test_a_step_of_the_model_is_drawn_as_an_event(session):
+    assert session.events("main") == []
+    session.change("main", "add", "offset_step@2024-03-03", nobody)
+    (event,) = session.events("main")
+    assert np.datetime64(int(event.ms), "ms") == np.datetime64("2024-03-03")
+    assert event.end_ms == event.ms
+    assert "offset_step" in event.text
 
 
 def test_a_change_from_the_command_line_is_noticed(session, workspace):

@@ -157,6 +157,12 @@ class Chromium:
             how = {"button": "left", "buttons": pressed, "clickCount": 1}
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **how)
 
+    def click(self, place: tuple[float, float]) -> None:
+        """Press and release the mouse at a place; pixels of what is shown."""
+        how = {"x": place[0], "y": place[1], "button": "left", "clickCount": 1}
+        for kind, pressed in (("mousePressed", 1), ("mouseReleased", 0)):
+            self.call("Input.dispatchMouseEvent", type=kind, buttons=pressed, **how)
+
     def screenshot(self, path: Path) -> None:
         """Write what is shown as PNG."""
         path.write_bytes(b64decode(self.call("Page.captureScreenshot", format="png")["data"]))

@@ -22,14 +22,12 @@ from inflight.figures import (
     html_table,
 )
 from inflight.plumbing import Finding
-from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor
+from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor, is_at_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
 
 #: Structures below this part of the noise are not told, but listed on the page; assumed.
 MATTERS = 0.1
-#: What is left above the noise, in parts of it, where the rms is within five percent of it: stated.
-_NEAR = (1.05**2 - 1.0) ** 0.5
 
 _NO_FLOOR = "unknown: every stretch of the residual has missing samples"
 
@@ -233,9 +231,9 @@ class CompareReport:
 
     @property
     def is_at_floor(self) -> bool:
-        """True when the rms is within five percent of the noise floor and no structure beside it matters."""
-        near = self.above_floor <= _NEAR * self.floor.level_nT
-        return near and not any(map(self.matters, self.fails_where))
+        """True when the rms is that of the noise floor and no structure beside it matters."""
+        size = self.clear if isfinite(self.clear) else self.after.rms
+        return is_at_floor(size, self.floor.level_nT) and not any(map(self.matters, self.fails_where))
 
     def _sizes(self) -> Iterator[str]:
         """Yield the size of the residual with each model, and how much of it is more than noise."""
