@@ -267,16 +267,17 @@ def term_of(entry: ModelEffect, key: str, free_only: bool = False) -> Term:
     Parameters
     ----------
     free_only : bool
-        Only parameters the model leaves free, with their stated sigma; else all that have a prior.
+        Only parameters the model leaves free, with the sigma before any fit; else all that have a prior.
     """
     kinds = entry.effect.parameters()
     names, sigma = [], []
     for name, kind in kinds.items():
         timed = entry.parameters[name]
-        if free_only and not (timed.free and timed.time == "constant" and np.all(timed.sigma[:, 0] > 0)):
+        known = timed.prior_sigma[:, 0]
+        if free_only and not (timed.free and timed.time == "constant" and np.all(known > 0)):
             continue
         if not free_only and not np.isfinite(kind.sigma):
             continue
         names.append(name)
-        sigma += list(timed.sigma[:, 0]) if free_only else [np.inf] * kind.size
+        sigma += list(known) if free_only else [np.inf] * kind.size
     return Term(key, entry, tuple(names), tuple(float(one) for one in sigma))

@@ -299,6 +299,7 @@ def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
             value=timed.parameter.default_values[:, None],
             sigma=np.full((timed.parameter.size, 1), timed.parameter.sigma),
             free=True,
+            before=None,
         )
         if np.isfinite(timed.parameter.sigma) and timed.time == "constant"
         else timed

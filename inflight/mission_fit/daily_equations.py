@@ -311,7 +311,7 @@ def free_terms(model: Model) -> tuple[Term, ...]:
     Columns are called as the model calls its values.
     """
     own = vector_sensor_of(model)
-    sigma = np.concatenate([own.parameters[group].sigma[:, 0] for group in PARAMETER_GROUPS])
+    sigma = np.concatenate([own.parameters[group].prior_sigma[:, 0] for group in PARAMETER_GROUPS])
     terms = [Term(own.name, own, PARAMETER_GROUPS, tuple(sigma.tolist()))]
     for entry in model.effects:
         if entry is not own:

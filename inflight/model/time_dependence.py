@@ -242,6 +242,8 @@ class TimedValue:
         TT2000 of the events between intervals, or of a spline's knots.
     interpolation : str
         Between knots: ``cubic`` or ``linear``.
+    before : ndarray, shape (component, coefficient), optional
+        Sigma that was known before a fit made value and sigma; None of one that was never fitted.
     """
 
     parameter: Parameter
@@ -256,6 +258,12 @@ class TimedValue:
     table_name: str = ""
     change_times: tuple[int, ...] = ()
     interpolation: str = "cubic"
+    before: Floats | None = None
+
+    @property
+    def prior_sigma(self) -> Floats:
+        """What was known before any fit, which a fit begins with: days that taught it are counted once."""
+        return self.sigma if self.before is None else self.before
 
     @property
     def dependence(self) -> TimeDependence:
@@ -427,11 +435,17 @@ class TimedValue:
         return replace(self, table=table)
 
     def with_columns(self, value: Mapping[str, float], sigma: Mapping[str, float]) -> TimedValue:
-        """Return a copy with new values and standard deviations of the named coefficients."""
-        names, shape = self.columns, self.value.shape
+        """Return a copy with new values and standard deviations of the named coefficients, as a fit has them.
+
+        The sigma before the first fit stays known; of what had none it is that of the effect itself.
+        """
+        names, shape, before = self.columns, self.value.shape, self.before
+        if before is None and any(name in sigma for name in names):
+            usual = _filled(self.parameter, self.dependence, self.parameter.sigma)
+            before = np.where(self.sigma > 0, self.sigma, usual)
         values = [value.get(name, old) for name, old in zip(names, self.value.ravel(), strict=True)]
         sigmas = [sigma.get(name, old) for name, old in zip(names, self.sigma.ravel(), strict=True)]
-        return replace(self, value=np.reshape(values, shape), sigma=np.reshape(sigmas, shape))
+        return replace(self, value=np.reshape(values, shape), sigma=np.reshape(sigmas, shape), before=before)
 
     def as_yaml(self) -> dict[str, Any]:
         """Return the mapping the model YAML holds for it."""
@@ -442,6 +456,8 @@ class TimedValue:
         found["value"] = _as_yaml(self.value, axes)
         if self.has_own_sigma:
             found["sigma"] = _as_yaml(self.sigma, axes)
+        if self.before is not None:
+            found["sigma_before"] = _as_yaml(self.before, axes)
         if self.table_name:
             found["table"] = self.table_name
         found["free"] = self.free
@@ -479,7 +495,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
         Naming the parameter and what is wrong.
     """
     entry = dict(given) if isinstance(given, dict) else {"value": given}
-    known = ["time", "unit", "value", "sigma", "free", "table", *KEYS]
+    known = ["time", "unit", "value", "sigma", "sigma_before", "free", "table", *KEYS]
     if unknown := [name for name in entry if name not in known]:
         raise ModelError(
             f"'{key}' has unknown keys {unknown}{did_you_mean(str(unknown[0]), known)}",
@@ -497,8 +513,11 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
             f"'{key}' is given in {unit}, it is in {parameter.unit}", remedy="convert the values"
         )
     value = _coefficients(key, parameter, dependence, entry.get("value"), parameter.default_values)
-    sigma = _coefficients(key, parameter, dependence, entry.get("sigma"), parameter.sigma)
-    if np.isnan(sigma).any() or np.any(sigma < 0) or np.isnan(value).any():
+    sigma, before = (
+        _coefficients(key, parameter, dependence, entry.get(name), parameter.sigma)
+        for name in ("sigma", "sigma_before")
+    )
+    if np.isnan([sigma, before]).any() or np.any([sigma < 0, before < 0]) or np.isnan(value).any():
         raise ModelError(
             f"'{key}' has a value or sigma that is no number, or a sigma below 0", remedy="correct it"
         )
@@ -516,6 +535,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
         table_name=str(entry.get("table", "")),
         change_times=dependence.at,
         interpolation=dependence.interpolation,
+        before=before if "sigma_before" in entry else None,
     )
 
 

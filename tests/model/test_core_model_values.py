@@ -6,6 +6,7 @@ from effect_cases import MISSION, SENSORS, model_of, true_samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from inflight.design import term_of
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Mission
 from inflight.model import Model, TimeDependence, changes, make_effect, parse_tree
@@ -146,6 +147,25 @@ def test_values_and_sigmas_are_put_in_by_the_names_of_columns():
 def test_a_value_the_model_does_not_hold_is_refused(name):
     with pytest.raises(ModelError, match="holds no value"):
         MODEL.with_values({name: 1.0})
+
+
+def test_a_second_fit_begins_with_what_was_known_before_the_first():
+    plain = {"effect": "channel_field", "sensor": "fgm", "channel": "solar_current"}
+    stated = {"effect": "scalar_bias", "sensor": "ovm", "bias": {"value": 0.0, "sigma": 0.2}}
+    model = model_of(
+        stated, plain | {"coefficient": {"value": [0.0, 0.0, 0.0], "sigma": [0.0, 0.0, 0.0], "free": True}}
+    )
+    for sigma in (0.02, 0.01):
+        columns = ("scalar_bias.bias", *(f"channel_field.coefficient[{axis}]" for axis in "xyz"))
+        model = model.with_values(dict.fromkeys(columns, 0.1), dict.fromkeys(columns, sigma))
+        model = Model.parse(model.text, MISSION)
+        bias, field = (
+            term_of(model.effect(name), name, free_only=True) for name in ("scalar_bias", "channel_field")
+        )
+        assert bias.sigma == (0.2,)
+        # Of what was added nothing was known: as far as such an effect goes.
+        assert field.sigma == (10.0, 10.0, 10.0)
+        assert model.effect("scalar_bias").parameters["bias"].sigma_at(0) == [sigma]
 
 
 def test_an_effect_is_put_in_the_place_of_its_namesake():
