@@ -276,7 +276,9 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
 def _with_rivals(effect: FoundEffect, more: Sequence[str]) -> FoundEffect:
     """Return an effect with further causes that do as well in its place."""
     rivals = tuple(dict.fromkeys((*effect.rivals, *more)))
-    return replace(effect, rivals=rivals, status="rivals" if more else effect.status)
+    # What a choice of numbers turns over stays fragile, with its rival named.
+    is_unsure = effect.status in ("fragile", "unknown")
+    return replace(effect, rivals=rivals, status="rivals" if more and not is_unsure else effect.status)
 
 
 def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:

@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 
 from inflight.arrays import Floats
-from inflight.dual.readings import Cells, Readings, cells_of, white_covariance
+from inflight.dual.readings import Cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,19 +136,6 @@ def difference_noise(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) 
     total = float(weight.sum()) + prior
     share = np.clip((float(weight @ median) + 0.5 * prior) / total, *MIXING_SETTINGS.share_range)
     return DifferenceNoise(covariance, float(share), 1.0 / np.sqrt(total))
-
-
-def outboard_noise(readings: Readings) -> Floats:
-    """Return the variance of the outboard sensor's white noise; (axis,), nT^2.
-
-    What is white in its reading is noise and ambient field. The difference has none of that field: its white
-    noise, times the share of it that is the outboard sensor's, is the noise; noise that both sensors have
-    alike is in no difference. No more than what is white in the reading.
-    """
-    outboard, difference = (one[readings.good] for one in (readings.outboard, readings.difference))
-    cells = cells_of(outboard, difference, longest=max(len(outboard), 1))
-    noise = difference_noise(cells, readings.noise)
-    return np.minimum(noise.floor, np.diag(white_covariance(outboard)))
 
 
 def usable_cells(cells: Cells, noise: DifferenceNoise) -> Cells:

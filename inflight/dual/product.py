@@ -14,8 +14,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.dual.correction import Correction
-from inflight.dual.mixing import outboard_noise
-from inflight.dual.readings import Readings
+from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.model import Model, at_all_sensors
@@ -95,7 +94,8 @@ def dual_level2(
     """
     field = correction.corrected(readings.outboard)
     good = np.isfinite(readings.outboard).all(axis=1)
-    sigma = np.sqrt(outboard_noise(readings) + correction.sigma**2)
+    noise = np.diag(white_covariance(readings.outboard[good]))
+    sigma = np.sqrt(noise + correction.sigma**2)
     if not correction.applied:
         sigma = np.full(field.shape, np.nan)
     bits = flag | correction.flag

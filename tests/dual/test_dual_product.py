@@ -10,11 +10,9 @@ COUNT = 500
 
 
 def readings():
-    # The ambient field moves by more than the sensors' noise from one sample to the next.
     random = np.random.default_rng(4)
-    ambient = 5.0 + np.cumsum(0.5 * random.normal(size=(COUNT, 3)), axis=0)
-    inboard, outboard = ambient + 0.1 * random.normal(size=(2, COUNT, 3))
-    return Readings(np.arange(COUNT, dtype=np.int64) * SECOND, inboard + 3.0, outboard)
+    outboard = 5.0 + 0.1 * random.normal(size=(COUNT, 3))
+    return Readings(np.arange(COUNT, dtype=np.int64) * SECOND, outboard + 3.0, outboard)
 
 
 def states_correction(**changes):

@@ -143,7 +143,7 @@ def test_work_is_done_by_a_process_of_its_own_stopped_and_taken_up_again(workspa
     work = InOwnProcess(workspace.root, request, 1)
     before = [day.id for day in Catalog(workspace.root).days("l2/field")]
     with pytest.raises(WorkerError, match="was stopped; what is published is unchanged"):
-        work(lambda stage, done, total: work.stop() if (stage, done) == ("calibrate", 1) else None)
+        work(lambda stage, done, total: work.stop() if stage == "calibrate" else None)
     cat = Catalog(workspace.root)
     stopped = cat.runs(last=1)[0]
     assert (stopped.state, stopped.settings["reason"]) == ("failed", "a trial")
