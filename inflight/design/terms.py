@@ -8,7 +8,7 @@ rivals in form only; candidates of different mechanisms are rivals in cause.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +101,14 @@ class Term:
     sigma: tuple[float, ...] = ()
     span: tuple[int, ...] = ()
     difference: Difference | None = None
+
+    def before_any_fit(self) -> Term:
+        """Return the term with the sigma that was known before any fit; what is free of it stays so."""
+        if not self.sigma:
+            return self
+        known = [one for name in self.parameters for one in self.entry.parameters[name].prior_sigma[:, 0]]
+        both = zip(self.sigma, known, strict=True)
+        return replace(self, sigma=tuple(max(one, float(before)) for one, before in both))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -267,13 +275,13 @@ def term_of(entry: ModelEffect, key: str, free_only: bool = False) -> Term:
     Parameters
     ----------
     free_only : bool
-        Only parameters the model leaves free, with the sigma before any fit; else all that have a prior.
+        Only parameters the model leaves free, with their stated sigma; else all that have a prior.
     """
     kinds = entry.effect.parameters()
     names, sigma = [], []
     for name, kind in kinds.items():
         timed = entry.parameters[name]
-        known = timed.prior_sigma[:, 0]
+        known = timed.sigma[:, 0]
         if free_only and not (timed.free and timed.time == "constant" and np.all(known > 0)):
             continue
         if not free_only and not np.isfinite(kind.sigma):

@@ -143,12 +143,17 @@ class FitSetup:
         whole, names, sigma = self._model_grams(columns, fixed or {})
         grams, present = self._marginalised(whole, names, sigma)
         value, covariance = self._solve_model(grams, present)
+        # Days that taught a number are counted once: sigma is what they say beside what was known before any.
+        before = self._known_before(names, sigma)
+        if before != sigma:
+            known = prior_precision(grams, names, np.array(before), self.variance)
+            covariance = self._solve_model(grams, replace(present, precision=known))[1]
         base_value, base_sigma = self._calibration_shift(whole, names, value, covariance)
         y = grams.residuals[0]
         scale = grams.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
         # A column of which the calibration leaves nothing is known as well as beforehand.
-        found = np.where(np.diagonal(grams.total)[present.columns] > 0, found, np.asarray(sigma))
+        found = np.where(np.diagonal(grams.total)[present.columns] > 0, found, np.asarray(before))
         remaining = grams.total[y, y] + 2.0 * grams.total[y, present.columns] @ value
         remaining += value @ grams.total[np.ix_(present.columns, present.columns)] @ value
         rows = max(float(grams.count.sum()), 1.0)
@@ -237,6 +242,12 @@ class FitSetup:
         sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
         whole = combine_columns(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed)
         return whole if self.blocks is None else whole.of_blocks(self.blocks), names, sigma
+
+    def _known_before(self, names: Sequence[str], sigma: Sequence[float]) -> list[float]:
+        """Return the sigma that was known before any fit of the model's columns; `sigma` of all others."""
+        terms = [term.before_any_fit() for term in self.refined]
+        known = {name: one for term in terms for name, one in zip(term.columns, term.sigma, strict=True)}
+        return [known.get(name, one) for name, one in zip(names, sigma, strict=True)]
 
     def _marginalised(
         self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]

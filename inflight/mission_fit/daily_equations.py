@@ -308,7 +308,8 @@ def scale_factor_rates(fit: TrendFit, equations: NormalEquations) -> Floats:
 def free_terms(model: Model) -> tuple[Term, ...]:
     """Return the terms of everything a model lets data move: the nine first, then constants with a sigma.
 
-    Columns are called as the model calls its values.
+    Columns are called as the model calls its values. Their sigma is what was known before any fit: days that
+    taught a number are counted once.
     """
     own = vector_sensor_of(model)
     sigma = np.concatenate([own.parameters[group].prior_sigma[:, 0] for group in PARAMETER_GROUPS])
@@ -316,7 +317,7 @@ def free_terms(model: Model) -> tuple[Term, ...]:
     for entry in model.effects:
         if entry is not own:
             term = term_of(entry, entry.name, free_only=True)
-            terms += [term] if term.parameters else []
+            terms += [term.before_any_fit()] if term.parameters else []
     return tuple(terms)
 
 

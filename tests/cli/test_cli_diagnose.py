@@ -150,6 +150,21 @@ def test_a_wrong_number_is_told_and_fitted_anew(inflight, root):
     assert inflight("refit", "coefficient", "-w", root).code == 1
 
 
+def test_days_that_taught_a_number_are_counted_once(inflight, root):
+    """Fitted twice from the same days, a number is known no better."""
+    inflight("add", EFFECT, "--json", "-w", root)
+    place = Workspace.open(root)
+
+    def stated():
+        model = current_model(Catalog(place.root), place.mission()).model
+        return model.effect("channel_field_heater_current").parameters["coefficient"].sigma
+
+    first = stated()
+    inflight("refit", "channel_field_heater_current.coefficient", "--json", "-w", root)
+    inflight("refit", "--json", "-w", root)
+    np.testing.assert_allclose(stated(), first, rtol=0.05)
+
+
 def test_auto_saves_what_it_found_and_the_next_one_finds_nothing(inflight, root):
     told = inflight("auto", "--no-prefect", "--json", "-w", root).json
     assert (told["command"], [one["effect"] for one in told["versions"]]) == ("auto", [f"auto: add {EFFECT}"])

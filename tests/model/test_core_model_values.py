@@ -162,6 +162,8 @@ def test_a_second_fit_begins_with_what_was_known_before_the_first():
         bias, field = (
             term_of(model.effect(name), name, free_only=True) for name in ("scalar_bias", "channel_field")
         )
+        assert bias.sigma == (sigma,)
+        bias, field = bias.before_any_fit(), field.before_any_fit()
         assert bias.sigma == (0.2,)
         # Of what was added nothing was known: as far as such an effect goes.
         assert field.sigma == (10.0, 10.0, 10.0)
