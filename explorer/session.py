@@ -254,13 +254,11 @@ class ExplorerSession:
             begin, name = entry.get("at", entry.get("from")), entry.get("name", entry["effect"])
             if begin is not None:
                 found.append((str(begin), str(entry.get("to", begin)), str(name)))
-        days = self.cat.days(product_of(comparison), states=("published",))
-        contexts = {day.context for day in days if day.context}
-        made = {name: self.cat.context(name).model_version for name in contexts}
-        for before, day in pairwise(day for day in days if day.context):
-            if made[str(before.context)] != made[str(day.context)]:
-                text = f"products of model version {made[str(day.context)]}"
-                found.append((str(day.day), str(day.day), text))
+        days = [(day, name) for day, name in self.cat.published(product_of(comparison)) if name]
+        made = {name: self.cat.context(name).model_version for name in {name for _, name in days}}
+        for (_, before), (day, after) in pairwise(days):
+            if made[before] != made[after]:
+                found.append((str(day), str(day), f"products of model version {made[after]}"))
         return [TimeEvent(_milliseconds(one), _milliseconds(other), text) for one, other, text in found]
 
     def open_contributions(self, comparison: str, progress: Progress) -> Contributions | None:
@@ -400,9 +398,9 @@ class ExplorerSession:
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
-        days = self.cat.days(product_of(comparison), states=("published",))
-        stale = self.history(comparison).stale_contexts(days)
-        return sum(day.context in stale for day in days)
+        made = [context for _, context in self.cat.published(product_of(comparison))]
+        stale = self.history(comparison).stale_contexts(made)
+        return sum(context in stale for context in made)
 
     def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
         """Make products and tables anew, as the last `inflight reprocess` of the comparison was asked to.

@@ -37,6 +37,10 @@ def test_a_calibrated_workspace_asks_for_nothing(calibrated):
     assert found.products == 4
     assert {"main-daily", "main-window"} <= set(found.tables)
     assert found.model.endswith("version 1")
+    cat = Catalog(calibrated.root)
+    assert cat.published("l2/field") == [
+        (one.day, one.context) for one in cat.days("l2/field", states=("published",))
+    ]
 
 
 def test_of_a_long_mission_the_newest_days_are_shown_unasked():

@@ -4,6 +4,7 @@ A sentence is an instruction when it has one of the forms of `_FORMS`: what is s
 bold is pressed, opened, chosen or filled, or it is wrong. Nothing that a reader is told goes untried.
 """
 
+import contextlib
 import json
 import re
 import shlex
@@ -33,6 +34,8 @@ _ALL = re.compile(
     ),
     _FLAGS,
 )
+#: A button that is held for 0.3 s before the mouse moves is no drag, and a busy machine is slow: times tried.
+_DRAGS = 6
 #: Clicks the first row of a table that has a text.
 _ROW = """(() => { const found = window.pick && pick('.tabulator-row').find(
     (one) => one.textContent.includes(TEXT));
@@ -132,10 +135,14 @@ class PlayedPage:
         self._browser.fill(name, text)
 
     def drag(self, name: str) -> None:
-        """Drag the mouse over the right half of a figure of the left column."""
-        left, top, width, height = self._browser.place_of(name)
-        ends = [(left + part * width, top + 0.4 * height) for part in (0.5, 0.8)]
-        self._browser.drag(*ends)
+        """Drag the mouse over the right half of a figure of the left column, again when it was too slow."""
+        for _ in range(_DRAGS):
+            left, top, width, height = self._browser.place_of(name)
+            self._browser.drag(*((left + part * width, top + 0.4 * height) for part in (0.5, 0.8)))
+            with contextlib.suppress(AssertionError):
+                self._browser.wait_for_text("Selected:", 5)
+                return
+        raise AssertionError(f"nothing is selected by dragging over the {name}")
 
     def read(self, text: str) -> None:
         """Wait until the page shows a text; three dots stand for anything."""
