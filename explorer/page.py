@@ -140,7 +140,6 @@ class Page:
 
     def _show_facts(self, overview: ComparisonOverview) -> None:
         listed = {
-            "mission": self._mission.mission,
             "kind": overview.kind,
             "archive": f"{overview.archived} days" if overview.archived else "empty",
             "products": f"{overview.products} days" if overview.products else "none",

@@ -165,12 +165,12 @@ class TimeView:
         else:
             states, how = rows.traces(), f"means of {rows.step_s:.4g} s with their extremes"
             flagged = {"x": np.empty(0), "y": np.empty(0), "flag": np.empty(0, dtype=str)}
-        thinned = {name: thin_trace(*trace, first, last, _POINTS) for name, trace in states.items()}
-        for name, trace in thinned.items():
-            self._sources[name].data = _data(trace)
+        for name, trace in states.items():
+            self._sources[name].data = _data(thin_trace(*trace, first, last, _POINTS))
         self._sources["flagged"].data = flagged
         for place, row in enumerate(self._stack):
-            made = thinned[row.name] if place == 0 else self._contribution(row.name, first, last)
+            time, mean = states[row.name][:2] if place == 0 else self._contribution(row.name)
+            made = thin_trace(time, mean, mean, mean, first, last, _POINTS)
             self._stacked[row.name].data = _in_rows(made, row)
         ends = " to ".join(
             str(to_utc(one).astype("datetime64[m]")) for one in _tt2000(np.array([begin, end]))
@@ -178,10 +178,9 @@ class TimeView:
         text = f" {ends} UTC: {how}. Wheel and drag zoom and move; click a day of the map to be there."
         self._heading.objects = [panes.text(paragraph(text, bold="In time."))]
 
-    def _contribution(self, name: str, first: int, last: int) -> tuple[Int64, Floats, Floats, Floats]:
+    def _contribution(self, name: str) -> tuple[Int64, Floats]:
         assert self._made is not None
-        values = self._made.effects[name]
-        return thin_trace(self._made.tt2000, values, values, values, first, last, _POINTS)
+        return self._made.tt2000, self._made.effects[name]
 
 
 def _in_rows(trace: tuple[Int64, Floats, Floats, Floats], row: StackRow) -> dict[str, Any]:

@@ -46,17 +46,23 @@ class MeasurementView:
 
     def __init__(self, session: ExplorerSession, state: ViewState) -> None:
         self._session = session
-        self._pane = JobPane(session.background)
+        self._pane, self._known_pane = JobPane(session.background), JobPane(session.figure_background)
         self._made_pane = JobPane(session.background)
         self._time = TimeView(session, state)
         self._comparison = ""
         self.panel = pn.Column(
-            self._pane.panel, self._time.panel, self._made_pane.panel, sizing_mode="stretch_width"
+            self._pane.panel,
+            self._known_pane.panel,
+            self._time.panel,
+            self._made_pane.panel,
+            sizing_mode="stretch_width",
         )
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Measure the residual of a span and show it; without products, show why there is none."""
         self._time.clear()
+        self._pane.put()
+        self._known_pane.put()
         if overview.comparison != self._comparison:
             self._time.show_contributions(None)
         self._comparison = overview.comparison
@@ -65,13 +71,12 @@ class MeasurementView:
         elif days is None or not overview.products:
             self._pane.put(panes.hint("There are no products to hold against the measurements yet."))
         else:
-            name, begin = "Model against measurement", self._pane.begin
-            if (measured := self._session.measured(overview.comparison, days)) is not None:
-                # What is known already waits for no other work.
-                self._pane.put(self._shown(measured))
-                return
-            begin(
-                name, lambda progress: self._session.measure(overview.comparison, days, progress), self._shown
+            # What is measured already waits for no other work.
+            known = self._session.measured(overview.comparison, days) is not None
+            (self._known_pane if known else self._pane).begin(
+                "Model against measurement",
+                lambda progress: self._session.measure(overview.comparison, days, progress),
+                self._shown,
             )
 
     def _shown(self, measured: CompareResult[Any]) -> pn.viewable.Viewable:

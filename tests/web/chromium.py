@@ -48,7 +48,8 @@ window.fill = (label, value) => { const found = window.pick('label').find(
   if (input._flatpickr) input._flatpickr.setDate(value, true); else { input.value = value;
     for (const kind of ['input', 'change']) input.dispatchEvent(new Event(kind)) } return true };
 window.press = (selector, label) => { const found = window.pick(selector).filter(
-  (one) => one.textContent.trim() === label && !one.disabled); if (found.length) found[0].click(); return found.length };
+  (one) => one.textContent.trim() === label && !one.disabled);
+  if (found.length) found[0].click(); return found.length };
 """
 #: Left, top, width and height of the first figure of the left column, or of the first below what it is drawn
 #: against; pixels of the page.
