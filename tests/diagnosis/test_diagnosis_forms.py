@@ -18,6 +18,7 @@ from inflight.diagnosis.forms import (
 )
 from inflight.diagnosis.refine import join_terms
 from inflight.diagnosis.scoring import make_folds, score
+from inflight.diagnosis.stepwise import _one_round
 
 CHANNELS = ("solar_current", "boom_temperature", "heater_current")
 
@@ -87,3 +88,19 @@ def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
     names = scalar_channels(flown().material())
     assert set(CHANNELS) <= set(names)
     assert not {"orbit_phase", "local_time", "longitude"} & set(names)
+
+
+def test_an_effect_that_becomes_one_of_the_model_in_its_best_form_is_not_taken_twice(monkeypatch):
+    """One form of the blocks sees another lag than the model has, and all samples the same one."""
+    case = flown()
+    search, data = case.search(), case.material()
+    plain, lagged = (
+        next(one for one in search.options if one.name == f"channel_field(solar_current){lag}")
+        for lag in ("", "@lag=1000s")
+    )
+    search = search.add(plain)
+    table = search.table()
+    monkeypatch.setattr("inflight.diagnosis.stepwise.refine", lambda state, data, option: (state, plain))
+    after = _one_round(search, data, table, lagged, "within")
+    assert after.accepted == (plain,)
+    assert lagged.name not in {one.name for one in after.table().options}
