@@ -362,8 +362,8 @@ def _at_best_lag(
         return None
 
     def at(lag: float) -> tuple[Followed, ModelEffect]:
-        name = f"{cell.name.replace(cell.lag_text, '')}@lag={lag:.4g}s"
-        other = replace(cell, name=name, lag_s=float(f"{lag:.4g}"))
+        other = replace(cell, lag_s=float(f"{lag:.4g}"))
+        other = replace(other, name=f"{cell.name.replace(cell.lag_text, '')}{other.lag_text}")
         entry = _entry(data, label, other)
         assert entry is not None  # the mission has the sensor: it had it for another lag
         return other, entry

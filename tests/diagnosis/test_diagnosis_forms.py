@@ -10,6 +10,8 @@ from inflight.diagnosis.forms import (
     ACTS_ON,
     CellProducts,
     CellRows,
+    Followed,
+    _at_best_lag,
     _cells,
     _entry,
     _option,
@@ -104,3 +106,14 @@ def test_an_effect_that_becomes_one_of_the_model_in_its_best_form_is_not_taken_t
     after = _one_round(search, data, table, lagged, "within")
     assert after.accepted == (plain,)
     assert lagged.name not in {one.name for one in after.table().options}
+
+
+@pytest.mark.parametrize("lag", [0.5, 340.0, 12345.0])
+def test_a_response_has_any_lag_that_is_best(monkeypatch, lag):
+    case = flown()
+    monkeypatch.setattr("inflight.diagnosis.forms.best_lag", lambda *_: (lag, 0.0))
+    cell = Followed("response", "heater_current", "heater_current@lag=4000s", 4000.0)
+    found = _at_best_lag(case.search(), case.material(), None, "channel_field", cell)
+    assert found is not None
+    assert found[0].lag_s == pytest.approx(lag, rel=1e-3)
+    assert found[1].effect.channels == (found[0].name,)
