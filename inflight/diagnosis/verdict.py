@@ -40,6 +40,7 @@ from inflight.diagnosis.residual import (
     DiagnosisData,
     Native,
     Structure,
+    contribution,
     effective_blocks,
     held_out_rms,
     native_rms,
@@ -63,7 +64,7 @@ from inflight.diagnosis.result import (
 )
 from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of
 from inflight.diagnosis.search import Option, ScoreTable, Search
-from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
+from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature, part_at_period
 from inflight.diagnosis.stamps import stamp_readings
 from inflight.diagnosis.stepwise import (
     SELECTION_SETTINGS,
@@ -134,11 +135,14 @@ class RemainingSettings:
         A rejected candidate hints at what remains from this held-out t on: two sigma.
     as_much : float
         A search that leaves no more than so many times as much explains as much; assumed.
+    shares : float
+        Part of what is left at a line's period from which on an effect has that period, too; assumed.
     """
 
     white: float = 0.1
     hint_t: float = 2.0
     as_much: float = 1.003
+    shares: float = 1.0 / 3.0
 
 
 REPORT_SETTINGS = ReportSettings()
@@ -202,6 +206,7 @@ def run_search(
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
     otherwise = left_follows(search, known) if remaining.is_there else {}
+    shared = share_line(search, known, residual, remaining.signature)
     instead = of_one_direction(effects) | instead_of_several(search, known)
     alike = alike_but_for_noise(search, known)
     effects = tuple(
@@ -209,6 +214,7 @@ def run_search(
             _with_rivals(one, alike.get(one.name, ())),
             left_follows=otherwise.get(one.name, ""),
             instead=instead.get(one.name, ""),
+            shares_line=one.name in shared,
         )
         for one in effects
     )
@@ -286,6 +292,21 @@ def _with_rivals(effect: FoundEffect, more: Sequence[str]) -> FoundEffect:
     # What a choice of numbers turns over stays fragile, with its rival named.
     is_unsure = effect.status in ("fragile", "unknown")
     return replace(effect, rivals=rivals, status="rivals" if more and not is_unsure else effect.status)
+
+
+def share_line(
+    search: Search, data: DiagnosisData, residual: Floats, signature: Signature | None
+) -> set[str]:
+    """Return the effects that make a line of the period of the one that is left, no smaller than a third."""
+    if signature is None or not signature.period_s:
+        return set()
+    period = signature.period_s
+    least = REMAINING_SETTINGS.shares * part_at_period(data, residual, period)
+    return {
+        one.name
+        for one in search.accepted
+        if part_at_period(data, contribution(search, data, one), period) > least
+    }
 
 
 def of_one_direction(effects: Sequence[FoundEffect]) -> dict[str, str]:

@@ -30,6 +30,8 @@ SWITCH = Signature(
     steps={"x": (0.099, 0.004), "y": (0.01, 0.015), "z": (0.399, 0.003)},
 )
 
+LINE = Signature(period_s=5640.0, axis="z", shape="sine", amplitude_nT=0.1, amplitudes={"z": (0.1, 0.01)})
+
 
 def effect(rms, name="solar", **more):
     plain = {
@@ -209,6 +211,13 @@ def test_beside_a_line_or_how_the_calibration_changes_in_time_a_small_effect_is_
         "sure",
         "unknown",
     }
+
+
+@pytest.mark.parametrize(("rms", "status"), [(0.01, "stand-in"), (0.05, "stand-in"), (0.2, "sure")])
+def test_an_effect_of_the_period_of_what_is_left_may_be_a_part_of_it(rms, status):
+    """Unless it explains so much more that its channel would be nearly that of the cause."""
+    line = told("UNKNOWN_EFFECT", effects=(effect(rms, shares_line=True),), signature=LINE, residual=SIZES)
+    assert {one.status for one in ranked_entries(line)} == {status, "unknown"}
 
 
 def test_an_effect_says_what_is_left_follows():
