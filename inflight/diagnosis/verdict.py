@@ -26,6 +26,7 @@ from inflight.diagnosis.forms import (
     alike_but_for_noise,
     instead_of_several,
     left_follows,
+    left_follows_field,
 )
 from inflight.diagnosis.model_numbers import line_of, rounded, words_of
 from inflight.diagnosis.refine import (
@@ -205,7 +206,7 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
-    otherwise = left_follows(search, known) if remaining.is_there else {}
+    otherwise = left_follows_field(search, known) | left_follows(search, known) if remaining.is_there else {}
     shared = share_line(search, known, residual, remaining.signature)
     instead = of_one_direction(effects) | instead_of_several(search, known)
     alike = alike_but_for_noise(search, known)

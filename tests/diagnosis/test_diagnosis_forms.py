@@ -46,7 +46,12 @@ def shapes(flight):
 def flown():
     flight = flight_of(POLAR, 30)
     hidden = [read(flight, seed, scalar=one) for seed, one in enumerate(shapes(flight).values())]
-    return case_of(flight, [*hidden, read(flight, 9)], channels=CHANNELS)
+    # Where the field along an axis is large, another measuring range with another gain reads it; and a
+    # scalar sensor whose reading depends on the field's direction.
+    wide = np.where(np.abs(flight["field"]) > 20_000.0, 2e-5, 0.0) * flight["field"]
+    heading = 0.3 * flight.direction[:, 0] ** 2
+    hidden += [read(flight, 9), read(flight, 10, wide), read(flight, 11, scalar=heading)]
+    return case_of(flight, hidden, channels=CHANNELS)
 
 
 @pytest.mark.parametrize("label", ACTS_ON.values())
@@ -117,3 +122,18 @@ def test_a_response_has_any_lag_that_is_best(monkeypatch, lag):
     assert found is not None
     assert found[0].lag_s == pytest.approx(lag, rel=1e-3)
     assert found[1].effect.channels == (found[0].name,)
+
+
+def test_an_effect_of_the_field_that_leaves_another_function_of_it_may_stand_in_for_that():
+    found = flown().diagnose(4)
+    taken = [one for one in found.effects if not one.channels]
+    assert taken
+    assert {one.left_follows for one in taken} == {"the field along the axes"}
+    assert "sure" not in {one.status for one in taken}
+
+
+def test_an_effect_of_the_field_of_the_right_form_leaves_no_other_function_of_it():
+    found = flown().diagnose(5)
+    assert [(one.name, one.status, one.left_follows) for one in found.effects] == [
+        ("heading_anisotropy", "sure", "")
+    ]
