@@ -120,8 +120,17 @@ def main() -> None:
     parser.add_argument(
         "which",
         nargs="*",
-        choices=[*_ALL, "coverage", "table_coverage", "spin_coverage", "left_out", "real_cadence", []],
-        help="all but coverage, its parts table_coverage, spin_coverage, left_out, real_cadence when absent",
+        choices=[
+            *_ALL,
+            "page",
+            "coverage",
+            "table_coverage",
+            "spin_coverage",
+            "left_out",
+            "real_cadence",
+            [],
+        ],
+        help="when absent, all but page, coverage with its parts, left_out and real_cadence",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
@@ -157,6 +166,10 @@ def main() -> None:
         _show_each("growth", growth(given.growth, given.keep))
     if "fast" in which:
         _show_each("fast", growth([10], given.keep, one_process_up_to=0, vector_hz=50))
+    if "page" in which:
+        from benchmarks.page import page
+
+        _show_each("page", page(given.growth, given.keep))
     if "ranking" in which:
         _show("ranking", [ranking(count) for count in given.candidates])
     if "nine" in which:

@@ -127,6 +127,18 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
     return [day_record(row, name, path) for row, path in chosen]
 
 
+def published_contexts(session: Session, name: str) -> list[tuple[dt.date, str | None]]:
+    """Return the published days of a dataset in order, and the context that made each."""
+    rows = session.execute(
+        select(CurrentRow.day, DayRow.context)
+        .join(DayRow, DayRow.id == CurrentRow.day_id)
+        .join(DatasetRow, DatasetRow.id == CurrentRow.dataset_id)
+        .where(DatasetRow.name == name)
+        .order_by(CurrentRow.day)
+    )
+    return [(day, context) for day, context in rows]
+
+
 def dataset_names(session: Session, patterns: Iterable[str]) -> list[str]:
     """Return the names of the datasets that match one of some patterns, such as ``l2/*``, in order."""
     names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
@@ -323,6 +335,10 @@ class DatabaseDays:
         if release is not None:
             return self._database.read(released_days, release, name, span)
         return self._database.read(status_of_days, name, span, states)
+
+    def published(self, name: str) -> list[tuple[dt.date, str | None]]:
+        """Return the published days, and what made each; see `Catalog.published`."""
+        return self._database.read(published_contexts, name)
 
     def to_read(self, name: str, span: Span, release: str | None, context: str | None) -> list[Day]:
         """Return the days that opening a span reads; see `Catalog.open`."""

@@ -141,6 +141,11 @@ class ReleaseFolder:
         """Describe each dataset; see `Catalog.inventory`."""
         return [summary_of_days(name, self.days(name, span)) for name in self._listed]
 
+    def published(self, name: str) -> list[tuple[dt.date, str | None]]:
+        """Return the published days, and what made each; see `Catalog.published`."""
+        days = self.days(name, parse_span(None), ("published",)) if name in self._listed else []
+        return [(day.day.astype(dt.date), day.context) for day in days]
+
     def current(self, name: str, day: dt.date) -> Day | None:
         """Return the published revision of a day; None without one."""
         return next(iter(self.days(name, parse_span(day), ("published",))), None)

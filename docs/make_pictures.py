@@ -1,6 +1,7 @@
 """Draw the pictures of README and documentation from a workspace that ``make demo`` has made.
 
-Run ``.venv/bin/python docs/make_pictures.py demo``; a Chromium on the path turns the page into a PNG.
+Run ``.venv/bin/python docs/make_pictures.py demo``; a Chromium on the path turns the page into a PNG. With
+``explorer`` in place of a folder it does what the tutorial of the page says, and keeps what is then shown.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from inflight.figures import bullet_list, html_page
 from inflight.tasks.analysis import measure_comparison, report
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+#: Width and height of the pictures of the page, pixels.
+_EXPLORER_SIZE = 1440, 1180
 _QUIET = [
     "--headless",
     "--no-sandbox",
@@ -79,8 +82,44 @@ def fall_page(workspace: Workspace) -> str:
     return html_page(title, [("", [bullet_list(lines)], pair)])
 
 
+def explorer_pictures() -> None:
+    """Write the pictures of docs/tutorial-explorer.md, as the page shows them when the tutorial says so."""
+    docs = Path(__file__).parent
+    sys.path.append(str(docs.parent / "tests" / "web"))
+    from chromium import Chromium, find_chromium
+    from played_page import PlayedPage, Served
+
+    program = find_chromium()
+    if program is None:
+        sys.exit("no Chromium is on the path; install it, or name one by INFLIGHT_CHROMIUM")
+    servers: list[Served] = []
+
+    def serve(root: Path) -> str:
+        servers.append(Served(root))
+        return servers[-1].url
+
+    def keep(name: str) -> None:
+        browser.rest()
+        browser.screenshot(docs / name)
+
+    with tempfile.TemporaryDirectory() as scratch:
+        browser = Chromium(program, Path(scratch) / "profile")
+        try:
+            browser.look(*_EXPLORER_SIZE)
+            text = (docs / "tutorial-explorer.md").read_text(encoding="utf-8")
+            PlayedPage(browser, Path(scratch), serve, keep).play(text)
+        finally:
+            browser.close()
+            for one in servers:
+                one.process.kill()
+                one.process.communicate(timeout=30)
+
+
 def main(folder: str) -> None:
     """Write docs/images/demo.png and report.png from the comparison and the diagnosis of a workspace."""
+    if folder == "explorer":
+        explorer_pictures()
+        return
     workspace = Workspace.open(folder)
     images = Path(__file__).parent / "images"
     images.mkdir(exist_ok=True)

@@ -184,6 +184,8 @@ class LoopState:
         Name and version of the model in use.
     stale_products, products : int
         Days that another model made; all days.
+    instead : str
+        What to do of a comparison that cannot be diagnosed; empty where it can.
     """
 
     diagnosis: Fields | None
@@ -191,6 +193,7 @@ class LoopState:
     model: str
     stale_products: int
     products: int
+    instead: str = ""
 
     @property
     def changes(self) -> list[dict[str, Any]]:
@@ -226,6 +229,8 @@ class LoopState:
             state += f" leaves {size:.4g} nT rms of days not used in the fit"
             at = "at" if floor and is_at_floor(size, floor) else "above"
             state += f", {at} the noise floor of {floor:.4g} nT." if floor else ", and has no noise floor."
+        elif self.instead:
+            state += " is in use."
         else:
             state += ": what it leaves of days not used in a fit has not been measured yet."
         if self.stale_products:
@@ -235,8 +240,8 @@ class LoopState:
     def _next_step(self, size: float | None, floor: float | None) -> str:
         found = self.diagnosis
         reprocess = "Reprocess: products of the model in use. " if self.stale_products else ""
-        if found is None:
-            return "Diagnose: it ranks what may be missing."
+        if self.instead or found is None:
+            return f"{reprocess}{self.instead}" if self.instead else "Diagnose: it ranks what may be missing."
         if "stale" in found:
             if size and floor and is_at_floor(size, floor):
                 return f"{reprocess}Diagnose: it confirms that nothing is left."

@@ -193,9 +193,16 @@ class LoopView:
     def _show_diagnosis(self) -> Fields | None:
         assert self._overview is not None
         fields = self._session.last_diagnosis(self._overview.comparison)
+        instead = self._session.instead_of_diagnosis(self._overview.comparison)
+        self._diagnose.disabled = bool(instead)
         if fields is None:
             self._card.objects = []
-            self._diagnosis_pane.put(panes.hint("There is no diagnosis yet: diagnose this span."))
+            told = (
+                f"Nothing is ranked here: {instead}"
+                if instead
+                else "Nothing is ranked yet: diagnose this span."
+            )
+            self._diagnosis_pane.put(panes.hint(told))
         else:
             self._diagnosis_pane.put(self._candidates(fields))
         return fields
@@ -328,6 +335,7 @@ class LoopView:
             used or self._overview.model,
             self._session.stale_products(comparison),
             self._overview.products,
+            self._session.instead_of_diagnosis(comparison),
         )
         self._sentence.object = panes.sentence(*self._loop.sentences())
         self._own.param.update(options=effects, value=effects[-1] if effects else None)
@@ -360,14 +368,14 @@ def ledger(versions: Sequence[Fields]) -> str:
     rows = [
         (
             f"{one['version']}{' (in use)' if one['used'] else ''}",
-            one["message"],
             _after(one["change"]),
+            one["message"],
         )
         for one in reversed(versions)
     ]
     if not rows:
         return paragraph("No version is saved yet: in use is the mission's own file.", kind="quiet")
-    return html_table(["version", "what was done", "left, nT"], rows, kind="wide told")
+    return html_table(["version", "left, nT", "what was done"], rows, kind="wide told")
 
 
 def _after(change: Fields | None) -> str:

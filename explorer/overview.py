@@ -77,12 +77,8 @@ def summarise_comparison(
         When the mission's model files are wrong.
     """
     entry, pipeline = mission.comparisons[comparison], find_pipeline(mission, comparison)
-    products = [day.day for day in cat.days(product_of(comparison), states=("published",))]
-    archived = {
-        day.day
-        for name in set(entry.instruments().values())
-        for day in cat.days(f"l1/{name}", states=("published",))
-    }
+    products = [day for day, _ in cat.published(product_of(comparison))]
+    archived = {day for name in set(entry.instruments().values()) for day, _ in cat.published(f"l1/{name}")}
     days = products or sorted(archived)
     names = {one.name for one in cat.tables() if one.certified and not one.damaged}
     return ComparisonOverview(

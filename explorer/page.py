@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 import panel as pn
+from bokeh.events import DocumentReady
+from bokeh.models import CustomJS
 
 from inflight.explorer import panes
 from inflight.explorer.diagnosis_view import DiagnosisView
+from inflight.explorer.keyboard import KEYS
 from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
 from inflight.explorer.products_view import ProductsView
@@ -52,6 +55,8 @@ def _template(title: str, *parts: pn.viewable.Viewable) -> pn.template.Bootstrap
         main=[pn.Column(*parts, sizing_mode="stretch_width")],
     )
     made.config.raw_css = [_DARK]
+    if pn.state.curdoc is not None:
+        pn.state.curdoc.js_on_event(DocumentReady, CustomJS(code=KEYS))
     return made
 
 
@@ -78,7 +83,7 @@ class Page:
         self._facts, self._hint = pn.Column(align="end"), pn.Column(sizing_mode="stretch_width")
         self._views: tuple[View, ...] = (
             LoopView(session, self._state, self._model_changed, self._select_days),
-            MeasurementView(session),
+            MeasurementView(session, self._state),
             DiagnosisView(session),
             ProductsView(session, self._state, self._model_changed),
             TablesView(session),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ from inflight.residual import (
     record_lines,
     record_power,
 )
-from inflight.tasks.pipelines import blocks_of
+from inflight.tasks.pipelines import CompareResult, blocks_of
 from inflight.time import SECOND, Int64, day_bounds
 
 Rows = npt.NDArray[np.bool_]
@@ -261,3 +262,11 @@ class ResidualRows:
             return [last] if last else [], lines
         first = record_power(seconds, self.before, self.direction, self.step_s)
         return [one for one in (first, last) if one is not None], lines
+
+
+def product_rows(measured: CompareResult[Any]) -> ResidualRows | None:
+    """Return the rows of a comparison's products; None where the residual is not one a sample."""
+    if measured.data is None:
+        return None
+    units = {one.coordinate: one.unit for one in measured.data.found}
+    return ResidualRows.of_products(measured.data.rows, units, len(measured.report.by_day))

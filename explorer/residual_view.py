@@ -15,7 +15,7 @@ from inflight.diagnosis import BeforeAfter, HeatMap
 from inflight.explorer import panes
 from inflight.explorer.job_pane import JobPane, lazy_tabs
 from inflight.explorer.overview import ComparisonOverview
-from inflight.explorer.residual_rows import ResidualRows, Selection
+from inflight.explorer.residual_rows import ResidualRows, Selection, product_rows
 from inflight.explorer.session import Days, ExplorerSession
 from inflight.explorer.view_state import ViewState
 from inflight.figures import (
@@ -159,10 +159,7 @@ class ResidualView:
         if measured.data is None:
             # A turning sensor, or two of them: what there is instead of a residual at every sample.
             return lazy_tabs(measured.parts, self._session.figure_background, _narrow_section)
-        data, report = measured.data, measured.report
-        units = {one.coordinate: one.unit for one in data.found}
-        self._measured = measured
-        self._products = ResidualRows.of_products(data.rows, units, len(report.by_day))
+        self._measured, self._products = measured, product_rows(measured)
         self._show_products()
         return panes.text()
 

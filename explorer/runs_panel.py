@@ -16,7 +16,8 @@ from inflight.explorer.job_pane import JobPane
 from inflight.explorer.overview import ComparisonOverview
 from inflight.explorer.session import Days, ExplorerSession
 from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest
-from inflight.figures import paragraph
+from inflight.figures import html_table, paragraph
+from inflight.flows import ScheduledFlow
 from inflight.tasks import RunProgress
 
 #: Runs listed, and how often they are read, ms.
@@ -53,6 +54,7 @@ class RunsPanel:
         self._selected = ""
         self._seen: dict[str, tuple[dt.datetime, int]] = {}
         self._refresher: Any = None
+        self._schedule_pane = JobPane(session.figure_background)
         self._make_form()
         self._make_runs()
         self.panel = pn.Column(
@@ -66,6 +68,7 @@ class RunsPanel:
             panes.text(paragraph(" Times are UTC.", bold="Runs")),
             self._table,
             self._log,
+            self._schedule_pane.panel,
             styles={"flex": "1 1 0", "min-width": "0"},
             sizing_mode="stretch_width",
         )
@@ -139,6 +142,7 @@ class RunsPanel:
             if not job.is_finished:
                 self._follow(work, job)
         self._refresh()
+        self._schedule_pane.begin("Schedule", self._session.schedule, schedule_pane)
         pn.state.onload(self._begin_to_refresh)
 
     # The plan.
@@ -287,6 +291,30 @@ def outcome_lines(request: WorkRequest, report: Mapping[str, Any]) -> list[str]:
     if len(problems) > 5:
         lines.append(paragraph(f"... and {len(problems) - 5} more, in the log.", kind="quiet"))
     return lines
+
+
+def schedule_pane(found: Sequence[ScheduledFlow]) -> pn.viewable.Viewable:
+    """Return what a Prefect server runs by itself, as a table; nothing where it runs nothing."""
+    if not found:
+        return panes.text()
+    rows = [
+        (
+            one.name,
+            "switched off" if one.paused else one.schedule or "on request",
+            "" if one.paused else _minute(one.next_run),
+            " ".join(filter(None, (one.last_state, _minute(one.last_run)))) or "none yet",
+        )
+        for one in found
+    ]
+    heads = ["flow", "when", "next", "last run"]
+    return panes.text(
+        paragraph(" What the Prefect server runs of this workspace by itself.", bold="Schedule"),
+        html_table(heads, rows, kind="wide told"),
+    )
+
+
+def _minute(time: str) -> str:
+    return time[:16].replace("T", " ")
 
 
 def log_html(lines: Sequence[str]) -> str:

@@ -26,7 +26,7 @@ from inflight.explorer.product_day import product_day_sections
 from inflight.explorer.work import InOwnProcess, WorkPlan, WorkRequest, plan_work
 from inflight.figures import LazySection, Section
 from inflight.flags import UNUSABLE, Flag
-from inflight.flows import lazy_client
+from inflight.flows import ScheduledFlow, lazy_client, scheduled_flows
 from inflight.mission import Mission
 from inflight.model import parse_tree
 from inflight.tasks import (
@@ -195,9 +195,7 @@ class ExplorerSession:
         CatalogError, SettingsError
             As `inflight.tasks.analysis.comparing.compare`.
         """
-        span = days.bounds()
-        published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
-        key = (comparison, *span, *(day.id for day in published))
+        span, key = days.bounds(), self._measured_key(comparison, days)
         if key not in self._measured:
             with lazy_client() as client:
                 self._measured[key] = measure_comparison(
@@ -206,6 +204,15 @@ class ExplorerSession:
             for old in list(self._measured)[:-_CACHED]:
                 del self._measured[old]
         return self._measured[key]
+
+    def measured(self, comparison: str, days: Days) -> CompareResult[Any] | None:
+        """Return what `measure` returns when it is measured already, else None."""
+        return self._measured.get(self._measured_key(comparison, days))
+
+    def _measured_key(self, comparison: str, days: Days) -> tuple[Any, ...]:
+        span = days.bounds()
+        published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
+        return (comparison, *span, *(day.id for day in published))
 
     def samples(self, comparison: str, first: int, last: int, most: int) -> Samples | None:
         """Return the samples of products between two times, TT2000; None where there are more than `most`.
@@ -247,13 +254,11 @@ class ExplorerSession:
             begin, name = entry.get("at", entry.get("from")), entry.get("name", entry["effect"])
             if begin is not None:
                 found.append((str(begin), str(entry.get("to", begin)), str(name)))
-        days = self.cat.days(product_of(comparison), states=("published",))
-        contexts = {day.context for day in days if day.context}
-        made = {name: self.cat.context(name).model_version for name in contexts}
-        for before, day in pairwise(day for day in days if day.context):
-            if made[str(before.context)] != made[str(day.context)]:
-                text = f"products of model version {made[str(day.context)]}"
-                found.append((str(day.day), str(day.day), text))
+        days = [(day, name) for day, name in self.cat.published(product_of(comparison)) if name]
+        made = {name: self.cat.context(name).model_version for name in {name for _, name in days}}
+        for (_, before), (day, after) in pairwise(days):
+            if made[before] != made[after]:
+                found.append((str(day), str(day), f"products of model version {made[after]}"))
         return [TimeEvent(_milliseconds(one), _milliseconds(other), text) for one, other, text in found]
 
     def open_contributions(self, comparison: str, progress: Progress) -> Contributions | None:
@@ -307,6 +312,26 @@ class ExplorerSession:
         if history.same(found["model"].get("version"), history.used.version):
             return found
         return found | {"stale": history.used.label}
+
+    def instead_of_diagnosis(self, comparison: str) -> str:
+        """Return what to do of a comparison that cannot be diagnosed; empty where it can.
+
+        Raises
+        ------
+        MissionError, SettingsError
+            As `mission`.
+        """
+        mission = self.mission()
+        try:
+            require_sampled(mission, comparison)
+        except SettingsError as error:
+            if mission.comparisons[comparison].kind == "spin":
+                return (
+                    "look in Model against measurement at what still goes with the spin, and in Tables at "
+                    f"the parameters. For candidates to be ranked, {error.remedy} in the mission file."
+                )
+            return "look in Tables at what was found; it is no residual in which an effect could be missing."
+        return ""
 
     def diagnose(self, comparison: str, days: Days, progress: Progress) -> dict[str, Any]:
         """Do what `inflight diagnose` does; settings are those of the last diagnosis.
@@ -373,9 +398,9 @@ class ExplorerSession:
 
     def stale_products(self, comparison: str) -> int:
         """Return how many published days were made with another model than the one in use."""
-        days = self.cat.days(product_of(comparison), states=("published",))
-        stale = self.history(comparison).stale_contexts(days)
-        return sum(day.context in stale for day in days)
+        made = [context for _, context in self.cat.published(product_of(comparison))]
+        stale = self.history(comparison).stale_contexts(made)
+        return sum(context in stale for context in made)
 
     def reprocess(self, comparison: str, progress: Progress) -> dict[str, Any]:
         """Make products and tables anew, as the last `inflight reprocess` of the comparison was asked to.
@@ -436,6 +461,17 @@ class ExplorerSession:
             return []
         stages = [work.log for work, job in self.begun if (job.result or {}).get("run") == run]
         return [*run_log(self.cat, record), *(stages[0] if stages else ())]
+
+    def schedule(self, progress: Progress) -> list[ScheduledFlow]:
+        """Return what a team's Prefect server runs of this workspace by itself; none without a server.
+
+        Raises
+        ------
+        WorkerError
+            When the server does not answer.
+        """
+        progress("schedule", 0, 1)
+        return scheduled_flows(self.workspace.root)
 
     def plan(self, request: WorkRequest, progress: Progress) -> WorkPlan:
         """Return what a request would do, and what it costs.

@@ -17,7 +17,14 @@ from inflight.explorer.residual_rows import ResidualRows
 from inflight.explorer.session import Contributions, ExplorerSession, TimeEvent
 from inflight.explorer.traces import thin_trace
 from inflight.explorer.view_state import ViewState
-from inflight.figures import contribution_figure, mark_events, paragraph, trace_figure
+from inflight.figures import (
+    StackRow,
+    contribution_figure,
+    mark_events,
+    paragraph,
+    stack_rows,
+    trace_figure,
+)
 from inflight.time import Int64, day_bounds, to_tt2000, to_utc
 
 #: Points of a curve, at most: more than a screen is wide.
@@ -26,7 +33,7 @@ _POINTS = 1600
 _SAMPLES = 260_000
 #: Part of the visible span by which it must change to be drawn anew; assumed.
 _MOVED = 0.01
-_TRACE, _MADE = 290, 290
+_TRACE = 290
 
 
 class TimeView:
@@ -47,7 +54,8 @@ class TimeView:
         self._made: Contributions | None = None
         self._trace: figure | None = None
         self._sources: Mapping[str, ColumnDataSource] = {}
-        self._made_source: ColumnDataSource | None = None
+        self._stack: Sequence[StackRow] = ()
+        self._stacked: Mapping[str, ColumnDataSource] = {}
         self._drawn = (0.0, 0.0)
         self._heading = pn.Column(sizing_mode="stretch_width")
         self._whole = pn.widgets.Button(name="Whole span", align="center")
@@ -113,12 +121,13 @@ class TimeView:
         mark_events(plot, [(one.ms, one.end_ms, one.text) for one in self._events])
         plot.on_event(RangesUpdate, self._moved)
         self._trace, parts = plot, [panes.picture(plot)]
-        self._made_source = None
+        self._stack = ()
         if self._made is not None and self._made.effects:
-            self._made_source = ColumnDataSource({})
-            sizes = {name: float(np.sqrt(np.nanmean(one**2))) for name, one in self._made.effects.items()}
-            made = contribution_figure(self._made_source, sizes, span)
-            made.sizing_mode, made.height = "stretch_width", _MADE
+            residual = self._rows.traces()[labels[-1]][1]
+            self._stack = stack_rows({labels[-1]: residual, **self._made.effects})
+            self._stacked = {row.name: ColumnDataSource({}) for row in self._stack}
+            made = contribution_figure(self._stacked, self._stack, span)
+            made.sizing_mode = "stretch_width"
             parts.append(panes.picture(made))
         self._fill(begin, end)
         self._figures.objects = parts
@@ -156,24 +165,30 @@ class TimeView:
         else:
             states, how = rows.traces(), f"means of {rows.step_s:.4g} s with their extremes"
             flagged = {"x": np.empty(0), "y": np.empty(0), "flag": np.empty(0, dtype=str)}
-        for name, trace in states.items():
-            self._sources[name].data = _data(thin_trace(*trace, first, last, _POINTS))
+        thinned = {name: thin_trace(*trace, first, last, _POINTS) for name, trace in states.items()}
+        for name, trace in thinned.items():
+            self._sources[name].data = _data(trace)
         self._sources["flagged"].data = flagged
-        if self._made_source is not None and self._made is not None:
-            self._made_source.data = self._contributions(first, last)
+        for place, row in enumerate(self._stack):
+            made = thinned[row.name] if place == 0 else self._contribution(row.name, first, last)
+            self._stacked[row.name].data = _in_rows(made, row)
         ends = " to ".join(
             str(to_utc(one).astype("datetime64[m]")) for one in _tt2000(np.array([begin, end]))
         )
         text = f" {ends} UTC: {how}. Wheel and drag zoom and move; click a day of the map to be there."
         self._heading.objects = [panes.text(paragraph(text, bold="In time."))]
 
-    def _contributions(self, first: int, last: int) -> dict[str, Any]:
+    def _contribution(self, name: str, first: int, last: int) -> tuple[Int64, Floats, Floats, Floats]:
         assert self._made is not None
-        out: dict[str, Any] = {}
-        for name, values in self._made.effects.items():
-            time, mean, _, _ = thin_trace(self._made.tt2000, values, values, values, first, last, _POINTS)
-            out |= {"x": _milliseconds(time), name: mean}
-        return out
+        values = self._made.effects[name]
+        return thin_trace(self._made.tt2000, values, values, values, first, last, _POINTS)
+
+
+def _in_rows(trace: tuple[Int64, Floats, Floats, Floats], row: StackRow) -> dict[str, Any]:
+    """Return a curve as a row of a stack has it."""
+    time, mean, low, high = trace
+    y, below, above = (row.place + (one - row.mean) * row.scale for one in (mean, low, high))
+    return {"x": _milliseconds(time), "y": y, "low": below, "high": above, "nT": mean}
 
 
 def _data(trace: tuple[Int64, Floats, Floats, Floats]) -> dict[str, Any]:

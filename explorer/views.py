@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import panel as pn
 
 from inflight.explorer import panes
 from inflight.explorer.job_pane import JobPane, lazy_tabs
 from inflight.explorer.overview import ComparisonOverview
-from inflight.explorer.session import Days, ExplorerSession
+from inflight.explorer.residual_rows import product_rows
+from inflight.explorer.session import Contributions, Days, ExplorerSession
 from inflight.explorer.table_versions import TableVersions
+from inflight.explorer.time_view import TimeView
+from inflight.explorer.view_state import ViewState
 from inflight.figures import Section
+from inflight.tasks.pipelines import CompareResult
 
 
 class View(Protocol):
@@ -29,27 +33,61 @@ class View(Protocol):
 
 
 class MeasurementView:
-    """Model against measurement: the residual before and after, where it fails, what it follows."""
+    """Model against measurement: the residual before and after, where it fails, what it follows, and when.
+
+    Parameters
+    ----------
+    session : ExplorerSession
+    state : ViewState
+        The visible span in time is kept in it.
+    """
 
     title = "Model against measurement"
 
-    def __init__(self, session: ExplorerSession) -> None:
+    def __init__(self, session: ExplorerSession, state: ViewState) -> None:
         self._session = session
         self._pane = JobPane(session.background)
-        self.panel = self._pane.panel
+        self._made_pane = JobPane(session.background)
+        self._time = TimeView(session, state)
+        self._comparison = ""
+        self.panel = pn.Column(
+            self._pane.panel, self._time.panel, self._made_pane.panel, sizing_mode="stretch_width"
+        )
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Measure the residual of a span and show it; without products, show why there is none."""
+        self._time.clear()
+        if overview.comparison != self._comparison:
+            self._time.show_contributions(None)
+        self._comparison = overview.comparison
         if overview.note:
             self._pane.put(panes.hint(f"{overview.note[:1].upper()}{overview.note[1:]}: see Tables."))
         elif days is None or not overview.products:
             self._pane.put(panes.hint("There are no products to hold against the measurements yet."))
         else:
-            self._pane.begin(
-                "Model against measurement",
-                lambda progress: self._session.compare(overview.comparison, days, progress),
-                lambda parts: lazy_tabs(parts, self._session.figure_background),
+            name, begin = "Model against measurement", self._pane.begin
+            if (measured := self._session.measured(overview.comparison, days)) is not None:
+                # What is known already waits for no other work.
+                self._pane.put(self._shown(measured))
+                return
+            begin(
+                name, lambda progress: self._session.measure(overview.comparison, days, progress), self._shown
             )
+
+    def _shown(self, measured: CompareResult[Any]) -> pn.viewable.Viewable:
+        if (rows := product_rows(measured)) is not None:
+            self._time.show(self._comparison, rows, are_products=True)
+            if self._session.last_diagnosis(self._comparison) is not None:
+                self._made_pane.begin(
+                    "Reads the equations of the last diagnosis",
+                    lambda progress: self._session.open_contributions(self._comparison, progress),
+                    self._opened,
+                )
+        return lazy_tabs(measured.parts, self._session.figure_background)
+
+    def _opened(self, made: Contributions | None) -> pn.viewable.Viewable:
+        self._time.show_contributions(made)
+        return panes.text()
 
 
 class TablesView:

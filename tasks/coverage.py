@@ -73,7 +73,7 @@ def coverage_days(cat: Catalog, mission: Mission, dataset: str) -> list[Coverage
         else {dataset.partition("/")[2]}
     )
     facts = _Facts(
-        stale=ModelHistory(cat, mission, comparison).stale_contexts(list(known.values()))
+        stale=ModelHistory(cat, mission, comparison).stale_contexts(day.context for day in known.values())
         if comparison
         else set(),
         maturities=cat.maturities(dataset),

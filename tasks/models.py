@@ -8,13 +8,13 @@ is a version like any other, whose text is that of an older one.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from inflight.catalog import Catalog, Day, ModelRecord, TableRecord
+from inflight.catalog import Catalog, ModelRecord, TableRecord
 from inflight.effects import EffectSource, SpinningSensor
 from inflight.errors import CatalogError, MissionError, ModelError, SettingsError, did_you_mean
 from inflight.mission import Mission, sensors_of
@@ -305,9 +305,9 @@ class ModelHistory:
             return one == other
         return first.sha256 == second.sha256
 
-    def stale_contexts(self, days: Sequence[Day]) -> set[str]:
-        """Return the contexts of some days that have another model than the one in use."""
-        contexts = {name: self._cat.context(name) for name in {day.context for day in days} if name}
+    def stale_contexts(self, made: Iterable[str | None]) -> set[str]:
+        """Return those of some contexts that have another model than the one in use."""
+        contexts = {name: self._cat.context(name) for name in set(made) if name}
         return {
             name
             for name, made in contexts.items()

@@ -30,7 +30,7 @@ from inflight.dual import JumpAttribution
 from inflight.lsq import GramArrays, GramBlocks, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.residual import NoiseFloor, floor_of_rows, join_floors
+from inflight.residual import NoiseFloor, floor_of_parts
 from inflight.samples import ChannelFactor, channel_product, parse_channel, slow_response
 from inflight.time import DAY, SECOND, utc_text
 
@@ -48,12 +48,15 @@ class StructureSettings:
         sigma; a fifth of the floor adds two hundredths to it.
     every : float
         The series holds every native sample when there are not more than so many times as many; assumed.
+    days : int
+        Days that the noise floor of what remains is measured on, at most; assumed.
     """
 
     lags: int = 6
     t: float = 3.0
     part: float = 0.2
     every: float = 1.2
+    days: int = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +158,9 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
     parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if good[a:b].any()]
-    found = join_floors([floor_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
+    # Of a long mission some of its days tell it, evenly spread.
+    parts = parts[:: -(-len(parts) // STRUCTURE_SETTINGS.days)]
+    found = floor_of_parts(residual, good, series.tt2000, parts)
     return found if found.high_nT < floor.low_nT else floor
 
 

@@ -99,6 +99,7 @@ from .quicklook import (
     table_change_panels,
 )
 from .residual import (
+    StackRow,
     contribution_figure,
     daily_figure,
     fall_figure,
@@ -107,6 +108,7 @@ from .residual import (
     mark_events,
     place_map_figures,
     series_figure,
+    stack_rows,
     trace_figure,
 )
 from .spectra import axis_spectrum_figures, draw_floor, spectrum_figure
@@ -158,6 +160,7 @@ __all__ = [
     "Panel",
     "Section",
     "SectionBody",
+    "StackRow",
     "SubintervalEstimates",
     "along_field_figures",
     "axis_figure",
@@ -247,6 +250,7 @@ __all__ = [
     "spectrum_figure",
     "spread_law_figure",
     "stack_figures",
+    "stack_rows",
     "strongest_pairs",
     "switching_steps_figure",
     "table_change_panels",

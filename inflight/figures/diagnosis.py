@@ -33,6 +33,7 @@ from inflight.figures.style import (
     unique_labels,
 )
 from inflight.residual import format_period
+from inflight.units import with_error
 
 _HEADINGS = {str(name): text for name, text in HEADING.items()}
 _MEANINGS = {str(name): text for name, text in MEANING.items()}
@@ -410,12 +411,14 @@ def signature_facts(signature: Fields) -> list[tuple[str, str]]:
         ("shape", signature["shape"] or ""),
         ("half of peak to peak" if period else "amplitude", f"{amplitude:.3g} nT" if amplitude else ""),
         *(
-            (f"on {name}", f"{_formatted(size, '.3g')} ± {_formatted(sigma, '.2g')} nT")
+            (f"on {name}", f"{with_error(size, sigma or 0.0)} nT")
             for name, (size, sigma) in signature["amplitudes"].items()
+            if size is not None
         ),
         *(
-            (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
+            (f"step on {name}", f"{with_error(size, sigma or 0.0)} nT")
             for name, (size, sigma) in signature["steps"].items()
+            if size is not None
         ),
         ("periods", " to ".join(format_period(one) for one in signature["periods_s"] or ())),
         ("channel", signature["channel"] or ""),

@@ -7,6 +7,7 @@ and after share one scale of colours.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +51,9 @@ STATES = ("pre-flight model", "calibrated")
 #: Told apart by readers who see no red or no green, too (Okabe and Ito, 2008).
 _DISTINCT = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#6b5d00")
 
+#: Of a stack: rows that the rms of the largest curve takes up; how near another has to be to a tenth of it to
+#: be drawn ten times as large, in decades; the mean that is told, in parts of the rms.
+_ROW_RMS, _NEARLY_TEN, _TOLD_MEAN = 0.2, 0.15, 0.5
 _HALF_DAY = np.timedelta64(12, "h")
 
 
@@ -139,35 +143,91 @@ def trace_figure(sources: Mapping[str, ColumnDataSource], span: Range1d) -> figu
     return plot
 
 
-def contribution_figure(source: ColumnDataSource, sizes: Mapping[str, float], span: Range1d) -> figure:
-    """Draw what each effect of a model makes of the residual in time; nT, one below the other.
+@dataclass(frozen=True)
+class StackRow:
+    """A curve of a stack: where it stands, and how it is enlarged.
+
+    Attributes
+    ----------
+    name : str
+        What the source and the glyphs are called.
+    mean : float
+        What is taken off, nT.
+    place : float
+        Its zero, in rows from the top: 0, -1, ...
+    scale : float
+        Rows a nT.
+    text : str
+        What the row says: name, enlargement, size.
+    """
+
+    name: str
+    mean: float
+    place: float
+    scale: float
+    text: str
+
+
+def stack_rows(curves: Mapping[str, Floats]) -> list[StackRow]:
+    """Return the rows of a stack; small curves are enlarged by a power of ten, as the row says.
 
     Parameters
     ----------
-    source : ColumnDataSource
-        With ``x`` (ms of UTC) and a column an effect; filled later.
-    sizes : mapping of str to float
-        Rms of each effect, nT, the largest first: what the legend tells.
+    curves : mapping of str to ndarray, shape (sample,)
+        nT, from the top; NaN where nothing is known.
     """
-    plot = plain_figure(
-        "What each effect of the model makes of it", "UTC", "nT", x_axis_type="datetime", x_range=span
-    )
-    dashes = ("solid", "dashed", "dotdash", "solid", "dashed", "dotdash")
+    means = {name: float(np.nanmean(one)) if np.isfinite(one).any() else 0.0 for name, one in curves.items()}
+    sizes = {name: float(np.nanstd(one)) if np.isfinite(one).any() else 0.0 for name, one in curves.items()}
+    largest = max(sizes.values(), default=1.0) or 1.0
+    rows = []
     for place, (name, size) in enumerate(sizes.items()):
-        colour = _DISTINCT[place % len(_DISTINCT)]
-        plot.line(
-            "x",
-            name,
-            source=source,
-            color=colour,
-            line_dash=dashes[place % len(dashes)],
-            line_width=1.5,
-            legend_label=f"{name}: {size:.3g} nT rms",
-            name=name,
-        )
-    plot.hover.tooltips = [("", "$name"), ("nT", "$y{0.0000}")]
-    _as_strip(plot)
-    plot.legend.ncols = 3
+        small = np.log10(largest / size) if size > 0 else 0.0
+        by = 10 ** min(int(small + _NEARLY_TEN), 6)
+        enlarged = f" (×{by})" if by > 1 else ""
+        about = f" about {means[name]:.3g} nT" if abs(means[name]) > _TOLD_MEAN * size else ""
+        text = f"{name}{enlarged}: {size:.3g} nT rms{about}"
+        rows.append(StackRow(name, means[name], -float(place), by * _ROW_RMS / largest, text))
+    return rows
+
+
+def contribution_figure(
+    sources: Mapping[str, ColumnDataSource], rows: Sequence[StackRow], span: Range1d
+) -> figure:
+    """Draw curves in time one below the other: the residual, and what each effect makes of it; nT.
+
+    Parameters
+    ----------
+    sources : mapping of str to ColumnDataSource
+        By a row's name, filled later: ``x`` (ms of UTC), ``y``, ``low`` and ``high`` in rows, and ``nT``.
+    rows : sequence of StackRow
+        From the top.
+    span : Range1d
+        What is visible, ms of UTC; shared with other figures.
+    """
+    title = "What is left, and what each effect of the model makes of it"
+    plot = plain_figure(title, "UTC", "nT", x_axis_type="datetime", x_range=span)
+    plot.y_range = Range1d(rows[-1].place - 0.55, rows[0].place + 0.75)
+    ticks, labels = [], {}
+    for place, row in enumerate(rows):
+        colour = AFTER if place == 0 else _DISTINCT[1:][(place - 1) % (len(_DISTINCT) - 1)]
+        source = sources[row.name]
+        plot.add_layout(Span(location=row.place, dimension="width", line_color="#c8c8c8"))
+        plot.varea(x="x", y1="low", y2="high", source=source, color=colour, alpha=0.3)
+        plot.line("x", "y", source=source, color=colour, line_width=1.2, name=row.name)
+        step = float(f"{0.3 / row.scale:.0e}")
+        for value in (-step, 0.0, step):
+            ticks.append(row.place + value * row.scale)
+            labels[ticks[-1]] = f"{value:.3g}"
+        told = {"text": row.text, "text_font_size": "11px", "text_color": colour, "y_offset": -3}
+        back = {"background_fill_color": "white", "background_fill_alpha": 0.75}
+        where = {"x": 6, "x_units": "screen", "y": row.place + 0.5, "text_baseline": "middle"}
+        plot.add_layout(Label(**where, **told, **back))
+    plot.yaxis.ticker = FixedTicker(ticks=ticks)
+    plot.yaxis.major_label_overrides = labels
+    plot.ygrid.visible = False
+    plot.hover.tooltips = [("", "$name"), ("nT", "@nT{0.0000}")]
+    plot.height = 70 + 72 * len(rows)
+    _as_strip(plot, legend=False)
     return plot
 
 
@@ -183,12 +243,13 @@ def mark_events(plot: figure, events: Sequence[tuple[float, float, str]]) -> Non
         plot.add_layout(label)
 
 
-def _as_strip(plot: figure) -> None:
-    """Make a figure one that is as wide as the page: zoomed in time alone, its legend beside it."""
+def _as_strip(plot: figure, *, legend: bool = True) -> None:
+    """Make a figure one that is as wide as the page: zoomed in time alone, its legend below it."""
     plot.toolbar_location = "right"
     zoom = next(tool for tool in plot.tools if isinstance(tool, WheelZoomTool))
     zoom.dimensions, plot.toolbar.active_scroll = "width", zoom
-    legend_below(plot)
+    if legend:
+        legend_below(plot)
 
 
 def histogram_figure(

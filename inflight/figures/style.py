@@ -33,7 +33,8 @@ _WIDTH, _HEIGHT = 376, 260
 
 
 def plain_figure(title: str, x: str, y: str, **options: Any) -> figure:
-    """Return an empty figure with title and axis labels in the project's style."""
+    """Return an empty figure with title and axis labels in the project's style; the mouse reads both axes."""
+    in_time = options.get("x_axis_type") == "datetime"
     plot = figure(
         title=title,
         x_axis_label=x,
@@ -47,6 +48,8 @@ def plain_figure(title: str, x: str, y: str, **options: Any) -> figure:
     plot.title.text_font_size = "12px"
     plot.grid.grid_line_alpha = 0.4
     plot.toolbar.logo = None
+    plot.hover.tooltips = [(x or "x", "$x{%F %R}" if in_time else "$x"), (y or "y", "$y")]
+    plot.hover.formatters = {"$x": "datetime"} if in_time else {}
     return plot
 
 

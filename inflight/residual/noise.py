@@ -104,7 +104,9 @@ AT_FLOOR = 1.05
 NO_FLOOR = NoiseFloor(float("nan"), float("nan"), float("nan"))
 
 
-def noise_floor(residual: Floats, cadence: float, working: float | None = None) -> NoiseFloor:
+def noise_floor(
+    residual: Floats, cadence: float, working: float | None = None, *, alone: bool = True
+) -> NoiseFloor:
     """Measure the white level of a residual; gaps, outliers, lines and slow structure do not raise it.
 
     Parameters
@@ -116,6 +118,9 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     working : float, optional
         Seconds of the means that the level refers to; the cadence itself when absent. White
         noise falls with the square root of the samples in a mean.
+    alone : bool
+        Measure the interval, too, which takes ten times as long; not needed of one of many spans, whose
+        scatter tells it (`join_floors`).
 
     Returns
     -------
@@ -127,7 +132,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     power = _segment_powers(values)
     if power is None:
         return NO_FLOOR
-    variance, sigma = _level_and_sigma(power)
+    variance, sigma = _level_and_sigma(power) if alone else (_white(power.mean(axis=0), power.shape[0]), 0.0)
     mean_of = max(1.0, working / cadence) if working else 1.0
     reach = NOISE_SETTINGS.wide * sigma
     edges = np.maximum([variance, variance - reach, variance + reach], 0.0) / mean_of
@@ -158,7 +163,9 @@ def join_floors(floors: Sequence[NoiseFloor]) -> NoiseFloor:
     return NoiseFloor(float(np.sqrt(variance)), float(low), float(high), sum(f.samples for f in known))
 
 
-def floor_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64]) -> NoiseFloor:
+def floor_of_rows(
+    residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64], *, alone: bool = True
+) -> NoiseFloor:
     """Return the white level of a residual of one or several rows a sample, all rows together.
 
     Parameters
@@ -168,6 +175,8 @@ def floor_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDA
     good : ndarray of bool, shape (sample,)
     stamps : ndarray of int64, shape (sample,)
         TT2000, at any spacing: gaps stay gaps.
+    alone : bool
+        As `noise_floor` takes it.
     """
     step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
     place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
@@ -175,8 +184,24 @@ def floor_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDA
     for row in residual.T:
         even = np.full(int(place[-1]) + 1, np.nan)
         even[place[good]] = row[good]
-        found.append(noise_floor(even, step))
+        found.append(noise_floor(even, step, alone=alone))
     return join_floors(found)
+
+
+def floor_of_parts(
+    residual: Floats,
+    good: npt.NDArray[np.bool_],
+    stamps: npt.NDArray[np.int64],
+    parts: Sequence[slice],
+) -> NoiseFloor:
+    """Return the white level of parts of a residual together; arrays are those of `floor_of_rows`."""
+    floors: list[NoiseFloor] = []
+    # The scatter between many parts tells the interval; of few each has to bring its own.
+    for alone in (False, True):
+        floors = [floor_of_rows(residual[at], good[at], stamps[at], alone=alone) for at in parts]
+        if sum(math.isfinite(one.level_nT) for one in floors) >= NOISE_SETTINGS.segments:
+            break
+    return join_floors(floors)
 
 
 def _without_outliers(values: Floats) -> Floats:

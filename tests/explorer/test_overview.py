@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from inflight.catalog import Catalog, Workspace
+from inflight.explorer.loop_state import LoopState
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
-from inflight.explorer.session import Days
+from inflight.explorer.session import Days, ExplorerSession
 from inflight.tasks.archive import ingest
 
 
@@ -36,6 +37,10 @@ def test_a_calibrated_workspace_asks_for_nothing(calibrated):
     assert found.products == 4
     assert {"main-daily", "main-window"} <= set(found.tables)
     assert found.model.endswith("version 1")
+    cat = Catalog(calibrated.root)
+    assert cat.published("l2/field") == [
+        (one.day, one.context) for one in cat.days("l2/field", states=("published",))
+    ]
 
 
 def test_of_a_long_mission_the_newest_days_are_shown_unasked():
@@ -68,3 +73,22 @@ def test_a_table_belongs_to_the_comparison_whose_whole_name_it_has(table, owner)
 
     mission = SimpleNamespace(comparisons={"main": None, "main-b": None})
     assert owner_of_table(table, mission) == owner
+
+
+def test_a_comparison_that_cannot_be_diagnosed_says_what_to_do_instead(calibrated, tmp_path):
+    session = ExplorerSession(Workspace.create(tmp_path / "ace", "ace"))
+    try:
+        state, step = LoopState(None, [], "ace", 0, 3, session.instead_of_diagnosis("main")).sentences()
+    finally:
+        session.close()
+    assert state == "Ace is in use."
+    assert "what still goes with the spin" in step
+    assert "'sun_pulse'" in step
+    assert "Diagnose" not in step
+    # One that can be is asked to be.
+    session = ExplorerSession(calibrated)
+    try:
+        instead = session.instead_of_diagnosis("main")
+    finally:
+        session.close()
+    assert LoopState(None, [], "heated", 0, 4, instead).sentences()[1].startswith("Diagnose")

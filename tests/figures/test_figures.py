@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from bokeh.embed import json_item
-from bokeh.models import Legend, Segment
+from bokeh.models import ColumnDataSource, Legend, Range1d, Segment
 
 from inflight.figures import (
     axis_figure,
+    contribution_figure,
     daily_figure,
     dependence_figure,
     excess_scatter_figure,
@@ -21,6 +22,7 @@ from inflight.figures import (
     parameter_figures,
     series_figure,
     spectrum_figure,
+    stack_rows,
 )
 from inflight.figures.page import figure_parts
 from inflight.residual import AxisResponse, Dependence, Line, ParameterScatter, daily_scatter
@@ -252,3 +254,21 @@ def test_a_figure_is_written_as_bokeh_writes_it():
     assert json.loads(parts["drawn"]) == [
         {"docid": "place", "roots": {plot.id: "place"}, "root_ids": [plot.id]}
     ]
+
+
+def test_small_curves_of_a_stack_are_enlarged_and_say_so():
+    wave = np.sin(np.arange(1000.0))
+    rows = stack_rows({"residual": 0.02 * wave, "heater": 1.3 * wave, "offset": 40.0 + 1.1 * wave})
+    assert [row.place for row in rows] == [0.0, -1.0, -2.0]
+    # Drawn, no curve reaches into the next row, and none is lost.
+    sizes = [size * row.scale for size, row in zip((0.02, 1.3, 1.1), rows, strict=True)]
+    assert all(0.02 < size < 0.5 for size in sizes)
+    assert "(×10)" in rows[0].text
+    assert "×" not in rows[1].text
+    assert rows[2].text.endswith("about 40 nT")
+    sources = {row.name: ColumnDataSource({}) for row in rows}
+    labels = contribution_figure(sources, rows, Range1d(0, 1)).yaxis[0].major_label_overrides
+    # Ticks are in nT, whatever a row is enlarged by.
+    assert {labels[row.place] for row in rows} == {"0"}
+    (above,) = (float(text) for at, text in labels.items() if 0 < at < 0.5)
+    assert above == pytest.approx(0.3 / rows[0].scale, rel=0.5)

@@ -12,6 +12,7 @@ import pytest
 from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog
+from inflight.flows import scheduled_flows
 
 pytestmark = pytest.mark.server
 
@@ -114,6 +115,22 @@ def test_the_schedule_makes_runs(api):
     question = {"deployments": {"name": {"any_": ["full-mission"]}}}
     runs = wait_for(lambda: api.post("flow_runs/filter", json=question).json(), "scheduled run")
     assert {run["state_type"] for run in runs} == {"SCHEDULED"}
+
+
+def test_the_page_is_told_what_is_scheduled(api, environment, workspace, monkeypatch):
+    monkeypatch.setenv("PREFECT_API_URL", environment["PREFECT_API_URL"])
+
+    def scheduled():
+        found = {one.name: one for one in scheduled_flows(workspace)}
+        return found if found["reprocess/full-mission"].next_run else None
+
+    found = wait_for(scheduled, "next run")
+    nightly = found["reprocess/full-mission"]
+    assert (nightly.schedule, nightly.paused, nightly.last_state) == ("30 2 * * *", False, "")
+    assert nightly.next_run[11:16] == "02:30"
+    assert found["reprocess/daily-spin"].paused
+    assert found["backfill/span"].schedule == ""
+    assert scheduled_flows(workspace.parent) == []
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from inflight.residual import NO_FLOOR, NoiseFloor, join_floors, noise_floor
+from inflight.residual import NO_FLOOR, NoiseFloor, floor_of_parts, floor_of_rows, join_floors, noise_floor
+from inflight.time import SECOND
 
 WHITE = 0.1
 
@@ -117,3 +118,17 @@ def test_days_together_have_the_mean_variance_and_a_narrower_interval():
     assert np.isnan(join_floors([NO_FLOOR]).level_nT)
     noisy = join_floors([NoiseFloor(0.1, 0.1, 0.1, 100), NoiseFloor(0.3, 0.3, 0.3, 100)])
     assert noisy.level_nT == pytest.approx(np.sqrt((0.01 + 0.09) / 2))
+
+
+def test_the_floor_of_many_days_needs_no_interval_of_each():
+    generator = np.random.default_rng(4)
+    residual, stamps = generator.normal(0, 0.3, (12 * 1440, 1)), np.arange(12 * 1440) * 60 * SECOND
+    good, parts = np.ones(len(stamps), dtype=bool), [slice(day * 1440, (day + 1) * 1440) for day in range(12)]
+    many = floor_of_parts(residual, good, stamps, parts)
+    each = join_floors([floor_of_rows(residual[at], good[at], stamps[at]) for at in parts])
+    assert (many.level_nT, many.low_nT) == pytest.approx((each.level_nT, each.low_nT))
+    assert many.low_nT < 0.3 < many.high_nT
+    # Of three days each brings its own.
+    few = floor_of_parts(residual, good, stamps, parts[:3])
+    assert few == join_floors([floor_of_rows(residual[at], good[at], stamps[at]) for at in parts[:3]])
+    assert few.low_nT < few.level_nT < few.high_nT

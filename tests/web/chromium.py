@@ -28,6 +28,8 @@ FLAGS = (
     "--window-size=1500,1100",
     "--remote-debugging-port=0",
 )
+#: Seconds without a change after which a page rests.
+_STILL_S = 3.0
 #: Elements of widgets live in shadow roots: these find text and things to click in all of them.
 _DEEP = """
 window.everything = function* (root) {
@@ -46,8 +48,17 @@ window.fill = (label, value) => { const found = window.pick('label').find(
   if (input._flatpickr) input._flatpickr.setDate(value, true); else { input.value = value;
     for (const kind of ['input', 'change']) input.dispatchEvent(new Event(kind)) } return true };
 window.press = (selector, label) => { const found = window.pick(selector).filter(
-  (one) => one.textContent.trim() === label); if (found.length) found[0].click(); return found.length };
+  (one) => one.textContent.trim() === label && !one.disabled); if (found.length) found[0].click(); return found.length };
 """
+#: Left, top, width and height of the first figure of the left column, or of the first below what it is drawn
+#: against; pixels of the page.
+_PLACE = """(() => { const top = (one) => one.getBoundingClientRect().top;
+  const select = pick('select').find((one) => one.getBoundingClientRect().left < 200 && top(one) > 250);
+  const below = FIGURE === 'curve' ? top(select) : 0;
+  const found = pick('canvas').filter((one) => one.clientWidth > 200)
+    .map((one) => one.getBoundingClientRect()).filter((one) => one.left < 200 && one.top > below)
+    .sort((one, other) => one.top - other.top)[0];
+  return found ? [found.left, found.top, found.width, found.height] : null })()"""
 
 
 def find_chromium() -> str | None:
@@ -88,8 +99,14 @@ class Chromium:
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Ask the browser for something and return its answer; take note of what happens meanwhile."""
+        return self._answer(method, self._ask(method, parameters))
+
+    def _ask(self, method: str, parameters: dict[str, Any]) -> int:
         number = next(self._number)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        return number
+
+    def _answer(self, method: str, number: int) -> Any:
         while True:
             told = json.loads(self._socket.recv(timeout=120))
             if told.get("id") == number:
@@ -124,13 +141,13 @@ class Chromium:
         """Return all text that is shown."""
         return str(self.evaluate("window.allText ? window.allText() : ''"))
 
-    def wait_for(self, expression: str, seconds: float = 60.0) -> Any:
+    def wait_for(self, expression: str, seconds: float = 60.0, *, pause: float = 0.1) -> Any:
         """Return the value of an expression as soon as it is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if value := self.evaluate(expression):
                 return value
-            time.sleep(0.1)
+            time.sleep(pause)
         shown = self.text()[:1500]
         raise AssertionError(f"{expression} is not true after {seconds} s; the page shows: {shown}")
 
@@ -139,15 +156,57 @@ class Chromium:
         self.wait_for(f"window.allText && window.allText().includes({json.dumps(text)})", seconds)
 
     def press(self, selector: str, label: str) -> None:
-        """Click the first thing of a kind that has a label, as soon as it is shown."""
+        """Click the first thing of a kind that has a label, as soon as it is shown and can be used."""
         self.wait_for(f"window.press && window.press({json.dumps(selector)}, {json.dumps(label)})")
 
     def fill(self, label: str, value: str) -> None:
         """Choose or type a value in the widget that has a label, as soon as it is shown."""
         self.wait_for(f"window.fill && window.fill({json.dumps(label)}, {json.dumps(value)})")
 
+    def fill_placeholder(self, placeholder: str, value: str) -> None:
+        """Type a value into the input that asks for it by what stands in it, as soon as it is shown."""
+        found = f"pick('input').find((one) => one.placeholder.startsWith({json.dumps(placeholder)}))"
+        self.wait_for(f"window.pick && {found} !== undefined")
+        self.evaluate(
+            f"(() => {{ const one = {found}; one.value = {json.dumps(value)};"
+            " one.dispatchEvent(new Event('change')) })()"
+        )
+
+    def place_of(self, figure: str) -> list[float]:
+        """Return left, top, width and height of the `map` or the `curve`, as soon as it stands still."""
+        was = None
+        while (now := self.wait_for(_PLACE.replace("FIGURE", json.dumps(figure)))) != was:
+            was = now
+            time.sleep(0.5)
+        return list(now)
+
+    def rest(self) -> None:
+        """Wait until nothing moves any more: no text changes, the mouse is away from all figures."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
+        was, since = "", time.monotonic()
+        while time.monotonic() - since < _STILL_S:
+            time.sleep(0.2)
+            if (now := self.text()) != was:
+                was, since = now, time.monotonic()
+
+    def look(self, width: int, height: int, *, dark: bool = False) -> None:
+        """Make the page so many pixels wide and high, dark for a reader who asks for that."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
+
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
-        """Press the mouse at a place, move to another, and let go; pixels of what is shown."""
+        """Press the mouse at a place, move to another, and let go; pixels of what is shown.
+
+        All is asked for at once: a button that is held too long is no drag.
+        """
+        asked, method = [], "Input.dispatchMouseEvent"
         for kind, part, pressed in (
             ("mousePressed", 0.0, 1),
             *(("mouseMoved", step / 6, 1) for step in range(1, 7)),
@@ -155,7 +214,20 @@ class Chromium:
         ):
             x, y = (one + part * (other - one) for one, other in zip(begin, end, strict=True))
             how = {"button": "left", "buttons": pressed, "clickCount": 1}
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **how)
+            asked.append(self._ask(method, {"type": kind, "x": x, "y": y, **how}))
+        for number in asked:
+            self._answer(method, number)
+
+    def key(self, name: str, *, shift: bool = False) -> None:
+        """Press and release a key: ``Tab``, ``Enter``, ``ArrowDown``, a blank."""
+        text = {"Enter": "\r", " ": " "}.get(name)
+        codes = {"Tab": 9, "Enter": 13, " ": 32, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39}
+        code = codes.get(name, 40)
+        how = {"key": name, "windowsVirtualKeyCode": code, "modifiers": 8 * shift}
+        with_text = {"text": text} if text else {}
+        kind = "keyDown" if text else "rawKeyDown"
+        self.call("Input.dispatchKeyEvent", type=kind, **how, **with_text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **how)
 
     def click(self, place: tuple[float, float]) -> None:
         """Press and release the mouse at a place; pixels of what is shown."""

@@ -1,29 +1,11 @@
 """A real browser on a page that a real command serves."""
 
-import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from chromium import Chromium, find_chromium
-
-
-class Served:
-    """A running `inflight explore`."""
-
-    def __init__(self, root: Path) -> None:
-        code = "from inflight.cli import main; main()"
-        command = [sys.executable, "-c", code, "explore", "--json", "--workers", "1", "-w", str(root)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        told = ""
-        while not told.endswith("}\n"):
-            line = self.process.stdout.readline()
-            assert line, self.process.stderr.read()
-            told += line
-        self.told = json.loads(told)
-        self.url = self.told["url"]
+from played_page import Served
 
 
 @pytest.fixture(scope="module")

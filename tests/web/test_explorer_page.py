@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from chromium import Chromium, find_chromium
 from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -24,12 +25,6 @@ _CURVES = """(() => {
   const marks = plot ? plot.renderers.filter((one) => one.name) : [];
   const values = (one, name) => [...(one.data_source.data.get?.(name) ?? one.data_source.data[name] ?? [])];
   return Object.fromEntries(marks.map((one) => [one.name, [values(one, 'x'), values(one, 'y')]])) })()"""
-#: Left, top, width and height of a figure of the left column, counted from above, pixels of the page.
-_PLACE = """(() => { const shown = pick('canvas').filter((one) => one.clientWidth > 200)
-    .map((one) => one.getBoundingClientRect()).filter((one) => one.left < 200)
-    .sort((one, other) => one.top - other.top);
-  const found = shown.filter((one, at) => !at || one.top > shown[at - 1].top + 20)[NUMBER];
-  return found ? [found.left, found.top, found.width, found.height] : null })()"""
 #: What the figure of the falling error has drawn: bars by change, and the noise floor.
 _ERROR = """(() => {
   const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
@@ -81,15 +76,6 @@ def drawn_error(browser, change):
     return browser.wait_for(f"((found) => {there} && found)({_ERROR})")
 
 
-def place_of(browser, number):
-    """Return left, top, width and height of a figure of the left column, as soon as it stands still."""
-    was = None
-    while (now := browser.wait_for(_PLACE.replace("NUMBER", str(number)))) != was:
-        was = now
-        time.sleep(0.5)
-    return now
-
-
 def outside(requests: list[str]) -> list[str]:
     """Return addresses that are neither of this machine nor within the page."""
     inside = ("data", "blob", "about", "chrome")
@@ -135,6 +121,14 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     browser.press("button", "Undo")
     browser.wait_for_text("undo version 3: back to version 2", 120)
     assert drawn_error(browser, "4: undo")["bars"]["4: undo"] > 2 * added["floor"]
+    # Each effect of the model in use has a row below what is left.
+    browser.press(".bk-tab", "Model against measurement")
+    stack = _CURVES.replace("TITLE", "What is left, and what each effect")
+    rows = browser.wait_for(f"((found) => Object.keys(found).length > 1 && found)({stack})")
+    places = {name: round(np.nanmean(np.array(y, dtype=float))) for name, (_, y) in rows.items()}
+    assert next(iter(rows)) == "residual"
+    assert sorted(places.values(), reverse=True) == [-place for place in range(len(rows))]
+    assert places["channel_field_heater_current"] < 0
     browser.press(".bk-tab", "Tables")
     browser.wait_for_text("Circles are each day's own values", 120)
     browser.wait_for("pick('canvas').length > 2")
@@ -151,7 +145,7 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     assert browser.evaluate("pick('input').some((one) => one.value === 'scale_drift')")
     browser.wait_for("location.search.includes('last=2024-03-04')")
     # What is dragged over in a curve restricts all pictures, until it is cleared.
-    left, top, width, height = place_of(browser, 1)
+    left, top, width, height = browser.place_of("curve")
     ends = [(left + part * width, top + 0.4 * height) for part in (0.5, 0.8)]
     browser.drag(*ends)
     browser.wait_for_text("Selected: boom_temperature")
@@ -166,7 +160,7 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.wait_for("!location.search.includes('select=boom')")
     browser.wait_for("!window.allText().includes('Selected:')")
     # A day that is clicked is seen down to its samples.
-    left, top, width, height = place_of(browser, 0)
+    left, top, width, height = browser.place_of("map")
     browser.click((left + 0.4 * width, top + 0.35 * height))
     browser.wait_for("location.search.includes('zoom=2024-03-03T00%3A00%3A00~2024-03-04')")
     browser.wait_for_text("2024-03-03T00:00 to 2024-03-04T00:00 UTC: samples.")
@@ -175,6 +169,71 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.drag((x, places[0]), (x, places[1]))
     browser.wait_for("location.search.includes('first=2024-03-02')")
     browser.wait_for("location.search.includes('last=2024-03-03')")
+
+
+def focused(browser, selector):
+    """Press Tab until something of a kind has the focus; return how it is outlined."""
+    active = """(() => { let one = document.activeElement;
+      while (one?.shadowRoot?.activeElement) one = one.shadowRoot.activeElement;
+      return one?.matches(SELECTOR) ? one.style.outline || 'none' : null })()"""
+    active = active.replace("SELECTOR", repr(selector))
+    for _ in range(80):
+        browser.key("Tab")
+        if browser.evaluate(active):
+            # The ring is drawn after the key was taken.
+            time.sleep(0.1)
+            return browser.evaluate(active)
+    raise AssertionError(f"Tab does not reach {selector}")
+
+
+def test_tables_and_figures_are_used_by_the_keyboard(browser, address):
+    browser.open(f"{address}&tab=the-loop&channel=boom_temperature")
+    browser.wait_for_text("Drag over the map", 120)
+    browser.wait_for("pick('.tabulator-row').length > 3")
+    browser.place_of("curve")
+    # A cross is moved over the map, and Enter clicks the day below it.
+    assert "solid" in focused(browser, ".bk-events")
+    browser.key("ArrowUp", shift=True)
+    browser.key("Enter")
+    browser.wait_for("location.search.includes('zoom=2024-03-0')")
+    # The next figure is the curve: blanks begin and end a brush.
+    assert "solid" in focused(browser, ".bk-events")
+    browser.key(" ")
+    for _ in range(3):
+        browser.key("ArrowRight", shift=True)
+    browser.key(" ")
+    browser.wait_for("location.search.includes('select=boom_temperature')")
+    assert "solid" in focused(browser, ".tabulator-tableholder")
+    for _ in range(2):
+        browser.key("ArrowDown")
+    browser.key("Enter")
+    chosen = "pick('.tabulator-row').findIndex((one) => one.matches('.tabulator-selected'))"
+    browser.wait_for(f"{chosen} > 0")
+    browser.wait_for("location.search.includes('candidate=')")
+
+
+def test_two_browsers_do_not_disturb_each_other(browser, address, tmp_path):
+    """Each tries an effect of its own at the same time, on a part of its own."""
+    other = Chromium(find_chromium(), tmp_path / "profile")
+    try:
+        for one, channel in ((browser, "heater_current"), (other, "boom_temperature")):
+            one.open(f"{address}&tab=the-loop&channel={channel}&candidate={channel}")
+        for one in (browser, other):
+            one.wait_for_text("Drag over the map", 120)
+            one.wait_for_text("noise floor 0.0")
+        other.fill("Only where", "boom_temperature=5~9")
+        for one in (browser, other):
+            one.press("button", "Try")
+        for one, channel in ((browser, "heater_current"), (other, "boom_temperature")):
+            one.wait_for_text("Tried; nothing is saved.", 120)
+            tried = [name for name in drawn_error(one, "try:")["bars"] if name.startswith("try")]
+            assert tried == [f"try: {channel}"]
+        other.wait_for_text("Selected: boom_temperature 5 to 9 degC")
+        assert "Selected:" not in browser.text()
+        assert "select=" not in browser.evaluate("location.search")
+        assert other.complaints == []
+    finally:
+        other.close()
 
 
 def test_who_has_no_token_is_shown_how_to_get_it_and_nothing_else(address):
@@ -206,11 +265,7 @@ def test_who_has_no_token_is_shown_how_to_get_it_and_nothing_else(address):
 
 def test_an_error_is_told_with_what_to_do_and_the_page_goes_on(browser, address):
     browser.open(address)
-    browser.wait_for("window.pick && pick('input').some((one) => one.placeholder.startsWith('a channel'))")
-    browser.evaluate(
-        "(() => { const one = pick('input').find((one) => one.placeholder.startsWith('a channel'));"
-        " one.value = 'no_such_effect'; one.dispatchEvent(new Event('change')) })()"
-    )
+    browser.fill_placeholder("a channel", "no_such_effect")
     browser.press("button", "Add")
     browser.wait_for_text("What to do:", 180)
     assert "no_such_effect" in browser.text()
