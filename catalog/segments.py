@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numcodecs.blosc
 import numpy as np
@@ -59,13 +59,22 @@ MOST_COMPONENTS: Final = 4
 
 #: Level 5 takes 5 to 10 times as long on differences of channels and is 3 % smaller at best.
 COMPRESSION_LEVEL: Final = 2
-COMPRESSOR: Final = "zstd"
+COMPRESSOR: Final[Literal["zstd"]] = "zstd"
+#: For what is made again from the archive any time: its numbers hardly pack, and this takes a tenth of the
+#: time to write and to read, for a tenth more bytes.
+QUICK_COMPRESSOR: Final[Literal["lz4"]] = "lz4"
 
 Array = npt.NDArray[Any]
 
 
 def write_segment(
-    workspace: Path | str, run_id: str, name: str, days: Sequence[DayData], *, portable: bool = False
+    workspace: Path | str,
+    run_id: str,
+    name: str,
+    days: Sequence[DayData],
+    *,
+    portable: bool = False,
+    quick: bool = False,
 ) -> Segment:
     """Write several days of one dataset as one immutable Zarr store.
 
@@ -84,6 +93,8 @@ def write_segment(
     days : sequence of DayData
     portable : bool
         Leave out the delta filter, which the Zarr v3 specification does not know.
+    quick : bool
+        Pack quickly rather than well.
 
     Returns
     -------
@@ -114,7 +125,8 @@ def write_segment(
     }
     label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
     with _begun(Path(workspace), run_id, label) as begun:
-        notes = _write_store(begun.folder, contents, layout, common, described, portable)
+        packing = _Packing(portable, QUICK_COMPRESSOR if quick else COMPRESSOR)
+        notes = _write_store(begun.folder, contents, layout, common, described, packing)
         path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
@@ -141,7 +153,7 @@ def write_table(
     attributes = plain_attributes(dataset.attrs, f"dataset '{name}'")
     described: dict[str, Any] = {"row_dim": "", "chunk": 0, "days": [], "counts": []}
     with _begun(Path(workspace), run_id, _label(name)) as begun:
-        notes = _write_store(begun.folder, contents, None, attributes, described, portable)
+        notes = _write_store(begun.folder, contents, None, attributes, described, _Packing(portable))
         path, sha256, size = begun.finish()
     return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
@@ -218,13 +230,20 @@ def clear_unfinished(workspace: Path, run_id: str, folders: Iterable[Path] | Non
         of_run.rmdir()
 
 
+class _Packing(NamedTuple):
+    """How the chunks of a store are packed: without the delta filter, and by which compressor of Blosc."""
+
+    portable: bool
+    compressor: Literal["zstd", "lz4"] = COMPRESSOR
+
+
 def _write_store(
     folder: Path,
     contents: Sequence[Variable],
     layout: Layout | None,
     attributes: dict[str, Any],
     described: dict[str, Any],
-    portable: bool,
+    packing: _Packing,
 ) -> list[str]:
     """Write and read back all arrays; return notes about values that could not be packed."""
     import zarr  # only who writes waits for it
@@ -240,7 +259,7 @@ def _write_store(
     for item in contents:
         encoding = choose_encoding(item.name, item.pieces, item.attributes)
         blocks = _blocks(item, encoding, layout)
-        _write_array(folder, group, item, encoding, blocks, portable)
+        _write_array(folder, group, item, encoding, blocks, packing)
         _read_back(folder / item.name, item, blocks[0])
         if encoding.note:
             notes.append(encoding.note)
@@ -267,7 +286,7 @@ def _write_array(
     item: Variable,
     encoding: Encoding,
     blocks: Sequence[Array],
-    portable: bool,
+    packing: _Packing,
 ) -> None:
     from zarr.codecs import BloscCodec
     from zarr.codecs.numcodecs import Delta
@@ -276,14 +295,14 @@ def _write_array(
     components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
-    delta = encoding.delta and not portable
+    delta = encoding.delta and not packing.portable
     array = group.create_array(
         item.name,
         shape=shape,
         dtype=encoding.stored,
         chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
         filters=[Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
-        compressors=[BloscCodec(cname=COMPRESSOR, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
+        compressors=[BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         fill_value=encoding.fill,
         attributes={**item.attributes, **encoding.attributes()},
         dimension_names=item.dims,
@@ -293,7 +312,8 @@ def _write_array(
     if not item.in_rows:
         array[...] = blocks[0]
         return
-    writer, rest = ChunkWriter(folder / item.name, delta), (0,) * (len(inner) - 1)
+    writer = ChunkWriter(folder / item.name, delta, packing.compressor)
+    rest = (0,) * (len(inner) - 1)
     for index, block in enumerate(blocks):
         for part in range(inner[0]) if components else range(1):
             values = block[:, part : part + 1] if components else block
@@ -340,10 +360,13 @@ class ChunkWriter:
         Of the array.
     delta : bool
         Store the first value and the differences of neighbours.
+    compressor : str
+        Of Blosc.
     """
 
     folder: Path
     delta: bool
+    compressor: str = COMPRESSOR
 
     def write(self, place: tuple[int, ...], values: Array) -> None:
         """Write one chunk.
@@ -371,7 +394,7 @@ class ChunkWriter:
         path.write_bytes(
             numcodecs.blosc.compress(
                 flat,
-                COMPRESSOR.encode(),
+                self.compressor.encode(),
                 COMPRESSION_LEVEL,
                 numcodecs.blosc.SHUFFLE,
                 numcodecs.blosc.AUTOBLOCKS,

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import cdflib
 import numpy as np
 
 from inflight.catalog.readers.source import (
@@ -36,6 +35,8 @@ _SMALLEST_RECORD = 50
 @contextmanager
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a CDF file; see `Source`."""
+    import cdflib
+
     require_content(path)
     _require_whole(path)
     with read_errors(path):

@@ -15,11 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.catalog.readers.raw import Flags, RawTable
 from inflight.catalog.readers.source import Float
@@ -27,6 +26,9 @@ from inflight.errors import ClashError, ContentError
 from inflight.flags import Flag
 from inflight.instruments import Channel, Instrument
 from inflight.time import GAP, Int64, day_bounds, day_of, in_leap_second, to_utc
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -314,6 +316,8 @@ def _refuse_all_fill(
 
 
 def _dataset(rows: _Rows, flag: Flags, name: str, instrument: Instrument) -> xr.Dataset:
+    import xarray as xr
+
     variables: dict[str, Any] = {
         "tt2000": ("time", rows.times, {"units": "ns", "long_name": "TT2000, ns since 2000-01-01T12:00 TT"}),
         "flag": ("time", flag, {"units": "1", "long_name": "quality bits, 0 is good"}),

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from inflight.catalog.readers.source import Source, Variable, open_text, read_errors, require_content
 from inflight.errors import ReadError
@@ -24,6 +23,8 @@ _LONGEST_HEADER = 500
 @contextmanager
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open an IAGA-2002 file; its variables are the four columns, named as in its header, and ``time``."""
+    import pandas as pd
+
     require_content(path)
     with read_errors(path):
         with path.open("rb") as stream:

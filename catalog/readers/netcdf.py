@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import scipy
 
@@ -23,6 +22,8 @@ from inflight.instruments import Files
 @contextmanager
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a NetCDF file; variables in groups are named ``group/variable``."""
+    import h5py
+
     require_content(path)
     with path.open("rb") as stream:
         classic = stream.read(3) == b"CDF"

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from inflight.catalog.readers.source import Source, Variable, read_errors, require_content
 from inflight.instruments import Files
@@ -18,6 +16,9 @@ from inflight.time import to_tt2000
 @contextmanager
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a Parquet file; a list column is one variable of shape (row, item)."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     require_content(path)
     with read_errors(path):
         table = pq.ParquetFile(path)

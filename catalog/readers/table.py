@@ -6,19 +6,23 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
-import pandas as pd
 
 from inflight.catalog.readers.source import Source, Variable, open_text, read_errors, require_content
 from inflight.errors import ContentError
 from inflight.instruments import Files
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 @contextmanager
 def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a text table; its variables are the columns. Time columns given as text stay text."""
+    import pandas as pd
+
     require_content(path)
     with read_errors(path), open_text(path, files.encoding) as stream:
         table = _table(stream, files, path)
@@ -45,6 +49,8 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 
 def _table(stream: TextIO, files: Files, path: Path) -> pd.DataFrame:
     """Read the table; unnamed columns are dropped only when a closing delimiter makes them."""
+    import pandas as pd
+
     delimiter = files.delimiter
     options: dict[str, Any] = {
         "sep": r"\s+" if delimiter == "whitespace" else delimiter or ",",

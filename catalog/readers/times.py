@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from inflight.catalog.readers.patterns import NameSpan
 from inflight.catalog.readers.source import Array, Source, Variable
@@ -178,6 +177,8 @@ def _from_iso(text: npt.NDArray[np.str_], source: Source) -> Int64:
 
 
 def _strptime(text: npt.NDArray[np.str_], layout: str, source: Source) -> Datetimes:
+    import pandas as pd
+
     parsed = pd.to_datetime(pd.Series(text), format=layout, errors="coerce")
     bad = np.flatnonzero(parsed.isna().to_numpy() & (text != "") & (text != "nan"))
     if bad.size:

@@ -22,13 +22,16 @@ is none, what was known before flight: the prior's sigmas.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.time import Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Fewer learnt rows tell nothing of how much parameters change.
 FEWEST_ROWS = 3
@@ -164,6 +167,8 @@ def held_table(table: xr.Dataset, start: int, end: int) -> xr.Dataset:
     CalibrationError
         When data taught none of its rows, or it does not tell.
     """
+    import xarray as xr
+
     known = _learnt(table) if set(LEARNT) <= set(table.variables) else np.array([], dtype=np.int64)
     if not known.size:
         raise CalibrationError(

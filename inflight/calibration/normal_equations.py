@@ -14,10 +14,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import (
@@ -46,6 +45,9 @@ from inflight.lsq import (
     solve_scaled,
 )
 from inflight.time import Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)

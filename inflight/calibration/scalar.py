@@ -13,11 +13,10 @@ parameters of the effect ``vector_sensor``: scale factors, angles (deg), offsets
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats, finite_rows
 from inflight.effects import VectorSensor, with_field
@@ -37,6 +36,9 @@ from inflight.lsq import (
 )
 from inflight.model import Model, ModelEffect, at_all_sensors, component_names, correct_plain
 from inflight.samples import PlainSamples
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.extrapolation import with_learnt_spans
@@ -19,6 +19,9 @@ from inflight.calibration.scalar import PARAMETER_GROUPS, PARAMETER_UNITS, Param
 from inflight.errors import CalibrationError
 from inflight.lsq import Solution
 from inflight.time import Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Where a value comes from: codes of the variable `source`.
 VALUE_ORIGINS = ("prior", "combination", "data")
@@ -61,6 +64,8 @@ def calibration_table(
         `after` (nT rms), `directions` (number of combinations determined), `inflation`; `learnt_start`,
         `learnt_end`: see `inflight.calibration.extrapolation`.
     """
+    import xarray as xr
+
     names = reference.columns
     of_rows, each = ("interval",), ("interval", "parameter")
     conditional = np.array([row.covariance for row in rows])
@@ -172,6 +177,8 @@ class BoundarySteps:
 
     def table(self) -> xr.Dataset:
         """Return the steps: dim boundary; `value` is the mean over directions."""
+        import xarray as xr
+
         return xr.Dataset(
             {
                 "value": ("boundary", self.mean),

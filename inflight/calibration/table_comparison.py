@@ -7,15 +7,18 @@ row of each holds.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import PARAMETER_UNITS
 from inflight.calibration.table import STRENGTH, calibrated_field, nine_columns, sphere
 from inflight.errors import CalibrationError
 from inflight.time import Int64
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)

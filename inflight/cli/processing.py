@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from inflight.cli.command import Command
-from inflight.errors import SettingsError
+from inflight.errors import CatalogError, SettingsError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -87,9 +87,9 @@ def run_flow(
     prefect : bool
         False runs the plain function.
     """
+    workspace = command.open_workspace()  # a wrong folder is told before anything else is imported
     from inflight.flows import run_with_prefect, run_without_prefect
 
-    workspace = command.open_workspace()
     run: Callable[..., RunReport] = run_with_prefect if prefect else run_without_prefect
     with command.progress() as progress:
         return run(name, workspace, parameters, workers=workers, progress=progress)
@@ -235,8 +235,7 @@ def reprocess(
     details: DetailsOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
-    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of, settings_of_context
-
+    place = command.open_workspace()
     if as_of is not None:
         chosen = (
             table,
@@ -270,7 +269,9 @@ def reprocess(
     )
     parameters = _given(start=start, end=end, settings=settings, reason=reason or None)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    place, checked = command.open_workspace(), ReprocessSettings.model_validate(settings)
+    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of, settings_of_context
+
+    checked = ReprocessSettings.model_validate(settings)
     mission, checked = settings_of_context(command.open_catalog(), place.mission(), checked)
     pipeline = pipeline_of(mission, checked.comparison, checked)
     there = report.days["done"] + report.days["unchanged"]
@@ -319,12 +320,12 @@ def backfill(
     details: DetailsOption = False,
 ) -> None:
     """Take in and reprocess a past span: planned first, then only what is needed."""
-    from inflight.errors import CatalogError
+    workspace = command.open_workspace()
     from inflight.flows import plan_lines, plan_span
 
     settings = _given(comparison=comparison, batch_days=batch_days)
     try:
-        fields = plan_span(command.open_workspace(), start, end, settings)
+        fields = plan_span(workspace, start, end, settings)
     except CatalogError:
         if dry_run:
             raise

@@ -449,7 +449,7 @@ class AdditionMaker:
         others = list(bank.values()) or [candidate]
         needs = [self.library.terms[key] for one in others for key in one.terms]
         label = candidate.mechanism if bank else candidate.name
-        label += f"@lag={lag:.4g}s" if bank and lag else ""
+        label += f"@lag={float(f'{lag:.4g}'):g}s" if bank and lag else ""
         return Addition(name=label, columns=tuple(columns), entries=tuple(entries), needs=tuple(needs))
 
     def bank(self, candidate: Candidate) -> dict[float, Candidate]:

@@ -44,7 +44,7 @@ from inflight.diagnosis.scoring import (
 from inflight.diagnosis.search import VISIBILITY_SETTINGS, Option, ScoreTable, Search
 from inflight.effects import family_of, known_effects
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import hac_t, solve_scaled
+from inflight.lsq import hac_t, inverse_square_root, solve_scaled
 from inflight.model import ModelEffect
 from inflight.samples import base_channels, slow_response
 
@@ -83,6 +83,8 @@ class FormSettings:
         A cell that explains this part of what an effect does, in its place, is related to it; assumed.
     small_mean : float
         A channel whose mean is no more than this part of its spread is taken as it is; assumed.
+    levels : int
+        Levels of the field along an axis between which a reading's deviation is a straight line; assumed.
     in_place : int
         Other channels at most that are held against an effect with their noise; a bound on time, assumed.
     nearly : float
@@ -97,6 +99,7 @@ class FormSettings:
     own_t: float = 1.0
     related: float = 0.5
     small_mean: float = 0.02
+    levels: int = 9
     in_place: int = 4
     nearly: float = 0.5
 
@@ -233,6 +236,40 @@ def left_follows(search: Search, data: DiagnosisData) -> dict[str, str]:
     return out
 
 
+def left_follows_field(search: Search, data: DiagnosisData) -> dict[str, str]:
+    """Return effects of the field itself, without a channel, when what is left is a function of the field.
+
+    Non-linearity, heading errors and the like are forms of one question: how a reading deviates from a
+    straight line at each level. Were the form taken the right one, nothing would be left that any function
+    ``f_x(B_x) u_x + f_y(B_y) u_y + f_z(B_z) u_z`` of the readings explains, piecewise straight between
+    quantiles of each; sign flips of blocks say whether it is chance.
+    """
+    taken = [one for one in search.accepted if not (one.change or one.agnostic or one.channels or one.number)]
+    series = data.series
+    if not taken or "vector" not in series.features.names or not can_add_columns(search, data):
+        return {}
+    trials = FormTrials(search, data, None)
+    reading, direction = series["vector"], series.direction()
+    there = series["weight"] > 0
+    flat = []
+    for axis in range(3):
+        knots = np.unique(np.quantile(reading[there, axis], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
+        for knot in np.eye(knots.size):
+            hat = np.interp(reading[:, axis], knots, knot)
+            flat.append((hat[:, None] * direction[:, :, axis]).reshape(-1) * trials.root)
+    columns = trials.kept(np.nan_to_num(np.array(flat)))
+    half = inverse_square_root(columns @ columns.T)
+    each = [np.bincount(trials.block, weights=one * trials.rest, minlength=trials.blocks) for one in columns]
+    scores = np.array(each).T @ half
+    signs, units = draw_signs(trials.blocks, search.rules.draws, search.rules.seed)
+    summed = np.stack([scores[unit].sum(axis=0) for unit in units])
+    flipped = np.sum((signs @ summed) ** 2, axis=1)
+    p = (1.0 + np.sum(flipped >= np.sum(summed.sum(axis=0) ** 2))) / (1.0 + flipped.size)
+    return (
+        dict.fromkeys((one.name for one in taken), "the field along the axes") if p < search.rules.p else {}
+    )
+
+
 def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
     """Return effects that may be parts of one: effect -> the cell that does as well as it and others do.
 
@@ -362,8 +399,8 @@ def _at_best_lag(
         return None
 
     def at(lag: float) -> tuple[Followed, ModelEffect]:
-        name = f"{cell.name.replace(cell.lag_text, '')}@lag={lag:.4g}s"
-        other = replace(cell, name=name, lag_s=float(f"{lag:.4g}"))
+        other = replace(cell, lag_s=float(f"{lag:.4g}"))
+        other = replace(other, name=f"{cell.name.replace(cell.lag_text, '')}{other.lag_text}")
         entry = _entry(data, label, other)
         assert entry is not None  # the mission has the sensor: it had it for another lag
         return other, entry

@@ -620,13 +620,13 @@ def similar_term(
 
 
 class FormTrials:
-    """Trials of forms of an option that the model holds; the option itself is taken off the model.
+    """Trials of forms of an option that the model holds; the option itself, if any, is taken off the model.
 
     Rows of the coarse series, weighted, with the calibration marginalised interval by interval. Columns lie
     one after another in memory: (column, row).
     """
 
-    def __init__(self, search: Search, data: DiagnosisData, option: Option) -> None:
+    def __init__(self, search: Search, data: DiagnosisData, option: Option | None) -> None:
         self.data, self.series, self.blocks = data, data.series, len(search.raw)
         self.terms = search.library.by_key
         others = [one for one in search.accepted if one is not option and one.terms]
@@ -657,10 +657,14 @@ class FormTrials:
         """Return what calibration and model leave of the columns of a term; (column, row)."""
         columns = self._known.get(term.key)
         if columns is None:
-            columns = self._without_model(self._marginalised(self._flat([term])))
+            columns = self.kept(self._flat([term]))
         if term.key in self.terms:
             self._known[term.key] = columns
         return columns
+
+    def kept(self, flat: Floats) -> Floats:
+        """Return what calibration and model leave of weighted columns (column, row), which are changed."""
+        return self._without_model(self._marginalised(flat))
 
     def remaining(self, parts: Sequence[Floats]) -> Floats:
         """Return the sum of squares that columns (column, row) leave together in a block; (block,) nT^2."""
@@ -685,7 +689,7 @@ class FormTrials:
                     for column, factor in option.change.functions.values()
                 ]
             )
-        own = self._without_model(self._marginalised(flat))
+        own = self.kept(flat)
         return self.rest, self.rest - solve_scaled(own @ own.T, own @ self.rest) @ own
 
     def _without_model(self, values: Floats) -> Floats:

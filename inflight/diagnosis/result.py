@@ -78,7 +78,8 @@ class FoundEffect:
     does as well as it and other effects together. `stamp_readings` are
     what a clock error may be instead. `command` is what mends a number that the model holds. `turned_over_by`
     are choices of numbers that give another answer. Noise of `noise_of`, a channel or the field, made the
-    values smaller by `noise_part` at most; it is in them no more.
+    values smaller by `noise_part` at most; it is in them no more. `shares_line`: it has the period of the
+    line that is left, too.
     """
 
     name: str
@@ -112,6 +113,7 @@ class FoundEffect:
     noise_of: str | None = None
     noise_part: float | None = None
     command: str = ""
+    shares_line: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
@@ -432,6 +434,8 @@ class SentenceSettings:
         Part of the smallest effect, or of the noise floor, that is a large part of it; assumed.
     missing : float
         Part of a record that lacks a channel from which on it is mentioned; assumed.
+    related : float
+        Correlation with a cause that nobody recorded that a channel of the same period may have; assumed.
     """
 
     sigmas: float = 3.0
@@ -439,6 +443,7 @@ class SentenceSettings:
     rivals: int = 4
     large_part: float = 0.5
     missing: float = 0.01
+    related: float = 0.95
 
 
 SENTENCE_SETTINGS = SentenceSettings()
@@ -512,7 +517,8 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     ]
     found += _wrong_numbers(facts)
     size = _size_left(facts["residual"], facts["signature"]) if facts["remaining"] != "NOTHING_LEFT" else 0.0
-    found = _told_stand_ins(found, 0.0 if _has_own_shape(facts["signature"]) else size)
+    sharing = {one.name for one in facts["effects"] if one.shares_line}
+    found = _told_stand_ins(found, size, _has_own_shape(facts["signature"]), sharing)
     found.sort(key=lambda one: -one.takes_off_nT)
     if facts["remaining"] == "NOTHING_LEFT":
         return tuple(found)
@@ -528,17 +534,28 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     return (*found[:place], left, *found[place:])
 
 
-def _told_stand_ins(found: Sequence[Entry], left_nT: float) -> list[Entry]:
-    """Return the entries, those that explain no more than what has no cause told as possible parts of it.
+def _told_stand_ins(
+    found: Sequence[Entry], left_nT: float, has_own_shape: bool, sharing: set[str]
+) -> list[Entry]:
+    """Return the entries, those that may be parts of what has no cause told as such.
 
-    Without a cause are what is left, shapes and what is weak; not how the calibration changes in time.
+    Without a cause are what is left, shapes and what is weak; not how the calibration changes in time. An
+    effect that explains no more than they do may be a part of them; but a line, a fast band or a unit that
+    switches is no slow effect's. An effect that has the period of the line itself (`sharing`) may be a part
+    unless it explains so much more that its channel would be nearly the cause's own.
     """
     without = [
         one for one in found if one.status in ("unknown", "weak") and not one.name.startswith("wander(")
     ]
-    size = sqrt(left_nT**2 + sum(one.takes_off_nT**2 for one in without))
+    known = sum(one.takes_off_nT**2 for one in without)
+    size = sqrt(known + (0.0 if has_own_shape else left_nT**2))
+    # A channel of correlation r with the cause explains r / sqrt(1 - r^2) of what it leaves.
+    related = SENTENCE_SETTINGS.related / sqrt(1.0 - SENTENCE_SETTINGS.related**2) * left_nT
     return [
-        replace(one, status="stand-in") if one.status == "sure" and 0 < one.takes_off_nT <= size else one
+        replace(one, status="stand-in")
+        if one.status == "sure"
+        and 0 < one.takes_off_nT <= (max(size, related) if one.name in sharing else size)
+        else one
         for one in found
     ]
 

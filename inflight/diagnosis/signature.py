@@ -162,6 +162,24 @@ def line_signature(data: DiagnosisData, residual: Floats) -> Signature | None:
     return signature_of(found, series.step_s) if found.part >= SIGNATURE_SETTINGS.least_part else None
 
 
+def part_at_period(data: DiagnosisData, values: Floats, period_s: float) -> float:
+    """Return the rms that a field of one period along three axes has in values of the series, nT.
+
+    Parameters
+    ----------
+    values : ndarray, shape (sample, row)
+        A residual, or what an effect makes of it, nT.
+    """
+    y, u = _measured(data.series, values)
+    good = np.isfinite(y).all(axis=1) & np.isfinite(u).all(axis=(1, 2))
+    turn = 2.0 * np.pi * ((data.series.tt2000[good] - data.series.tt2000[0]) / SECOND) / period_s
+    waves = np.stack([np.cos(turn), np.sin(turn)])
+    columns = np.einsum("ws,srk->srwk", waves, u[good]).reshape(-1, 6)
+    at = y[good].reshape(-1)
+    made = columns @ np.linalg.lstsq(columns, at - at.mean())[0]
+    return float(np.sqrt(np.mean(made**2)))
+
+
 def signature_of(found: Waveform, step_s: float = 0.0) -> Signature:
     """Return a waveform in the words of a verdict.
 

@@ -613,6 +613,10 @@ def _one_round(search: Search, data: DiagnosisData, table: ScoreTable, option: O
     before = {one: estimate(search, one).retained for one in search.accepted}
     search, taken = _add_refined(search, data, option)
     search = search.with_round("add", option, name=taken.name, **numbers)
+    if any(set(taken.columns) & set(one.columns) for one in before):
+        # One form of the blocks asks for another lag than the model has, and all samples for the same one.
+        search = search.with_accepted(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
+        return search.with_round("undo", option, **numbers)
     if search.is_hidden(taken):
         return search.hide(taken).with_round("undo", taken, **numbers)
     search = _drop_superfluous(search)

@@ -26,6 +26,7 @@ from inflight.diagnosis.forms import (
     alike_but_for_noise,
     instead_of_several,
     left_follows,
+    left_follows_field,
 )
 from inflight.diagnosis.model_numbers import line_of, rounded, words_of
 from inflight.diagnosis.refine import (
@@ -40,6 +41,7 @@ from inflight.diagnosis.residual import (
     DiagnosisData,
     Native,
     Structure,
+    contribution,
     effective_blocks,
     held_out_rms,
     native_rms,
@@ -63,7 +65,7 @@ from inflight.diagnosis.result import (
 )
 from inflight.diagnosis.scoring import ModelColumns, fit, make_folds, project_out_of
 from inflight.diagnosis.search import Option, ScoreTable, Search
-from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature
+from inflight.diagnosis.signature import fast_part, is_unknown_band, line_signature, part_at_period
 from inflight.diagnosis.stamps import stamp_readings
 from inflight.diagnosis.stepwise import (
     SELECTION_SETTINGS,
@@ -106,6 +108,10 @@ class ReportSettings:
         Records without a wrong number in which one of the model's own is called wrong; stated.
     numbers : int
         Components of a wrong number that are told; assumed.
+    unlike : float
+        Probability below which two directions are not one; stated.
+    by_chance : float
+        Sets of effects in which any two happen to have one direction; stated.
     """
 
     candidates: int = 40
@@ -113,6 +119,8 @@ class ReportSettings:
     mimics: int = 3
     chance: float = 0.01
     numbers: int = 3
+    unlike: float = 0.01
+    by_chance: float = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,11 +136,14 @@ class RemainingSettings:
         A rejected candidate hints at what remains from this held-out t on: two sigma.
     as_much : float
         A search that leaves no more than so many times as much explains as much; assumed.
+    shares : float
+        Part of what is left at a line's period from which on an effect has that period, too; assumed.
     """
 
     white: float = 0.1
     hint_t: float = 2.0
     as_much: float = 1.003
+    shares: float = 1.0 / 3.0
 
 
 REPORT_SETTINGS = ReportSettings()
@@ -195,13 +206,16 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
-    otherwise = left_follows(search, known) if remaining.is_there else {}
-    instead, alike = instead_of_several(search, known), alike_but_for_noise(search, known)
+    otherwise = left_follows_field(search, known) | left_follows(search, known) if remaining.is_there else {}
+    shared = share_line(search, known, residual, remaining.signature)
+    instead = of_one_direction(effects) | instead_of_several(search, known)
+    alike = alike_but_for_noise(search, known)
     effects = tuple(
         replace(
             _with_rivals(one, alike.get(one.name, ())),
             left_follows=otherwise.get(one.name, ""),
             instead=instead.get(one.name, ""),
+            shares_line=one.name in shared,
         )
         for one in effects
     )
@@ -279,6 +293,81 @@ def _with_rivals(effect: FoundEffect, more: Sequence[str]) -> FoundEffect:
     # What a choice of numbers turns over stays fragile, with its rival named.
     is_unsure = effect.status in ("fragile", "unknown")
     return replace(effect, rivals=rivals, status="rivals" if more and not is_unsure else effect.status)
+
+
+def share_line(
+    search: Search, data: DiagnosisData, residual: Floats, signature: Signature | None
+) -> set[str]:
+    """Return the effects that make a line of the period of the one that is left, no smaller than a third."""
+    if signature is None or not signature.period_s:
+        return set()
+    period = signature.period_s
+    least = REMAINING_SETTINGS.shares * part_at_period(data, residual, period)
+    return {
+        one.name
+        for one in search.accepted
+        if part_at_period(data, contribution(search, data, one), period) > least
+    }
+
+
+def of_one_direction(effects: Sequence[FoundEffect]) -> dict[str, str]:
+    """Return the fields that may be one: effect -> the sum of channels that all of them together follow.
+
+    Fields of independent sources have directions of their own. Where two channels of one unit make the same
+    field, or the opposite one, or three or more make fields of one direction, one source does as well: a
+    current that nobody records and that is a sum of others (Kirchhoff), a difference of temperatures. Two
+    directions are one within their errors when ``min_k (w - k v)' (S_w + k^2 S_v)^-1 (w - k v)`` is as
+    small as chi-square of two degrees of freedom; it counts where so near a direction is no chance: a part
+    ``1 - cos(angle)`` of all directions lies within an angle of a line.
+    """
+    limit = -2.0 * np.log(REPORT_SETTINGS.unlike)
+    fields = [
+        one
+        for one in effects
+        if one.name == f"channel_field({one.channels[0] if len(one.channels) == 1 else ''})"
+        and len(one.coefficients) == 3
+        and all(part.sigma > 0 for part in one.coefficients)
+    ]
+    pairs = max(len(fields) * (len(fields) - 1) // 2, 1)
+    out: dict[str, str] = {}
+    vectors = {
+        one.name: np.array([[part.value, part.sigma] for part in one.coefficients]).T for one in fields
+    }
+
+    def wide(value: Floats, sigma: Floats) -> float:
+        """Return the squared angle within which a direction is known."""
+        return float(limit * np.mean(sigma**2) / np.sum(value**2))
+
+    # The best known direction first: others are held against it.
+    for first in sorted(fields, key=lambda one: wide(*vectors[one.name])):
+        if first.name in out:
+            continue
+        (value, sigma), parts, same = vectors[first.name], [(1.0, first)], 0
+        for other in fields:
+            if (
+                other is first
+                or other.name in out
+                or other.coefficients[0].unit != first.coefficients[0].unit
+            ):
+                continue
+            found, error = vectors[other.name]
+            ratio, apart, ratio_error = 0.0, np.inf, 0.0
+            for _ in range(4):
+                weight = 1.0 / (error**2 + (ratio * sigma) ** 2)
+                ratio = float(np.sum(weight * value * found) / np.sum(weight * value**2))
+                apart = float(np.sum(weight * (found - ratio * value) ** 2))
+                ratio_error = float(np.sum(weight * value**2) ** -0.5)
+            by_chance = 1.0 - np.cos(min(np.sqrt(wide(value, sigma) + wide(found, error)), np.pi / 2))
+            if apart < limit and pairs * by_chance < REPORT_SETTINGS.by_chance:
+                parts.append((ratio, other))
+                same += (abs(ratio) - 1.0) ** 2 < limit * ratio_error**2
+        if len(parts) > 2 or same:
+            whole = first.channels[0] + "".join(
+                f" {'-' if ratio < 0 else '+'} {abs(ratio):.3g} * {one.channels[0]}"
+                for ratio, one in parts[1:]
+            )
+            out |= dict.fromkeys((one.name for _, one in parts), f"a field that follows {whole}")
+    return out
 
 
 def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:

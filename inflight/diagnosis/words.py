@@ -58,6 +58,7 @@ _KINDS = {
     "tolles_lawson": "permanent, induced and eddy-current fields (Tolles and Lawson)",
     "cross_talk": "cross-talk between the axes",
     "nonlinearity": "a non-linear sensor",
+    "response_curve": "a response of the sensor that is no straight line",
     "time_shift": "a clock that is off",
     "scalar_bias": "a constant error of the scalar sensor",
     "scalar_response": "an averaging of the scalar sensor that is not known",

@@ -639,3 +639,25 @@ def time_derivative(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 
         fine[uneven] = np.nan
     sides[2:-2] = np.where(np.isfinite(fine), fine, sides[2:-2])
     return sides
+
+
+def knots_of(effect: Effect, key: str) -> Floats:
+    """Return an option that lists at least two rising numbers.
+
+    Raises
+    ------
+    ModelError
+        When it does not.
+    """
+    given = effect.required(key)
+    try:
+        knots = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        knots = np.empty(0)
+    if knots.ndim != 1 or knots.size < 2 or not np.all(np.diff(knots) > 0):
+        raise ModelError(
+            f"'{effect.name}': {key} is {given!r}",
+            remedy="list two or more rising numbers, in units of what it is a function of",
+        )
+    effect.given[key] = knots.tolist()
+    return knots

@@ -24,6 +24,7 @@ from inflight.effects.base import (
     Parameter,
     Values,
     best_field,
+    knots_of,
     multiply,
     reach_of_rate,
     response_name,
@@ -297,27 +298,6 @@ class FormulaField(Effect):
                 remedy="name one of a channel's, such as channel[0]",
             )
         return found
-
-
-def knots_of(effect: Effect, key: str) -> Floats:
-    """Return an option that lists at least two rising numbers.
-
-    Raises
-    ------
-    ModelError
-        When it does not.
-    """
-    given = effect.required(key)
-    try:
-        knots = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        knots = np.empty(0)
-    if knots.ndim != 1 or knots.size < 2 or not np.all(np.diff(knots) > 0):
-        raise ModelError(
-            f"'{effect.name}': {key} is {given!r}", remedy="list two or more rising numbers, channel units"
-        )
-    effect.given[key] = knots.tolist()
-    return knots
 
 
 def spline_basis(values: Floats, knots: Floats) -> Floats:

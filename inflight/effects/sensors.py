@@ -7,6 +7,7 @@ section 2.5). `correct` gives the reading of a perfect sensor, `disturb` the raw
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from inflight.effects.base import (
     Values,
     field_direction,
     field_strength,
+    knots_of,
     multiply,
     reach_of_rate,
     time_derivative,
@@ -150,6 +152,60 @@ class Nonlinearity(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return the one candidate there is."""
         return [{}]
+
+
+class ResponseCurve(Effect):
+    """Deviation of each axis from a straight line, whatever its form: straight pieces between knots.
+
+    Option ``knots`` lists readings, nT, rising. With h_k the piecewise straight function that is 1 at one
+    inner knot and 0 at all others, the linearised reading is ``E + sum_k value_k h_k(E)``. At the outer knots
+    and beyond the deviation is 0, for a straight line is the sensor's own scale factor and offset. For a
+    converter, for measuring ranges of other gains, for a saturation: what no polynomial describes.
+    Components of `value` are named by axis and inner knot: x0, y0, z0, x1, ...
+    """
+
+    family = "nonlinearity"
+    acts_on = VECTOR_ROLES
+    options: ClassVar[tuple[str, ...]] = ("knots",)
+    value = Parameter("nT", AXES, sigma=10.0)
+    #: Deviations are so small a part of the reading that three steps reach rounding.
+    _STEPS: ClassVar[int] = 5
+
+    def prepare(self) -> None:
+        """Give every inner knot three components.
+
+        Raises
+        ------
+        ModelError
+            When no knot is between two others.
+        """
+        self._knots = knots_of(self, "knots")
+        if self._knots.size < 3:
+            raise ModelError(
+                f"'{self.name}': knots has no inner one", remedy="list three readings or more, nT"
+            )
+        axes = tuple(f"{axis}{knot}" for knot in range(self._knots.size - 2) for axis in AXES)
+        self.sized = {"value": replace(self.value, axes=axes)}
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the linearised reading; (time, axis) nT."""
+        return np.asarray(reading + self._deviation(reading, values["value"]))
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the raw reading, by iteration."""
+        raw = reading
+        for _ in range(self._STEPS):
+            raw = reading - self._deviation(raw, values["value"])
+        return np.asarray(raw)
+
+    def _deviation(self, reading: Floats, value: Floats) -> Floats:
+        """Return what is added to each reading; (time, axis) nT."""
+        at = np.broadcast_to(value, (len(reading), value.shape[-1])).reshape(len(reading), -1, len(AXES))
+        out = np.zeros_like(reading)
+        for knot, only in enumerate(np.eye(self._knots.size)[1:-1]):
+            for axis in range(len(AXES)):
+                out[:, axis] += at[:, knot, axis] * np.interp(reading[:, axis], self._knots, only)
+        return out
 
 
 class ScaledReading(Effect):

@@ -2,8 +2,8 @@
 
 In go records of `inflight.diagnosis`, `inflight.mission_fit` and `inflight.residual`, calibration tables,
 and arrays of aggregates, never raw samples; out come Bokeh figures and text without scripts, which reports
-and the web page share. Open ``page.py`` first: a `Section` is a heading, text and figures, and `html_page`
-writes sections as one file; then the module of the thing that is drawn. ``style.py`` has colours, bars and
+and the web page share. Open ``text.py`` first: a `Section` is a heading, text and figures; ``page.py``
+writes sections as one file. Then the module of the thing that is drawn. ``style.py`` has colours, bars and
 names.
 """
 

@@ -59,18 +59,7 @@ from .dual import (
     unit_steps_figure,
 )
 from .graph import Arrow, Box, graph_picture
-from .page import (
-    LazySection,
-    Section,
-    SectionBody,
-    bullet_list,
-    facts_table,
-    html_page,
-    html_table,
-    paragraph,
-    render,
-    text_style,
-)
+from .page import html_page
 from .parameters import (
     boundary_steps_figure,
     clock_figure,
@@ -140,6 +129,17 @@ from .style import (
     short_name,
     short_parameter,
     unique_labels,
+)
+from .text import (
+    LazySection,
+    Section,
+    SectionBody,
+    bullet_list,
+    facts_table,
+    html_table,
+    paragraph,
+    render,
+    text_style,
 )
 
 __all__ = [

@@ -9,8 +9,8 @@ from bokeh.models import ColumnDataSource, FixedTicker, HoverTool, TapTool
 from bokeh.plotting import figure
 from markupsafe import Markup
 
-from inflight.figures.page import render
 from inflight.figures.style import plain_figure
+from inflight.figures.text import render
 from inflight.time import Int64
 
 #: Okabe and Ito's colours, told apart by colour-blind readers; grey where nothing is there. A day of which a

@@ -14,7 +14,6 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.figures.page import render
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -30,6 +29,7 @@ from inflight.figures.style import (
     plain_figure,
     short_name,
 )
+from inflight.figures.text import render
 from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
 from inflight.units import with_error
 

@@ -17,7 +17,6 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d, Span
 from bokeh.plotting import figure
 
 from inflight.diagnosis import HEADING, MEANING, WHY_MOVED, ErrorContribution, Trial, quantity
-from inflight.figures.page import bullet_list, facts_table, html_table, paragraph, render
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -32,6 +31,7 @@ from inflight.figures.style import (
     short_parameter,
     unique_labels,
 )
+from inflight.figures.text import bullet_list, facts_table, html_table, paragraph, render
 from inflight.residual import format_period
 from inflight.units import with_error
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from textwrap import shorten
 
-from inflight.figures.page import render
+from inflight.figures.text import render
 
 #: Width and height of a box, gaps between columns and between boxes, pixels, and letters on a line.
 _WIDTH, _HEIGHT, _GAP, _SPACE, _LETTERS = 250, 66, 70, 16, 38

@@ -22,7 +22,6 @@ from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.page import html_table
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import (
     AFTER,
@@ -39,6 +38,7 @@ from inflight.figures.style import (
     short_parameter,
     unique_labels,
 )
+from inflight.figures.text import html_table
 from inflight.residual import ParameterScatter
 from inflight.time import mjd2000, to_utc
 

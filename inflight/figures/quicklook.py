@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from inflight.arrays import Floats
 from inflight.calibration import TableChanges
-from inflight.figures.page import render
+from inflight.figures.text import render
 from inflight.time import to_utc
 
 #: Okabe and Ito's colours for the axes: told apart by colour-blind readers.

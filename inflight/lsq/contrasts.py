@@ -12,10 +12,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError, SettingsError
@@ -25,6 +25,9 @@ from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
 from inflight.lsq.solver import SOLVER_SETTINGS, gram_inverse
 from inflight.time import Int64
 from inflight.units import factor_and_offset
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,16 +26,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq.solver import SOLVER_SETTINGS, Indices, residual_sum, solve_scaled
 from inflight.time import GAP, SECOND
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Columns, by name or by place.
 Columns = Sequence[str] | Indices
@@ -504,6 +506,8 @@ class GramArrays:
         CalibrationError
             When columns or scales differ, or blocks overlap.
         """
+        import xarray as xr
+
         every = [self, *others]
         if any(one.names != self.names or not np.array_equal(one.scale, self.scale) for one in every):
             raise CalibrationError(
@@ -804,6 +808,8 @@ class GramArrays:
 
     def as_dataset(self) -> xr.Dataset:
         """Return the blocks as a Dataset for a store: packed upper triangles."""
+        import xarray as xr
+
         return xr.Dataset(
             {
                 "gram": (("block", "entry"), pack(self.gram), {"units": "nT2"}),
@@ -877,6 +883,8 @@ def full_dataset(blocks: GramArrays) -> xr.Dataset:
         residual last; `scatter`, `reference`, `linearised_at` where there are; `start`, `end` (block)
         TT2000; `count` (block) sum of weights; `scale` (column); what else the blocks carry.
     """
+    import xarray as xr
+
     row, each = ("block", "column", "other"), ("block", "column")
     sub_blocks = {"sub_blocks": blocks.sub_blocks} if blocks.sub_blocks else {}
     found: dict[str, Any] = {"gram": (row, blocks.gram, {"units": "nT2"})}

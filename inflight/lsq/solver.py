@@ -146,14 +146,72 @@ def _solve_free(matrix: Floats, columns: Floats, cut: float) -> Floats:
     right = unit[..., None] * columns
     if cut <= 0:
         return np.asarray(unit[..., None] * np.linalg.solve(scaled, right))
+    try:
+        # No eigenvalue is below 1 over the norm of the inverse.
+        inverse = np.linalg.inv(scaled)
+        if np.sum(inverse**2, axis=(-2, -1)).max(initial=0.0) < min(_SOUND, 1.0 / cut) ** 2:
+            return np.asarray(unit[..., None] * (inverse @ right))
+    except np.linalg.LinAlgError:
+        pass
     own, vectors = eigen_of_symmetric(scaled)
     inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
     return np.asarray(unit[..., None] * (vectors @ (inverse[..., None] * (vectors.swapaxes(-1, -2) @ right))))
 
 
+#: Norm of the inverse of a matrix of unit diagonal up to which it is taken as it is: eight digits are right.
+_SOUND = 1e8
+
+
 def inverse_square_root(matrices: Floats, cut: float = SOLVER_SETTINGS.weak_cut) -> Floats:
-    """Return L with ``L L^T`` the inverse of each matrix where it is one; (..., k, k)."""
+    """Return L with ``L L^T`` the inverse of each matrix where it is one; (..., k, k).
+
+    Directions of eigenvalues below `cut`, in units of each matrix's diagonal, are left out. Where the
+    determinant says that there is none, L is the transposed inverse of Cholesky's factor, made for all
+    matrices at once: eigenvalues of thousands of small ones take twenty times as long.
+    """
     unit, scaled = unit_scaled(matrices)
+    k = scaled.shape[-1]
+    if k > _SMALL:
+        return _by_eigenvalues(unit, scaled, cut)
+    factor, pivots = _cholesky(scaled)
+    # The product of all eigenvalues, of which none exceeds the trace, bounds the least one from below.
+    sound = pivots.prod(axis=-1) > cut * float(k) ** (k - 1)
+    out = np.zeros_like(scaled)
+    # Of F with F F' the matrix, the inverse by forward substitution, transposed.
+    for row in range(k):
+        out[..., row, row] = 1.0 / factor[..., row, row]
+        for column in range(row):
+            known = np.einsum("...m,...m->...", factor[..., row, column:row], out[..., column, column:row])
+            out[..., column, row] = -known / factor[..., row, row]
+    out *= unit[..., :, None]
+    if not sound.all():
+        out[~sound] = _by_eigenvalues(unit[~sound], scaled[~sound], cut)
+    return out
+
+
+#: Matrices of so many columns at most are eliminated all at once.
+_SMALL = 6
+
+
+def _cholesky(scaled: Floats) -> tuple[Floats, Floats]:
+    """Return Cholesky's factors of matrices of unit diagonal (..., k, k), and squared pivots (..., k).
+
+    A pivot that rounding has made negative, or a row without anything, is told as 0 and taken as 1.
+    """
+    k = scaled.shape[-1]
+    factor, pivots = np.zeros_like(scaled), np.zeros(scaled.shape[:-1])
+    for column in range(k):
+        own = factor[..., column, :column]
+        pivot = scaled[..., column, column] - np.einsum("...m,...m->...", own, own)
+        pivots[..., column] = np.where(pivot > 0, pivot, 0.0)
+        factor[..., column, column] = np.sqrt(np.where(pivot > 0, pivot, 1.0))
+        for row in range(column + 1, k):
+            known = np.einsum("...m,...m->...", factor[..., row, :column], own)
+            factor[..., row, column] = (scaled[..., row, column] - known) / factor[..., column, column]
+    return factor, pivots
+
+
+def _by_eigenvalues(unit: Floats, scaled: Floats, cut: float) -> Floats:
     own, vectors = eigen_of_symmetric(scaled)
     root = np.where(own > cut, 1.0 / np.sqrt(np.where(own > cut, own, 1.0)), 0.0)
     return np.asarray(unit[..., :, None] * vectors * root[..., None, :])

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import PARAMETER_SCALE, NormalEquations, vector_sensor_of
@@ -29,6 +29,9 @@ from inflight.lsq import solve_scaled
 from inflight.mission_fit.daily_equations import free_terms, with_nine_parameters
 from inflight.model import Model, delay_number, rows_of
 from inflight.time import SECOND
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Rows of a day that products are made of: a minute apart, fields of an orbit and its rates are the same.
 _ROWS = 1440

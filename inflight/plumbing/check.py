@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import xarray as xr
 
 from inflight.model import Model
 from inflight.plumbing.channels import angle_findings, stale_findings, temperature_findings
@@ -20,6 +21,9 @@ from inflight.plumbing.orbit import (
     position_findings,
 )
 from inflight.plumbing.records import Survey
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def find_faults(

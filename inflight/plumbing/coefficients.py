@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.model import Model, rows_of
@@ -13,6 +13,9 @@ from inflight.plumbing.clocks import left_by, quadratic_columns, with_constant
 from inflight.plumbing.fields import AXES, TURNS, Turn, axes_line, finding_of, unit_remedies
 from inflight.plumbing.findings import Finding, Remedy, channel_path
 from inflight.plumbing.records import PLUMBING_SETTINGS, Choice, Record, Survey, choose, typical_squares
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Powers of ten between units of currents and voltages.
 _POWERS = (-6, -3, 3, 6)

@@ -130,14 +130,14 @@ def made_from(
     ]
     there = [one for one in archive if through is None or one[1] <= str(through)]
     parts = [mission.text, used.model.name, used.version, used.text, settings.model_dump(), there, tables]
-    return hashlib.sha256(json.dumps([*parts, _software()], default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([*parts, hash_of_software()], default=str).encode()).hexdigest()
 
 
 @cache
-def _software() -> str:
-    """Return a hash of the code that computes a diagnosis: a version would miss what is being written."""
+def hash_of_software(packages: tuple[str, ...] = _SOFTWARE) -> str:
+    """Return a hash of the code of packages: a version would miss what is being written."""
     found = hashlib.sha256()
-    for name in _SOFTWARE:
+    for name in packages:
         spec = find_spec(name)
         for folder in (spec.submodule_search_locations or []) if spec else []:
             for path in sorted(Path(folder).glob("*.py")):

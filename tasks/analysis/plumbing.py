@@ -1,19 +1,27 @@
-"""Plumbing of an archive: some days are read, and `inflight.plumbing` asks what is wrong with them."""
+"""Plumbing of an archive: some days are read, and `inflight.plumbing` asks what is wrong with them.
+
+What was found is kept in the workspace's reports with a hash of all that it was made from: who compares or
+diagnoses again, with an archive, a mission and a model that did not change, reads no samples for it.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
+from pydantic import BaseModel
 
 from inflight.catalog import Catalog
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.plumbing import PLUMBING_SETTINGS, Finding, Record, Survey, find_faults
+from inflight.tasks.analysis.kept_diagnosis import hash_of_software
 from inflight.tasks.archive import (
     ArchiveIndex,
     Need,
@@ -24,7 +32,11 @@ from inflight.tasks.archive import (
     require_days,
 )
 from inflight.tasks.models import current_model
+from inflight.tasks.report import write_page
 from inflight.time import DayLike
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def check_plumbing(
@@ -50,8 +62,62 @@ def check_plumbing(
         When the archive has no day of the span.
     """
     model = model or current_model(cat, mission, comparison).model
-    survey, samples = read_survey(cat, mission, start, end, model)
-    return find_faults(survey, model, samples)
+    needs, channels = needs_of(mission, model), channel_needs(mission)
+    index = ArchiveIndex.of(cat, [*needs, *channels])
+    days = evenly_spread(require_days(index, needs, start, end), PLUMBING_SETTINGS.days)
+    path = Path(cat.workspace) / "reports" / f"plumbing-{comparison}.json"
+    key = _key(cat, mission, model, index, days)
+    kept = _kept(path, key)
+    if kept is None:
+        survey = read_survey(cat, mission, model, index, days)
+        # A channel is judged by the model where it uses the channel.
+        used = {channel for entry in model.effects for channel in entry.effect.channels} & set(
+            survey.channels
+        )
+        samples = _thinned_samples(cat, mission, model, needs, index, days) if used else None
+        kept = find_faults(survey, model, samples)
+        with suppress(OSError):  # a workspace that can only be read keeps nothing
+            write_page(path, Kept(made_from=key, found=kept).model_dump_json())
+    return kept
+
+
+class Kept(BaseModel):
+    """What was found, and the hash of what it was made from."""
+
+    made_from: str
+    found: tuple[Finding, ...]
+
+
+#: What finds faults.
+_SOFTWARE = (
+    "inflight",
+    "inflight.effects",
+    "inflight.model",
+    "inflight.plumbing",
+    "inflight.samples",
+    "inflight.tasks.analysis",
+    "inflight.tasks.archive",
+)
+
+
+def _kept(path: Path, key: str) -> tuple[Finding, ...] | None:
+    """Return what was found before; None where nothing is kept, or of something else."""
+    try:
+        kept = Kept.model_validate_json(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return kept.found if kept.made_from == key else None
+
+
+def _key(
+    cat: Catalog, mission: Mission, model: Model, index: ArchiveIndex, days: Sequence[np.datetime64]
+) -> str:
+    """Return a hash of all that findings are made from: archive, mission, model and software."""
+    archive = sorted([name, str(day), one.id, one.key] for (name, day), one in index.days.items())
+    files = [Path(cat.workspace) / name for name in mission.companions]
+    own = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]
+    made_of = [mission.text, own, model.name, model.text, archive, hash_of_software(_SOFTWARE)]
+    return hashlib.sha256(json.dumps([made_of, list(map(str, days))]).encode()).hexdigest()
 
 
 def faults_of(
@@ -73,31 +139,25 @@ def faults_in_errors(faults: Sequence[Mapping[str, Any]]) -> Iterator[None]:
 
 
 def read_survey(
-    cat: Catalog, mission: Mission, start: DayLike | None, end: DayLike | None, model: Model
-) -> tuple[Survey, xr.Dataset | None]:
-    """Read some days: channels at their own stamps, and samples where the model uses any of these."""
+    cat: Catalog, mission: Mission, model: Model, index: ArchiveIndex, days: Sequence[np.datetime64]
+) -> Survey:
+    """Read the channels of some days at their own stamps."""
     comparison = model.comparison
-    needs, channels = needs_of(mission, model), channel_needs(mission)
-    index = ArchiveIndex.of(cat, [*needs, *channels])
-    days = require_days(index, needs, start, end)
-    some = evenly_spread(days, PLUMBING_SETTINGS.days)
     roles = set(mission.comparisons[comparison].instruments())
-    survey = Survey(
+    return Survey(
         mission=mission,
         comparison=comparison,
         fields={
             need.name: record
-            for need in needs
-            if need.name in roles and (record := read_record(cat, mission, index, need, some))
+            for need in needs_of(mission, model)
+            if need.name in roles and (record := read_record(cat, mission, index, need, days))
         },
         channels={
             need.name: record
-            for need in channels
-            if (record := read_record(cat, mission, index, need, some)) is not None
+            for need in channel_needs(mission)
+            if (record := read_record(cat, mission, index, need, days)) is not None
         },
     )
-    used = {channel for entry in model.effects for channel in entry.effect.channels} & set(survey.channels)
-    return survey, _thinned_samples(cat, mission, model, needs, index, some) if used else None
 
 
 def read_record(
@@ -133,6 +193,8 @@ def _thinned_samples(
     days: Sequence[np.datetime64],
 ) -> xr.Dataset | None:
     """Return thinned samples of some days; None where they cannot be made."""
+    import xarray as xr
+
     if mission.comparisons[model.comparison].kind not in ("scalar", "dual"):
         return None
     parts = []

@@ -16,10 +16,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day, DayData, FileRecord, Run, Segment, idempotency_key, write_segment
 from inflight.catalog.readers import (
@@ -42,6 +41,9 @@ from inflight.mission import Mission
 from inflight.tasks.batches import iter_results
 from inflight.tasks.report import Progress, RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Bumped when the same files would give other archive days.
 INGEST_VERSION = 1

@@ -50,6 +50,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "channel_matrix": ("ovm", {"channel": "torquer_current"}),
     "channel_rate": ("fgm", {"channel": "coil_temperature"}),
     "hysteresis": ("fgm", {"channel": "coil_temperature", "width": 2}),
+    "response_curve": ("fgm", {"knots": [-60_000.0, -20_000.0, 0.0, 20_000.0, 60_000.0]}),
     "function_of_channel": ("fgm", {"channel": "coil_temperature", "knots": [0.0, 10.0, 15.0, 30.0]}),
     "function_of_two": (
         "fgm",

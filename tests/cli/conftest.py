@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from inflight.cli import main
+from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,27 @@ class Outcome:
     @property
     def json(self) -> Any:
         return json.loads(self.out)
+
+
+@pytest.fixture(scope="session")
+def scheduler():
+    """The address of one scheduler with two Dask processes for all files of commands."""
+    with dask_client(2) as client:
+        yield str(client.scheduler.address)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shared_cluster(scheduler):
+    """Let commands use processes that run, as a team with a scheduler has it; see `own_cluster`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(SCHEDULER_VARIABLE, scheduler)
+        yield
+
+
+@pytest.fixture
+def own_cluster(monkeypatch):
+    """Let commands start processes of their own, as they do on a machine by itself."""
+    monkeypatch.delenv(SCHEDULER_VARIABLE)
 
 
 @pytest.fixture

@@ -7,9 +7,6 @@ import pytest
 from istp_checks import istp_findings
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
-from inflight.flows import dask_client
-from inflight.flows.cluster import SCHEDULER_VARIABLE
-
 REPORT = {"command", "run", "context", "days", "problems", "outputs"}
 RELEASE_KEYS = """\
 acknowledgement: Thank you
@@ -24,16 +21,8 @@ release:
 COUNTS = {"planned", "done", "unchanged", "failed", "no_work"}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def shared_cluster():
-    """One Dask process for all commands, as a team with a scheduler has it."""
-    with dask_client(1) as client, pytest.MonkeyPatch.context() as patch:
-        patch.setenv(SCHEDULER_VARIABLE, str(client.scheduler.address))
-        yield
-
-
 @pytest.fixture(scope="module")
-def finished(shared_cluster, tmp_path_factory) -> Path:
+def finished(tmp_path_factory) -> Path:
     """A workspace with two calibrated days; tests that change it take a copy."""
     from inflight.catalog import Workspace
     from inflight.flows import run_without_prefect

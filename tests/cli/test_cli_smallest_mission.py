@@ -43,6 +43,7 @@ def mine(inflight, tmp_path):
     return tmp_path / "mine"
 
 
+@pytest.mark.usefixtures("own_cluster")
 def test_it_goes_from_a_csv_to_a_verdict_with_twenty_lines_of_yaml(inflight, mine):
     assert len(YAML.strip().splitlines()) <= 20
     assert inflight("ingest", mine.parent / "files", "--no-prefect", "-w", mine).code == 0

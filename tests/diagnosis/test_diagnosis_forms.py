@@ -10,6 +10,8 @@ from inflight.diagnosis.forms import (
     ACTS_ON,
     CellProducts,
     CellRows,
+    Followed,
+    _at_best_lag,
     _cells,
     _entry,
     _option,
@@ -18,6 +20,7 @@ from inflight.diagnosis.forms import (
 )
 from inflight.diagnosis.refine import join_terms
 from inflight.diagnosis.scoring import make_folds, score
+from inflight.diagnosis.stepwise import _one_round
 
 CHANNELS = ("solar_current", "boom_temperature", "heater_current")
 
@@ -43,7 +46,12 @@ def shapes(flight):
 def flown():
     flight = flight_of(POLAR, 30)
     hidden = [read(flight, seed, scalar=one) for seed, one in enumerate(shapes(flight).values())]
-    return case_of(flight, [*hidden, read(flight, 9)], channels=CHANNELS)
+    # Where the field along an axis is large, another measuring range with another gain reads it; and a
+    # scalar sensor whose reading depends on the field's direction.
+    wide = np.where(np.abs(flight["field"]) > 20_000.0, 2e-5, 0.0) * flight["field"]
+    heading = 0.3 * flight.direction[:, 0] ** 2
+    hidden += [read(flight, 9), read(flight, 10, wide), read(flight, 11, scalar=heading)]
+    return case_of(flight, hidden, channels=CHANNELS)
 
 
 @pytest.mark.parametrize("label", ACTS_ON.values())
@@ -87,3 +95,45 @@ def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
     names = scalar_channels(flown().material())
     assert set(CHANNELS) <= set(names)
     assert not {"orbit_phase", "local_time", "longitude"} & set(names)
+
+
+def test_an_effect_that_becomes_one_of_the_model_in_its_best_form_is_not_taken_twice(monkeypatch):
+    """One form of the blocks sees another lag than the model has, and all samples the same one."""
+    case = flown()
+    search, data = case.search(), case.material()
+    plain, lagged = (
+        next(one for one in search.options if one.name == f"channel_field(solar_current){lag}")
+        for lag in ("", "@lag=1000s")
+    )
+    search = search.add(plain)
+    table = search.table()
+    monkeypatch.setattr("inflight.diagnosis.stepwise.refine", lambda state, data, option: (state, plain))
+    after = _one_round(search, data, table, lagged, "within")
+    assert after.accepted == (plain,)
+    assert lagged.name not in {one.name for one in after.table().options}
+
+
+@pytest.mark.parametrize("lag", [0.5, 340.0, 12345.0])
+def test_a_response_has_any_lag_that_is_best(monkeypatch, lag):
+    case = flown()
+    monkeypatch.setattr("inflight.diagnosis.forms.best_lag", lambda *_: (lag, 0.0))
+    cell = Followed("response", "heater_current", "heater_current@lag=4000s", 4000.0)
+    found = _at_best_lag(case.search(), case.material(), None, "channel_field", cell)
+    assert found is not None
+    assert found[0].lag_s == pytest.approx(lag, rel=1e-3)
+    assert found[1].effect.channels == (found[0].name,)
+
+
+def test_an_effect_of_the_field_that_leaves_another_function_of_it_may_stand_in_for_that():
+    found = flown().diagnose(4)
+    taken = [one for one in found.effects if not one.channels]
+    assert taken
+    assert {one.left_follows for one in taken} == {"the field along the axes"}
+    assert "sure" not in {one.status for one in taken}
+
+
+def test_an_effect_of_the_field_of_the_right_form_leaves_no_other_function_of_it():
+    found = flown().diagnose(5)
+    assert [(one.name, one.status, one.left_follows) for one in found.effects] == [
+        ("heading_anisotropy", "sure", "")
+    ]

@@ -5,8 +5,17 @@ import pytest
 
 from inflight.diagnosis import Signature
 from inflight.diagnosis.residual import dominant_blocks
-from inflight.diagnosis.result import LEFT, Entry, FoundEffect, ranked_entries, sentence, stop_reason
+from inflight.diagnosis.result import (
+    LEFT,
+    Coefficient,
+    Entry,
+    FoundEffect,
+    ranked_entries,
+    sentence,
+    stop_reason,
+)
 from inflight.diagnosis.search import Rules
+from inflight.diagnosis.verdict import of_one_direction
 from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
@@ -20,6 +29,8 @@ SWITCH = Signature(
     amplitudes={"x": (0.055, 0.007), "y": (0.024, 0.026), "z": (0.201, 0.005)},
     steps={"x": (0.099, 0.004), "y": (0.01, 0.015), "z": (0.399, 0.003)},
 )
+
+LINE = Signature(period_s=5640.0, axis="z", shape="sine", amplitude_nT=0.1, amplitudes={"z": (0.1, 0.01)})
 
 
 def effect(rms, name="solar", **more):
@@ -202,6 +213,13 @@ def test_beside_a_line_or_how_the_calibration_changes_in_time_a_small_effect_is_
     }
 
 
+@pytest.mark.parametrize(("rms", "status"), [(0.01, "stand-in"), (0.05, "stand-in"), (0.2, "sure")])
+def test_an_effect_of_the_period_of_what_is_left_may_be_a_part_of_it(rms, status):
+    """Unless it explains so much more that its channel would be nearly that of the cause."""
+    line = told("UNKNOWN_EFFECT", effects=(effect(rms, shares_line=True),), signature=LINE, residual=SIZES)
+    assert {one.status for one in ranked_entries(line)} == {status, "unknown"}
+
+
 def test_an_effect_says_what_is_left_follows():
     one = effect(0.1, left_follows="channel_scale(heater)")
     said = sentence(told("UNKNOWN_EFFECT", effects=(one,), residual=SIZES))
@@ -279,3 +297,33 @@ def test_days_that_could_not_be_taken_in_are_told_with_the_reason():
     text = sentence(told("NOTHING_LEFT", blocks=blocks(90.0, 90.0) | {"lost": lost}))
     assert "2 days could not be taken in: 2010-03-02, no sample is left." in text
     assert "taken in" not in sentence(told("NOTHING_LEFT"))
+
+
+def field(channel, value, sigma, unit="nT/A"):
+    numbers = zip("xyz", value, sigma, strict=True)
+    return effect(
+        0.1,
+        name=f"channel_field({channel})",
+        channels=(channel,),
+        coefficients=tuple(Coefficient(f"coefficient[{axis}]", *two, unit, "") for axis, *two in numbers),
+    )
+
+
+def test_currents_that_make_one_field_may_be_one_that_nobody_records():
+    """What a load draws, which no channel tells, is what others give or take."""
+    parts = [
+        field("battery", (0.434, -0.340, -0.672), (0.002, 0.005, 0.001)),
+        field("heater", (0.446, -0.330, -0.676), (0.005, 0.019, 0.003)),
+        field("panels", (-0.434, 0.337, 0.669), (0.007, 0.021, 0.004)),
+    ]
+    warm = field("warmth", (0.434, -0.340, -0.672), (0.002, 0.005, 0.001), "nT/K")
+    found = of_one_direction([*parts, warm])
+    assert set(found) == {one.name for one in parts}
+    assert set(found.values()) == {"a field that follows battery + 1.01 * heater - 0.996 * panels"}
+    # Two fields of one direction, unlike in size, are no sum of currents.
+    assert not of_one_direction([parts[0], field("radio", (1.1, -0.86, -1.7), (0.005, 0.019, 0.003))])
+
+
+def test_directions_that_are_known_badly_are_not_called_one():
+    known, vague = (0.01, 0.01, 0.01), (0.2, 0.3, 0.2)
+    assert not of_one_direction([field("a", (1, 0.1, 0), known), field("b", (1, -0.1, 0.1), vague)])

@@ -251,6 +251,20 @@ def test_a_function_of_a_channel_goes_through_its_knots_and_is_held_beyond():
     assert_allclose(field, [[1, 0, 0], [1, 0, 0], [7, 0, 3], [7, 0, 3]], atol=1e-12)
 
 
+def test_a_response_curve_deviates_between_its_outer_knots_and_nowhere_else():
+    made = make_effect(
+        {"effect": "response_curve", "knots": [-30e3, 0, 10e3, 30e3], "value": [1, 2, 3, 4, 5, 6]}, SENSORS
+    )
+    reading = np.array([[0.0, -15e3, 20e3], [10e3, -40e3, 99e3]])
+    truth = true_samples(0, 2)
+    values = made.values(truth["tt2000"].values)
+    linear = made.effect.correct(reading, truth, values, made.sensor)
+    assert_allclose(linear - reading, [[1, 1, 3], [4, 0, 0]], atol=1e-9)
+    assert_allclose(made.effect.disturb(linear, truth, values, made.sensor), reading, atol=1e-9)
+    with pytest.raises(ModelError, match="no inner one"):
+        make_effect({"effect": "response_curve", "knots": [0, 1]}, SENSORS)
+
+
 def test_the_sun_makes_no_thermo_electric_field_in_the_shadow():
     truth = true_samples(0)
     field = added({"effect": "sun_direction_field", "degree": 2, "amplitude": list(range(1, 25))})

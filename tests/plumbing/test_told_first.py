@@ -77,7 +77,7 @@ def test_a_wrong_unit_of_a_current_heads_the_verdict_until_it_is_mended(made):
     assert not told["sentence"].startswith("Mend")
 
 
-def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made):
+def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made, monkeypatch):
     changed = wrong(
         wrong(TEXT, f"{HEATER}.variable", "boom"), HEATER.replace("heater", "pump") + ".variable", "heater"
     )
@@ -85,6 +85,9 @@ def test_exchanged_currents_are_told_by_the_coefficients_of_the_model(made):
     (found,) = check_plumbing(cat, mission)
     assert found.fault == "exchanged"
     assert "'heater_current' of 'power' and 'pump_current' are exchanged" in found.sentence
+    with monkeypatch.context() as context:
+        context.setattr(Catalog, "read", None)
+        assert check_plumbing(cat, mission) == (found,), "asked again, no samples are read"
     assert check_plumbing(*made(found.remedies[0].applied(changed))) == ()
 
 

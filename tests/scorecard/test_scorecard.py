@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import json
 import re
 import time
 from pathlib import Path
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from inflight.cli import main
 from inflight.errors import SettingsError
 from inflight.mission_fit import crosstalk
 from inflight.scorecard import (
@@ -20,6 +22,7 @@ from inflight.scorecard import (
     SimulatedDays,
     ToleranceInterval,
     figures,
+    registry,
     run_scorecard,
     select_figures,
 )
@@ -41,6 +44,11 @@ CONTRADICTED = {
 }
 
 
+#: What the command prints of each figure.
+KEYS = {"id", "source", "published", "obtained", "tolerance", "basis", "verdict"}
+BASES = {"derived", "recovered_from_injection", "measured", "needs_mission_data"}
+VERDICTS = {"reproduced", "contradicted", "not reproducible", "needs data"}
+
 #: Recovered figures in which nothing is put in: that an estimator finds nothing is what they say.
 NOTHING_PUT_IN = {
     "jump.continuous",
@@ -59,13 +67,37 @@ WEAK = {
 }
 
 
+#: Simulated days that the figures share, as in one run of the scorecard.
+SCENE = SimulatedDays()
+
+
 @pytest.fixture(scope="module")
 def reports() -> dict[str, ScorecardResult]:
     # Of the processor, not of the clock: what else the machine does is no matter of the scorecard.
     begun = time.process_time()
-    found = {report.figure.id: report for report in run_scorecard()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "SimulatedDays", lambda: SCENE)
+        found = {report.figure.id: report for report in run_scorecard()}
     assert time.process_time() - begun < 60.0
     return found
+
+
+def test_the_command_prints_the_promised_shape_for_every_figure(reports, monkeypatch, capsys):
+    """``inflight figures --json``, with the figures that were worked out already."""
+    monkeypatch.setattr("inflight.scorecard.run_scorecard", lambda only, section: list(reports.values()))
+    with pytest.raises(SystemExit) as left:
+        main(["figures", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert left.value.code in (0, None)
+    assert told["command"] == "figures"
+    assert [one["id"] for one in told["figures"]] == [one.id for one in figures()]
+    for one in told["figures"]:
+        assert set(one) >= KEYS
+        assert one["basis"] in BASES
+        assert one["verdict"] in VERDICTS
+        assert (one["obtained"] is None) == (one["verdict"] in ("needs data", "not reproducible"))
+    counted = sum(sum(verdicts.values()) for verdicts in told["verdicts"].values())
+    assert counted == len(told["figures"])
 
 
 def test_every_figure_has_its_own_id_and_a_section_that_is_there():
@@ -142,9 +174,6 @@ def test_obtained_values_come_from_formulas_not_from_the_published_ones(reports)
                 figure, published=tuple(1.0 + 2.0 * np.atleast_1d(figure.published)), tolerance=0.0
             )
             assert moved.report(SCENE).obtained == reports[figure.id].obtained
-
-
-SCENE = SimulatedDays()
 
 
 def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):

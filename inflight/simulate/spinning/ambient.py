@@ -67,11 +67,13 @@ def position(seconds: Float, parameters: SpinningParameters) -> Float:
         return np.zeros((seconds.size, 3))
     low, high = parameters.perigee * EARTH_RADIUS_KM, parameters.apogee * EARTH_RADIUS_KM
     axis, eccentricity = (low + high) / 2.0, (high - low) / (high + low)
-    mean = 2.0 * np.pi * orbits(seconds, parameters)
-    anomaly = np.mod(mean, 2.0 * np.pi)
+    mean = np.mod(2.0 * np.pi * orbits(seconds, parameters), 2.0 * np.pi)
+    anomaly = mean
     for _ in range(40):
-        error = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
+        error = anomaly - eccentricity * np.sin(anomaly) - mean
         anomaly = anomaly - 0.9 * error / (1.0 - eccentricity * np.cos(anomaly))
+        if np.abs(error).max(initial=0.0) < 1e-13:
+            break
     # Apogee towards the Sun.
     x = -axis * (np.cos(anomaly) - eccentricity)
     y = -axis * np.sqrt(1.0 - eccentricity**2) * np.sin(anomaly)

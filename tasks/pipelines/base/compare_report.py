@@ -6,25 +6,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
-import xarray as xr
 
 from inflight.catalog import Catalog, Day
-from inflight.figures import (
-    LazySection,
-    Section,
-    bullet_list,
-    daily_figure,
-    error_figure,
-    fall_figure,
-    html_table,
-)
+from inflight.figures import LazySection, Section, bullet_list, html_table
 from inflight.plumbing import Finding
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor, is_at_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 from inflight.tasks.report import Progress
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Structures below this part of the noise are not told, but listed on the page; assumed.
 MATTERS = 0.1
@@ -327,6 +321,8 @@ def day_summary(
 
 def daily_residual_figure(report: CompareReport) -> Any:
     """Draw the rms of each day before and after calibration, and the noise floor."""
+    from inflight.figures import daily_figure
+
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
     labels = ("pre-flight model", f"model version {report.version}" if report.version else "calibrated")
@@ -340,6 +336,8 @@ def daily_residual_figure(report: CompareReport) -> Any:
 
 def fall_figure_of(report: CompareReport) -> Any:
     """Draw how the residual of each day fell with the last change of the model; None without one before."""
+    from inflight.figures import fall_figure
+
     if report.earlier is None:
         return None
     known = {entry["day"]: entry["after_nT"] for entry in report.earlier.by_day}
@@ -368,6 +366,8 @@ def sizes_html(report: CompareReport) -> str:
 
 def history_section(report: CompareReport) -> tuple[list[str], list[Any]]:
     """Return what each version of the model took off, on days not used in the fit; empty without changes."""
+    from inflight.figures import error_figure
+
     changed = [one for one in report.history if one["change"]]
     if not changed:
         return [], []

@@ -7,10 +7,9 @@ used, also where it was chosen by hand, by its key, which holds in any workspace
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.calibration import LEARNT, VALUE_ORIGINS
 from inflight.catalog import TableRecord
@@ -18,6 +17,9 @@ from inflight.model import TimedValue, component_names
 from inflight.tasks.pipelines.base.job import ProductBatch
 from inflight.tasks.pipelines.base.pipeline import Pipeline
 from inflight.time import day_bounds, utc_text
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Digits of a key that name a table, or a context.
 KEY_DIGITS = 12

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight import __version__
 from inflight.catalog import Catalog
@@ -26,6 +25,9 @@ from inflight.tasks.pipelines.intercalibration.pair import NO_PRODUCT, NO_PRODUC
 from inflight.tasks.report import write_page
 from inflight.time import day_of
 from inflight.units import with_error
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def relation_report(

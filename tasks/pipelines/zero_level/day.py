@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import scipy
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Day
@@ -28,6 +27,9 @@ from inflight.zero_level import (
     delivered_rule,
     whole_average,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: An interval is averaged to about so many means (assumed; a covariance needs 16).
 _MEANS_OF_INTERVAL = 30
@@ -181,6 +183,8 @@ def day_averages(read: FieldOfDay, rule: Averaging, span: tuple[int, int]) -> xr
     CalibrationError
         When no sample of the day is usable.
     """
+    import xarray as xr
+
     good = _usable(read)
     if not good.any():
         raise CalibrationError(
@@ -229,6 +233,8 @@ def row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:
 
 def product_variables(read: FieldOfDay, calibrated: Floats, sigma: Floats, flag: np.ndarray) -> xr.Dataset:
     """Return the variables of a product: the field, also in the spacecraft's axes, uncertainty and flags."""
+    import xarray as xr
+
     masks, names = flag_meanings()
     vector = ("time", "axis")
 

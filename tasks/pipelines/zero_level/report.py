@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.mission import ZeroLevelComparison
 from inflight.tasks.pipelines.base import TextLine, with_unit
@@ -16,6 +15,8 @@ from inflight.time import to_utc
 from inflight.zero_level import AXES
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from inflight.plumbing import Finding
 
 

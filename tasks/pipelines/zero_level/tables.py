@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import with_changes, with_learnt_spans
@@ -33,6 +32,9 @@ from inflight.zero_level import (
     correlation_sets,
     independent_covariance,
 )
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: Names of the three parameters.
 NAMES = tuple(f"zero_level.offset[{axis}]" for axis in AXES)
@@ -272,6 +274,8 @@ def _with_wander(row: _Row, daily: xr.Dataset) -> _Row:
 
 
 def _table(rows: Sequence[_Row], entry: ZeroLevelComparison, attributes: Mapping[str, str]) -> xr.Dataset:
+    import xarray as xr
+
     determined = np.array([row.determined for row in rows])
     asked = np.array([axis in entry.axes for axis in AXES])
     prior = np.where(asked, entry.bound / np.sqrt(3.0), 0.0)
@@ -351,6 +355,8 @@ def step_table(
     CalibrationError
         When no step is whole.
     """
+    import xarray as xr
+
     assert entry.step is not None
     time, mean = (np.concatenate([getattr(day, name) for day in days]) for name in ("time", "mean"))
     search = search_of(entry)
