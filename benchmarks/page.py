@@ -27,7 +27,7 @@ _TABS = {
     "Products and runs": "Click one to see it.",
     "Tables": "Circles are each day's own values",
     "Diagnosis": "All figures of this diagnosis",
-    "Model against measurement": "In time.",
+    "Model against measurement": "Noise floor",
     "The loop": "Where it fails",
 }
 #: Seconds that are asked for.

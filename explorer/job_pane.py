@@ -40,7 +40,7 @@ def lazy_tabs(
     )
 
     def show(index: int) -> None:
-        if index not in begun:
+        if index < len(parts) and index not in begun:
             begun.add(index)
             heading, make = parts[index]
             job_panes[index].begin(heading, lambda progress: make(), lambda body: section(*body))

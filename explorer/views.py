@@ -50,13 +50,7 @@ class MeasurementView:
         self._made_pane = JobPane(session.background)
         self._time = TimeView(session, state)
         self._comparison = ""
-        self.panel = pn.Column(
-            self._pane.panel,
-            self._known_pane.panel,
-            self._time.panel,
-            self._made_pane.panel,
-            sizing_mode="stretch_width",
-        )
+        self.panel = pn.Column(self._pane.panel, self._known_pane.panel, sizing_mode="stretch_width")
 
     def show(self, overview: ComparisonOverview, days: Days | None) -> None:
         """Measure the residual of a span and show it; without products, show why there is none."""
@@ -88,7 +82,11 @@ class MeasurementView:
                     lambda progress: self._session.open_contributions(self._comparison, progress),
                     self._opened,
                 )
-        return lazy_tabs(measured.parts, self._session.figure_background)
+        tabs = lazy_tabs(measured.parts, self._session.figure_background)
+        if rows is not None:
+            in_time = pn.Column(self._time.panel, self._made_pane.panel, sizing_mode="stretch_width")
+            tabs.append(("In time", in_time))
+        return tabs
 
     def _opened(self, made: Contributions | None) -> pn.viewable.Viewable:
         self._time.show_contributions(made)

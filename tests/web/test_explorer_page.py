@@ -123,6 +123,7 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     assert drawn_error(browser, "4: undo")["bars"]["4: undo"] > 2 * added["floor"]
     # Each effect of the model in use has a row below what is left.
     browser.press(".bk-tab", "Model against measurement")
+    browser.press(".bk-tab", "In time")
     stack = _CURVES.replace("TITLE", "What is left, and what each effect")
     rows = browser.wait_for(f"((found) => Object.keys(found).length > 1 && found)({stack})")
     places = {name: round(np.nanmean(np.array(y, dtype=float))) for name, (_, y) in rows.items()}
