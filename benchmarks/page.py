@@ -6,7 +6,6 @@ The archive is written directly, a sample every eight minutes: what grows with t
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 import time
@@ -20,7 +19,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.tasks.analysis import diagnose_span
 from inflight.tasks.pipelines import reprocess
 from tests.long_mission import make_long_workspace
-from tests.web.chromium import Chromium, find_chromium
+from tests.web.chromium import Chromium, Served, find_chromium
 
 #: Text of each tab that is there when its content is.
 _TABS = {
@@ -58,15 +57,13 @@ def page(days: Sequence[int], keep: Path | None = None) -> Iterator[Row]:
             if not root.exists():
                 yield from _made(root, count)
             browser = Chromium(program, Path(scratch) / f"profile-{count}")
-            code = "from inflight.cli import main; main()"
-            command = [sys.executable, "-c", code, "explore", "--json", "--workers", "1", "-w", str(root)]
-            server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            served = Served(root)
             try:
-                yield from _measured(browser, _address(server), count)
+                yield from _measured(browser, served.url, count)
             finally:
                 browser.close()
-                server.terminate()
-                server.wait(30)
+                served.process.terminate()
+                served.process.communicate(timeout=30)
 
 
 def _made(root: Path, count: int) -> Iterator[Row]:
@@ -77,17 +74,6 @@ def _made(root: Path, count: int) -> Iterator[Row]:
         seconds = timed(lambda: reprocess(Catalog(root), workspace.mission()))
         yield Row(what=f"{count} days: reprocess", seconds=seconds)
         yield Row(what=f"{count} days: diagnose", seconds=timed(lambda: diagnose_span(workspace)))
-
-
-def _address(server: subprocess.Popen[str]) -> str:
-    assert server.stdout is not None
-    told = ""
-    while not told.endswith("}\n"):
-        line = server.stdout.readline()
-        if not line:
-            sys.exit("the page was not served")
-        told += line
-    return str(json.loads(told)["url"])
 
 
 def _measured(browser: Chromium, url: str, count: int) -> Iterator[Row]:

@@ -86,8 +86,8 @@ def explorer_pictures() -> None:
     """Write the pictures of docs/tutorial-explorer.md, as the page shows them when the tutorial says so."""
     docs = Path(__file__).parent
     sys.path.append(str(docs.parent / "tests" / "web"))
-    from chromium import Chromium, find_chromium
-    from played_page import PlayedPage, Served
+    from chromium import Chromium, Served, find_chromium
+    from played_page import PlayedPage
 
     program = find_chromium()
     if program is None:

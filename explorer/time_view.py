@@ -169,18 +169,18 @@ class TimeView:
             self._sources[name].data = _data(thin_trace(*trace, first, last, _POINTS))
         self._sources["flagged"].data = flagged
         for place, row in enumerate(self._stack):
-            time, mean = states[row.name][:2] if place == 0 else self._contribution(row.name)
-            made = thin_trace(time, mean, mean, mean, first, last, _POINTS)
-            self._stacked[row.name].data = _in_rows(made, row)
+            assert self._made is not None  # there is a stack of what it makes
+            if place == 0:
+                time, mean = states[row.name][:2]
+            else:
+                time, mean = self._made.tt2000, self._made.effects[row.name]
+            thin = thin_trace(time, mean, mean, mean, first, last, _POINTS)
+            self._stacked[row.name].data = _in_rows(thin, row)
         ends = " to ".join(
             str(to_utc(one).astype("datetime64[m]")) for one in _tt2000(np.array([begin, end]))
         )
         text = f" {ends} UTC: {how}. Wheel and drag zoom and move; click a day of the map to be there."
         self._heading.objects = [panes.text(paragraph(text, bold="In time."))]
-
-    def _contribution(self, name: str) -> tuple[Int64, Floats]:
-        assert self._made is not None
-        return self._made.tt2000, self._made.effects[name]
 
 
 def _in_rows(trace: tuple[Int64, Floats, Floats, Floats], row: StackRow) -> dict[str, Any]:

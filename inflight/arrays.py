@@ -1,4 +1,4 @@
-"""The array type of the whole project, sums over runs of rows, and products of a series with axes."""
+"""The array type of the whole project, sums over runs of rows, products with axes, and straight pieces."""
 
 from __future__ import annotations
 
@@ -33,3 +33,11 @@ def finite_rows(values: Floats) -> npt.NDArray[np.bool_]:
     """Return which rows of (row,) or (row, component) hold nothing but finite values; (row,)."""
     # A product is ten times as fast as a sum over the few components.
     return np.asarray(np.isfinite(values if values.ndim == 1 else values @ np.ones(values.shape[1])))
+
+
+def straight_pieces(values: Floats, knots: Floats) -> Floats:
+    """Return functions that are 1 at one knot, 0 at the others and straight between; (..., knot).
+
+    Beyond the outer knots they stay as they are there.
+    """
+    return np.stack([np.interp(values, knots, only) for only in np.eye(knots.size)], axis=-1)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, straight_pieces
 from inflight.design import Term, design_matrix, term_of
 from inflight.diagnosis.attenuation import ATTENUATION_SETTINGS, noise_bound
 from inflight.diagnosis.candidates import BANK_SETTINGS, acting_sensors, effect_or_none
@@ -254,9 +254,10 @@ def left_follows_field(search: Search, data: DiagnosisData) -> dict[str, str]:
     flat = []
     for axis in range(3):
         knots = np.unique(np.quantile(reading[there, axis], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
-        for knot in np.eye(knots.size):
-            hat = np.interp(reading[:, axis], knots, knot)
-            flat.append((hat[:, None] * direction[:, :, axis]).reshape(-1) * trials.root)
+        flat += [
+            (piece[:, None] * direction[:, :, axis]).reshape(-1) * trials.root
+            for piece in straight_pieces(reading[:, axis], knots).T
+        ]
     columns = trials.kept(np.nan_to_num(np.array(flat)))
     half = inverse_square_root(columns @ columns.T)
     each = [np.bincount(trials.block, weights=one * trials.rest, minlength=trials.blocks) for one in columns]
@@ -264,10 +265,8 @@ def left_follows_field(search: Search, data: DiagnosisData) -> dict[str, str]:
     signs, units = draw_signs(trials.blocks, search.rules.draws, search.rules.seed)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
     flipped = np.sum((signs @ summed) ** 2, axis=1)
-    p = (1.0 + np.sum(flipped >= np.sum(summed.sum(axis=0) ** 2))) / (1.0 + flipped.size)
-    return (
-        dict.fromkeys((one.name for one in taken), "the field along the axes") if p < search.rules.p else {}
-    )
+    (p,) = family_wise_p(np.sum(summed.sum(axis=0) ** 2, keepdims=True), flipped[:, None])
+    return dict.fromkeys((one.name for one in taken if p < search.rules.p), "the field along the axes")
 
 
 def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:

@@ -518,7 +518,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     found += _wrong_numbers(facts)
     size = _size_left(facts["residual"], facts["signature"]) if facts["remaining"] != "NOTHING_LEFT" else 0.0
     sharing = {one.name for one in facts["effects"] if one.shares_line}
-    found = _told_stand_ins(found, size, _has_own_shape(facts["signature"]), sharing)
+    found = _mark_stand_ins(found, size, _has_own_shape(facts["signature"]), sharing)
     found.sort(key=lambda one: -one.takes_off_nT)
     if facts["remaining"] == "NOTHING_LEFT":
         return tuple(found)
@@ -534,7 +534,7 @@ def ranked_entries(facts: Mapping[str, Any]) -> tuple[Entry, ...]:
     return (*found[:place], left, *found[place:])
 
 
-def _told_stand_ins(
+def _mark_stand_ins(
     found: Sequence[Entry], left_nT: float, has_own_shape: bool, sharing: set[str]
 ) -> list[Entry]:
     """Return the entries, those that may be parts of what has no cause told as such.

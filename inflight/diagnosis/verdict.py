@@ -206,23 +206,7 @@ def run_search(
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
-    otherwise = left_follows_field(search, known) | left_follows(search, known) if remaining.is_there else {}
-    shared = share_line(search, known, residual, remaining.signature)
-    instead = of_one_direction(effects) | instead_of_several(search, known)
-    alike = alike_but_for_noise(search, known)
-    effects = tuple(
-        replace(
-            _with_rivals(one, alike.get(one.name, ())),
-            left_follows=otherwise.get(one.name, ""),
-            instead=instead.get(one.name, ""),
-            shares_line=one.name in shared,
-        )
-        for one in effects
-    )
-    effects = tuple(
-        replace(one, status="stand-in") if (one.left_follows or one.instead) and one.status == "sure" else one
-        for one in effects
-    )
+    effects = held_against_others(search, known, effects, residual, remaining)
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {
@@ -287,6 +271,37 @@ def is_left_within_bins(search: Search, data: DiagnosisData) -> bool:
     return bool(more > (REMAINING_SETTINGS.white * data.floor.level_nT) ** 2)
 
 
+def held_against_others(
+    search: Search,
+    data: DiagnosisData,
+    effects: Sequence[FoundEffect],
+    residual: Floats,
+    remaining: Remaining,
+) -> tuple[FoundEffect, ...]:
+    """Return effects with the other forms, sums and channels that do as well, and what is left of their kind.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (sample, row)
+        What the search leaves of the series, nT.
+    """
+    left = left_follows_field(search, data) | left_follows(search, data) if remaining.is_there else {}
+    shared = share_line(search, data, residual, remaining.signature)
+    instead = of_one_direction(effects) | instead_of_several(search, data)
+    alike = alike_but_for_noise(search, data)
+    out = []
+    for effect in effects:
+        one = replace(
+            _with_rivals(effect, alike.get(effect.name, ())),
+            left_follows=left.get(effect.name, ""),
+            instead=instead.get(effect.name, ""),
+            shares_line=effect.name in shared,
+        )
+        is_stand_in = one.status == "sure" and bool(one.left_follows or one.instead)
+        out.append(replace(one, status="stand-in") if is_stand_in else one)
+    return tuple(out)
+
+
 def _with_rivals(effect: FoundEffect, more: Sequence[str]) -> FoundEffect:
     """Return an effect with further causes that do as well in its place."""
     rivals = tuple(dict.fromkeys((*effect.rivals, *more)))
@@ -334,40 +349,49 @@ def of_one_direction(effects: Sequence[FoundEffect]) -> dict[str, str]:
         one.name: np.array([[part.value, part.sigma] for part in one.coefficients]).T for one in fields
     }
 
-    def wide(value: Floats, sigma: Floats) -> float:
-        """Return the squared angle within which a direction is known."""
-        return float(limit * np.mean(sigma**2) / np.sum(value**2))
-
     # The best known direction first: others are held against it.
-    for first in sorted(fields, key=lambda one: wide(*vectors[one.name])):
+    for first in sorted(fields, key=lambda one: _squared_angle(vectors[one.name], limit)):
         if first.name in out:
             continue
-        (value, sigma), parts, same = vectors[first.name], [(1.0, first)], 0
+        parts, same, own = [(1.0, first)], 0, vectors[first.name]
         for other in fields:
-            if (
-                other is first
-                or other.name in out
-                or other.coefficients[0].unit != first.coefficients[0].unit
-            ):
+            is_alike = other.coefficients[0].unit == first.coefficients[0].unit
+            if other is first or other.name in out or not is_alike:
                 continue
-            found, error = vectors[other.name]
-            ratio, apart, ratio_error = 0.0, np.inf, 0.0
-            for _ in range(4):
-                weight = 1.0 / (error**2 + (ratio * sigma) ** 2)
-                ratio = float(np.sum(weight * value * found) / np.sum(weight * value**2))
-                apart = float(np.sum(weight * (found - ratio * value) ** 2))
-                ratio_error = float(np.sum(weight * value**2) ** -0.5)
-            by_chance = 1.0 - np.cos(min(np.sqrt(wide(value, sigma) + wide(found, error)), np.pi / 2))
+            found = vectors[other.name]
+            ratio, error, apart = _ratio(found, own)
+            angle = np.sqrt(_squared_angle(own, limit) + _squared_angle(found, limit))
+            by_chance = 1.0 - np.cos(min(angle, np.pi / 2))
             if apart < limit and pairs * by_chance < REPORT_SETTINGS.by_chance:
                 parts.append((ratio, other))
-                same += (abs(ratio) - 1.0) ** 2 < limit * ratio_error**2
+                same += (abs(ratio) - 1.0) ** 2 < limit * error**2
         if len(parts) > 2 or same:
-            whole = first.channels[0] + "".join(
-                f" {'-' if ratio < 0 else '+'} {abs(ratio):.3g} * {one.channels[0]}"
-                for ratio, one in parts[1:]
-            )
+            whole = first.channels[0]
+            for ratio, one in parts[1:]:
+                whole += f" {'-' if ratio < 0 else '+'} {abs(ratio):.3g} * {one.channels[0]}"
             out |= dict.fromkeys((one.name for _, one in parts), f"a field that follows {whole}")
     return out
+
+
+def _squared_angle(vector: Floats, limit: float) -> float:
+    """Return the square of the angle within which a direction is known, by a limit of chi-square; rad^2."""
+    value, sigma = vector
+    return float(limit * np.mean(sigma**2) / np.sum(value**2))
+
+
+def _ratio(vector: Floats, other: Floats) -> tuple[float, float, float]:
+    """Return how many times another vector a vector is, the error of that, and chi-square of what is left.
+
+    Both are (2, axis): values and their sigmas.
+    """
+    (found, error), (value, sigma) = vector, other
+    ratio, apart, ratio_error = 0.0, np.inf, 0.0
+    for _ in range(4):
+        weight = 1.0 / (error**2 + (ratio * sigma) ** 2)
+        ratio = float(np.sum(weight * value * found) / np.sum(weight * value**2))
+        apart = float(np.sum(weight * (found - ratio * value) ** 2))
+        ratio_error = float(np.sum(weight * value**2) ** -0.5)
+    return ratio, ratio_error, apart
 
 
 def _turned(effect: FoundEffect, turns: Sequence[Turn]) -> FoundEffect:

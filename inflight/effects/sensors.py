@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from inflight.arrays import Floats, times_axes
+from inflight.arrays import Floats, straight_pieces, times_axes
 from inflight.effects.base import (
     AXES,
     Effect,
@@ -201,11 +201,8 @@ class ResponseCurve(Effect):
     def _deviation(self, reading: Floats, value: Floats) -> Floats:
         """Return what is added to each reading; (time, axis) nT."""
         at = np.broadcast_to(value, (len(reading), value.shape[-1])).reshape(len(reading), -1, len(AXES))
-        out = np.zeros_like(reading)
-        for knot, only in enumerate(np.eye(self._knots.size)[1:-1]):
-            for axis in range(len(AXES)):
-                out[:, axis] += at[:, knot, axis] * np.interp(reading[:, axis], self._knots, only)
-        return out
+        pieces = straight_pieces(reading, self._knots)[..., 1:-1]
+        return np.asarray(np.einsum("tak,tka->ta", pieces, at))
 
 
 class ScaledReading(Effect):

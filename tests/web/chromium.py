@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import time
 import urllib.request
 from base64 import b64decode
@@ -248,3 +249,19 @@ class Chromium:
             self._process.kill()
         self._process.wait(30)
         self._log.close()
+
+
+class Served:
+    """A running `inflight explore`."""
+
+    def __init__(self, root: Path) -> None:
+        code = "from inflight.cli import main; main()"
+        command = [sys.executable, "-c", code, "explore", "--json", "--workers", "1", "-w", str(root)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        told = ""
+        while not told.endswith("}\n"):
+            line = self.process.stdout.readline()
+            assert line, self.process.stderr.read()
+            told += line
+        self.told = json.loads(told)
+        self.url = self.told["url"]

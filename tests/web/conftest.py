@@ -4,8 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
-from chromium import Chromium, find_chromium
-from played_page import Served
+from chromium import Chromium, Served, find_chromium
 
 
 @pytest.fixture(scope="module")

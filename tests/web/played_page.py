@@ -42,22 +42,6 @@ _ROW = """(() => { const found = window.pick && pick('.tabulator-row').find(
   if (found) found.querySelector('.tabulator-cell').click(); return Boolean(found) })()"""
 
 
-class Served:
-    """A running `inflight explore`."""
-
-    def __init__(self, root: Path) -> None:
-        code = "from inflight.cli import main; main()"
-        command = [sys.executable, "-c", code, "explore", "--json", "--workers", "1", "-w", str(root)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        told = ""
-        while not told.endswith("}\n"):
-            line = self.process.stdout.readline()
-            assert line, self.process.stderr.read()
-            told += line
-        self.told = json.loads(told)
-        self.url = self.told["url"]
-
-
 class PlayedPage:
     """A page of documentation that is done from its beginning to its end.
 
