@@ -175,7 +175,7 @@ def inverse_square_root(matrices: Floats, cut: float = SOLVER_SETTINGS.weak_cut)
         return _by_eigenvalues(unit, scaled, cut)
     factor, pivots = _cholesky(scaled)
     # The product of all eigenvalues, of which none exceeds the trace, bounds the least one from below.
-    sound = pivots.prod(axis=-1) > cut * float(k) ** (k - 1)
+    sound = pivots.prod(axis=-1) > cut * float(k) ** max(k - 1, 0)
     out = np.zeros_like(scaled)
     # Of F with F F' the matrix, the inverse by forward substitution, transposed.
     for row in range(k):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.lsq.solver import eigen_of_symmetric, solve_scaled
+from inflight.lsq.solver import eigen_of_symmetric, gram_inverse, inverse_square_root, solve_scaled
 
 
 def refuse(matrix):
@@ -37,3 +37,25 @@ def test_what_is_not_a_number_is_still_refused(gram):
     gram[0, 0, 0] = np.nan
     with pytest.raises(np.linalg.LinAlgError):
         eigen_of_symmetric(gram)
+
+
+@pytest.mark.parametrize("size", range(9))
+def test_the_inverse_is_that_of_a_matrix_of_any_size_and_none_at_all_of_an_empty_one(size):
+    rows = np.random.default_rng(size).normal(size=(3, 40, size)) * np.logspace(-2, 3, size)
+    grams = np.swapaxes(rows, 1, 2) @ rows
+    root = inverse_square_root(grams)
+    expected = np.linalg.inv(grams)
+    unit = np.sqrt(np.einsum("...ii->...i", expected))
+    np.testing.assert_allclose(
+        root @ np.swapaxes(root, 1, 2) / unit[..., None] / unit[..., None, :],
+        expected / unit[..., None] / unit[..., None, :],
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("size", [2, 6, 8])
+def test_the_inverse_leaves_out_what_a_matrix_does_not_determine(size):
+    rows = np.random.default_rng(size).normal(size=(40, size))
+    rows[:, -1] = rows[:, 0]
+    gram = rows.T @ rows
+    np.testing.assert_allclose(gram @ gram_inverse(gram) @ gram, gram, atol=1e-8 * gram.max())
