@@ -23,6 +23,7 @@ from inflight.arrays import Floats
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.simulate.spinning import ambient, sensor
+from inflight.simulate.spinning.attitude import payload_axes, to_payload
 from inflight.simulate.spinning.settings import SPACECRAFT_PRESETS, STANDARD, SpinningParameters
 from inflight.spin import (
     HELD,
@@ -30,7 +31,9 @@ from inflight.spin import (
     SPIN_RELATED,
     CalibrationParameters,
     field_uncertainty,
+    fit_held,
     held_slopes,
+    sums_near_earth,
 )
 from inflight.tasks.pipelines.spin.day import SpinRecord, estimates_of, ground_of, require_spinning
 from inflight.tasks.pipelines.spin.tables import spin_table
@@ -44,6 +47,8 @@ _EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
 _HELD = [PARAMETER_NAMES.index(name) for name in HELD]
 #: Samples of a day, one of each stretch, at which the product is looked at.
 _LOOKED_AT = (0.2, 0.8)
+#: What a field model lacks, nT, and how near the Earth it is looked at, km.
+_EXTERNAL_NT, _NEAR_KM = 20.0, 3.0 * ambient.EARTH_RADIUS_KM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +137,49 @@ def _pulls(seed: int, days: int, mission: Mission, model: Model) -> Floats:
     product = (off / uncertainty)[seed % len(at)]
     errors = error[_EIGHT] / table["sigma"].values[_EIGHT], alone / table["conditional_sigma"].values[_EIGHT]
     return np.concatenate([*errors, product])
+
+
+def perigee_coverage(seeds: int = 40, passages: int = 3) -> list[SpinCoverage]:
+    """Return the counts of what a field model tells of `HELD` in some passages of perigee.
+
+    A field that the model lacks and that stays is drawn from the 20 nT that are stated; the simulated field
+    fluctuates about the IGRF besides.
+    """
+    mission = Mission.parse((_MISSIONS / "themis.yaml").read_text(encoding="utf-8"))
+    model = Model.parse((_MISSIONS / "models/themis-preflight.yaml").read_text(encoding="utf-8"), mission)
+    pulls = np.array([_pulls_at_perigee(seed, passages, model) for seed in range(seeds)])
+    of = f"{passages} passages"
+    return [SpinCoverage(name=name, of=of, pulls=one) for name, one in zip(HELD, pulls.T, strict=True)]
+
+
+def _pulls_at_perigee(seed: int, passages: int, model: Model) -> Floats:
+    """Return the errors of `HELD` of one mission in stated sigmas; (4,)."""
+    ground, sigma = ground_of(require_spinning(model), day_bounds(_FIRST)[0])
+    generator = np.random.default_rng([seed, 2])
+    known = np.array([sigma[name] for name in HELD])
+    truth = known * generator.normal(size=len(HELD))
+    # The sensor that reads so, the eight as on the ground but for what goes with the four.
+    change = dict(zip(HELD, ground.values()[_HELD] + truth, strict=True))
+    moved = ground.spin_related() + held_slopes(ground) @ truth
+    sensor_is = ground.changed(change | dict(zip(SPIN_RELATED, moved.tolist(), strict=True)))
+    parameters = SPACECRAFT_PRESETS["themis"].changed({"apogee": 8.0, "main_field": True})
+    axis = 0.5 * (parameters.perigee + parameters.apogee) * ambient.EARTH_RADIUS_KM
+    orbit = 2.0 * np.pi * np.sqrt(axis**3 / 398_600.4)
+    stays, sums = _EXTERNAL_NT * generator.normal(size=3), []
+    first = np.ceil(day_bounds(_FIRST)[0] / SECOND / orbit)
+    for number in range(passages):
+        # Turns of the spin are left out: D commutes with them.
+        seconds = (first + number) * orbit + np.arange(-5400.0, 5400.0, 30.0)
+        place = ambient.position(seconds, parameters)
+        seconds, place = (one[np.linalg.norm(place, axis=1) < _NEAR_KM] for one in (seconds, place))
+        field = ambient.field(seconds, place, seed, number, parameters) + stays
+        earth = to_payload(ambient.main_field(seconds, parameters), payload_axes(place, parameters))
+        stamps = np.rint(seconds * SECOND).astype(np.int64)
+        despun = ground.correct(sensor_is.disturb(field))
+        sums.append(sums_near_earth(despun, earth, stamps, ground))
+    found = fit_held(np.concatenate(sums), np.zeros(len(HELD)), known, _EXTERNAL_NT)
+    assert found is not None
+    return (found.value - truth) / np.sqrt(np.diag(found.covariance))
 
 
 def _with_values(parameters: SpinningParameters, values: Floats) -> SpinningParameters:

@@ -616,23 +616,45 @@ def payload_to_gse(field: Floats, axis: Floats, towards: Floats) -> Floats:
     ndarray, shape (time, 3)
         NaN without an axis, and where the Sun is within five degrees of it.
     """
+    ahead, side, up = _payload_axes(axis, towards)
+    return np.asarray(field[:, :1] * ahead + field[:, 1:2] * side + field[:, 2:] * up)
+
+
+def gse_to_payload(field: Floats, axis: Floats, towards: Floats) -> Floats:
+    """Turn vectors from gse to payload axes: the inverse of `payload_to_gse`; NaN where that is."""
+    axes = _payload_axes(axis, towards)
+    return np.stack([np.einsum("ta,ta->t", field, one) for one in axes], axis=1)
+
+
+def _payload_axes(axis: Floats, towards: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the unit vectors x, y and z of the payload; each (time, 3)."""
     with np.errstate(invalid="ignore", divide="ignore"):
         up = axis / np.linalg.norm(axis, axis=1, keepdims=True)
         across = towards - np.einsum("ta,ta->t", towards, up)[:, None] * up
         size = np.linalg.norm(across, axis=1, keepdims=True)
         ahead = across / np.where(size > GEOMETRY_SETTINGS.least_projection, size, np.nan)
-    side = cross(up, ahead)
-    return np.asarray(field[:, :1] * ahead + field[:, 1:2] * side + field[:, 2:] * up)
+    return ahead, cross(up, ahead), up
 
 
 def _equator_to_gse(vectors: Floats, days: Floats) -> Floats:
     """Turn vectors (time, 3) from the equator and equinox of date to gse."""
+    return np.stack([np.einsum("ta,ta->t", vectors, one) for one in _gse_axes(days)], axis=1)
+
+
+def gse_to_itrf(vectors: Floats, tt2000: Int64) -> Floats:
+    """Turn vectors (time, 3) from gse to Earth-fixed axes."""
+    days = days_since_j2000(tt2000)
+    each = (vectors[:, at : at + 1] * one for at, one in enumerate(_gse_axes(days)))
+    return rotate_with_earth(np.asarray(sum(each)), days, -1)
+
+
+def _gse_axes(days: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the unit vectors of gse in those of equator and equinox of date; each (time, 3)."""
     sun = sun_direction(days)
     # The Sun's path lies in the ecliptic: the angle to the equator is that of `sun_direction`.
     tilt = np.deg2rad(23.439 - 4.0e-7 * days)
     pole = np.stack([np.zeros_like(tilt), -np.sin(tilt), np.cos(tilt)]).T
-    axes = (sun, cross(pole, sun), pole)
-    return np.stack([np.einsum("ta,ta->t", vectors, one) for one in axes], axis=1)
+    return sun, cross(pole, sun), pole
 
 
 def _about_x(vectors: Floats, angle: Floats) -> Floats:

@@ -203,6 +203,20 @@ def _axes(value: Any) -> Any:
     return [value] if isinstance(value, Mapping) else value
 
 
+class NearEarthModel(Strict):
+    """The model of the Earth's field that tells a spinning sensor's gains, third angle and third offset.
+
+    Needs positions and the spin axis.
+    """
+
+    #: As of a comparison of kind ``field_model``.
+    model: str = "igrf"
+    #: What the model lacks and what stays in a window, one sigma along each payload axis.
+    external: Annotated[float, Field(gt=0)] = 20.0
+    #: Taken up to this distance from the Earth's centre, Earth radii.
+    within: Annotated[float, Field(gt=1.0)] = 3.0
+
+
 class SpinComparison(Strict):
     """Spin tones of one vector sensor (two rows a sample of the synthetic turns, nT).
 
@@ -228,6 +242,8 @@ class SpinComparison(Strict):
     after_eclipse: Duration = 0
     #: Values of their own from one perigee to the next: no interval of a table holds two orbits.
     cut_at: Literal["perigee"] | None = None
+    #: What tells the parameters that leave no tone, near perigee; they keep their ground values when absent.
+    field_model: NearEarthModel | None = None
     #: Turns that are folded into one, about.
     turns: Annotated[int, Field(ge=8, le=2000)] = 100
     base: str | None = None

@@ -22,6 +22,7 @@ from .farrell import (
     calibrate_farrell,
     measure_boom_bending,
 )
+from .field_model import SUM_WIDTH, HeldFit, fit_held, sums_near_earth
 from .fits import SpinFits, despin, fit_spins, respin
 from .intervals import BlockLayout, Bools, Exclusion, SubIntervals, cut_into_blocks
 from .phase import PeriodCheck, PhaseFault, SpinPhase, check_period, phase_from_angle, phase_from_pulses
@@ -47,6 +48,7 @@ from .update import (
     ParameterTable,
     SpinParametersInUse,
     ValueInUse,
+    held_response,
     held_slopes,
     join_parameters,
 )
@@ -59,6 +61,7 @@ __all__ = [
     "ROW_NAMES",
     "SPIN",
     "SPIN_RELATED",
+    "SUM_WIDTH",
     "TONES",
     "UNCALIBRATED_SIGMA",
     "Attitude",
@@ -69,6 +72,7 @@ __all__ = [
     "Exclusion",
     "ExternalValue",
     "FarrellFit",
+    "HeldFit",
     "JointEstimate",
     "ParameterTable",
     "PeriodCheck",
@@ -97,7 +101,9 @@ __all__ = [
     "estimate_pairs",
     "field_uncertainty",
     "fit_folded_samples",
+    "fit_held",
     "fit_spins",
+    "held_response",
     "held_slopes",
     "initial_tones",
     "join_parameters",
@@ -110,6 +116,7 @@ __all__ = [
     "respin",
     "spin_equations",
     "spinning_sensor_of",
+    "sums_near_earth",
     "tone_dependence",
     "tones_of",
     "tones_of_turns",

@@ -480,6 +480,38 @@ def held_slopes(parameters: CalibrationParameters) -> Floats:
     ndarray, shape (8, 4)
         Rows in the order of `SPIN_RELATED`, columns in that of `HELD`.
     """
+    shape, change = _changes_without_tones(parameters)
+    by_held = change @ np.linalg.inv(change[[shape.index(name) for name in HELD[:3]]])
+    matrix, out = parameters.matrix(), np.zeros((len(SPIN_RELATED), len(HELD)))
+    for row, name in enumerate(SPIN_RELATED):
+        if name in shape:
+            out[row, :3] = by_held[shape.index(name)]
+    out[_SPIN_PLANE_OFFSETS, 3] = -np.linalg.solve(matrix[:2, :2], matrix[:2, 2])
+    return out
+
+
+def held_response(parameters: CalibrationParameters) -> Floats:
+    """Return what each of `HELD` does to the despun field, when the eight move along (`held_slopes`).
+
+    Returns
+    -------
+    ndarray, shape (4, 4)
+        Rows: a factor in the spin plane, one along the axis, a turn about it (rad), a field along it (nT).
+        Columns in the order of `HELD`.
+    """
+    shape, change = _changes_without_tones(parameters)
+    out = np.zeros((len(HELD), len(HELD)))
+    out[:3, :3] = np.linalg.inv(change[[shape.index(name) for name in HELD[:3]]])
+    offsets = np.append(held_slopes(parameters)[_SPIN_PLANE_OFFSETS, 3], 1.0)
+    out[3, 3] = -(parameters.matrix() @ offsets)[2]
+    return out
+
+
+_SPIN_PLANE_OFFSETS = [SPIN_RELATED.index(f"offset[{axis}]") for axis in (1, 2)]
+
+
+def _changes_without_tones(parameters: CalibrationParameters) -> tuple[list[str], Floats]:
+    """Return all but the offsets, and how they change with a factor in the plane, one along z, and a turn."""
     shape = [name for name in PARAMETER_NAMES if not name.startswith("offset")]
     columns = []
     for name in shape:
@@ -490,12 +522,4 @@ def held_slopes(parameters: CalibrationParameters) -> Floats:
     plane, along = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     without_tones = np.stack([(one @ matrix).ravel() for one in (plane, along, turn)], axis=1)
-    change = np.linalg.solve(np.stack(columns, axis=1), without_tones)
-    by_held = change @ np.linalg.inv(change[[shape.index(name) for name in HELD[:3]]])
-    out = np.zeros((len(SPIN_RELATED), len(HELD)))
-    for row, name in enumerate(SPIN_RELATED):
-        if name in shape:
-            out[row, :3] = by_held[shape.index(name)]
-    offsets = [SPIN_RELATED.index(f"offset[{axis}]") for axis in (1, 2)]
-    out[offsets, 3] = -np.linalg.solve(matrix[:2, :2], matrix[:2, 2])
-    return out
+    return shape, np.asarray(np.linalg.solve(np.stack(columns, axis=1), without_tones))

@@ -51,6 +51,7 @@ def day_of(day, subs=3):
             "end": ("block", np.array([end])),
             "mean": (("block", "mean_of", "axis"), mean[None]),
             "mean_time": (("block", "mean_of"), at[None]),
+            "near_earth": (("block", "sum", "column", "column_of"), np.zeros((1, 1, 11, 11))),
             "estimate": (("block", "sub", "parameter"), sizes * generator.normal(size=sizes.shape)),
             "uncertainty": (("block", "sub", "parameter"), sizes),
             "sub_start": (("block", "sub"), cut[None, :-1]),

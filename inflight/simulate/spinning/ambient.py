@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from inflight.frames import gse_to_itrf, to_gse
+from inflight.main_field import IGRF, MainField
 from inflight.simulate.grid import Float
 from inflight.simulate.randomness import drift, generator
 from inflight.simulate.spinning.attitude import payload_axes, to_payload
 from inflight.simulate.spinning.settings import SpinningParameters
+from inflight.time import SECOND
 
 EARTH_RADIUS_KM = 6371.2
 #: Gravitational parameter of the Earth, km^3/s^2, and its dipole's field at the equator, nT.
@@ -99,10 +102,8 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
         return outside
     radius = np.linalg.norm(place, axis=1) / EARTH_RADIUS_KM
     sheath = _turbulent(seconds, seed, day, "sheath", _SHEATH_FIELD, _SHEATH_TURNING, _SHEATH_COMPRESSION)
-    moment = np.array([np.sin(_DIPOLE_TILT), 0.0, np.cos(_DIPOLE_TILT)])
-    along = place / np.linalg.norm(place, axis=1, keepdims=True)
-    dipole = -_DIPOLE_NT / radius[:, None] ** 3 * (3.0 * along * (along @ moment)[:, None] - moment)
-    inside = to_payload(np.asarray(dipole), payload_axes(place, parameters))
+    earth = main_field(seconds, parameters) if parameters.main_field else _dipole(place)
+    inside = to_payload(earth, payload_axes(place, parameters))
     # Currents of the magnetosphere: fluctuations that grow with the field.
     strength = np.linalg.norm(inside, axis=1, keepdims=True)
     fluctuation = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
@@ -111,3 +112,22 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
     between = (radius >= MAGNETOPAUSE) & (radius < BOW_SHOCK)
     out[between] = sheath[between]
     return out
+
+
+def _dipole(place: Float) -> Float:
+    """Return the field of a dipole that stands still, nT, gse; (time, 3)."""
+    radius = np.linalg.norm(place, axis=1, keepdims=True)
+    moment = np.array([np.sin(_DIPOLE_TILT), 0.0, np.cos(_DIPOLE_TILT)])
+    along = place / radius
+    strength = -_DIPOLE_NT / (radius / EARTH_RADIUS_KM) ** 3
+    return np.asarray(strength * (3.0 * along * (along @ moment)[:, None] - moment))
+
+
+def main_field(seconds: Float, parameters: SpinningParameters) -> Float:
+    """Return the IGRF's field along the orbit, nT, gse; (time, 3)."""
+    stamps = np.rint(seconds * SECOND).astype(np.int64)
+    # The orbit is followed between places half a minute apart, a little beyond the record.
+    places = np.arange(seconds[0] - 60.0, seconds[-1] + 90.0, 30.0)
+    there = np.rint(places * SECOND).astype(np.int64)
+    orbit = gse_to_itrf(position(places, parameters), there)
+    return to_gse(MainField.of(IGRF).along_orbit(orbit, there, stamps), stamps, "itrf")

@@ -49,6 +49,8 @@ class SpinningParameters(MissionParameters):
         Direction of the spin axis, gse; fields are simulated in payload axes.
     perigee, apogee : float
         Of the orbit, Earth radii; no orbit where apogee is 0.
+    main_field : bool
+        The Earth's field is the IGRF's in place of a dipole that stands still in gse.
     flips : tuple of float
         Times of the flipper, days from the first one; sensors lie plain before the first.
     range : float
@@ -77,6 +79,7 @@ class SpinningParameters(MissionParameters):
     attitude: tuple[float, float, float] | None = None
     perigee: float = 0.0
     apogee: float = 0.0
+    main_field: bool = False
     range: float = 25000.0
     torquer_field: tuple[float, float, float] = (0.35, -0.2, 0.25)
     torquer_current: float = 0.08

@@ -1,4 +1,4 @@
-"""A day of a spinning sensor: eight parameters, where spin axis and Sun stand, and quiet averages.
+"""A day of a spinning sensor: eight parameters, where spin axis and Sun stand, and averages over turns.
 
 `spin_day` lays out sub-intervals of the day and estimates the eight parameters that the spin determines, in
 each and jointly (Plaschke et al. 2019; `inflight.spin`). `attitude_of` gives the direction of the spin axis,
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.arrays import Floats
+from inflight.arrays import Floats, finite_rows
 from inflight.catalog import Catalog
 from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError, MissionError, ModelError, TooLittleError
@@ -28,6 +28,7 @@ from inflight.samples import Series
 from inflight.spin import (
     PARAMETER_NAMES,
     SPIN_RELATED,
+    SUM_WIDTH,
     UNCALIBRATED_SIGMA,
     Attitude,
     BlockLayout,
@@ -47,12 +48,13 @@ from inflight.spin import (
     initial_tones,
     measure_tones,
     spinning_sensor_of,
+    sums_near_earth,
     uncertainty_of_pairs,
     variability_of_selected,
 )
 from inflight.tasks.archive import SPIN_AXIS, SPIN_FAULTS, ArchiveIndex, Need, channel_series, load_samples
 from inflight.tasks.pipelines.base import Batch, Job
-from inflight.tasks.pipelines.spin.orbit import eclipses_of, perigees_of
+from inflight.tasks.pipelines.spin.orbit import eclipses_of, model_in_payload, perigees_of
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset
 
@@ -90,11 +92,15 @@ SPIN_DAY_SETTINGS = SpinDaySettings()
 _TT2000 = {"scale": "TT2000"}
 
 _ESTIMATES, _MEANS = ("estimate", "uncertainty"), ("block", "mean_of", "axis")
+_SUMS = ("block", "sum", "column", "column_of")
+
+#: A sum of nothing: a store has no variable without a value.
+_NO_SUM = np.zeros((1, SUM_WIDTH, SUM_WIDTH))
 
 #: How an empty row reads.
 _EMPTY = {
     **dict.fromkeys((*_ESTIMATES, "mean", "value", "sigma", "covariance"), np.nan),
-    **dict.fromkeys(("sub_start", "sub_end", "mean_time", "start", "end"), 0),
+    **dict.fromkeys(("sub_start", "sub_end", "mean_time", "start", "end", "near_earth"), 0),
 }
 
 
@@ -200,7 +206,10 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
         the eight, jointly, in the units of the model, infinite without an estimate; `estimate`,
         `uncertainty` (block, sub, parameter) of each sub-interval, with `sub_start`, `sub_end`: as published,
         with the variability of selected estimates for what is held (sections 5.4, 5.5); `mean`
-        (block, mean, axis) nT, payload axes, over whole turns, with `mean_time`; `start`, `end` TT2000.
+        (block, mean, axis) nT, payload axes, over whole turns, with `mean_time`; `near_earth`
+        (block, sum, column, column_of), sums against a model of the Earth's field
+        (`inflight.spin.sums_near_earth`), none where the comparison has no `field_model`; `start`, `end`
+        TT2000.
 
     A day whose phase is not known, or of which too little is usable, has no estimates; its product is made
     with the parameters of the days around.
@@ -228,18 +237,20 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     assert comparison.kind == "spin"
     orbit = (batch.cat, mission, model.comparison, job.needs, job.index, day)
     (eclipses, no_shadow), (cuts, no_perigee) = eclipses_of(*orbit), perigees_of(*orbit)
+    near_earth, no_model = _near_earth(orbit, samples)
     excluded = [
         *exclusions_of(mission, start, end),
         *eclipses,
         *unusable_spans(samples["flag"].values, stamps),
     ]
     phase = samples["spin_phase"]
-    faults = [one for one in (no_shadow, no_perigee) if one is not None]
+    faults = [one for one in (no_shadow, no_perigee, no_model) if one is not None]
     report: dict[str, Any] = {"phase": str(phase.attrs["told"]), "used": 0, "sub_intervals": 0}
     parts, told = [], []
     for span in pairwise([start, *cuts, end]):
         inside = slice(*np.searchsorted(stamps, span))
-        record = SpinRecord(readings[inside], phase.values[inside], stamps[inside], good[inside])
+        there = None if near_earth is None else near_earth[inside]
+        record = SpinRecord(readings[inside], phase.values[inside], stamps[inside], good[inside], there)
         try:
             found = record.estimate(comparison, prior, measured, excluded)
         except TooLittleError as error:
@@ -269,18 +280,33 @@ def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, An
     return xr.concat(_pad(parts), dim="block", combine_attrs="override"), report
 
 
+def _near_earth(
+    orbit: tuple[Catalog, Mission, str, Sequence[Need], ArchiveIndex, np.datetime64], samples: xr.Dataset
+) -> tuple[Floats | None, dict[str, str] | None]:
+    """Return what `model_in_payload` gives at samples; the attitude is asked for where a model is."""
+    entry = orbit[1].comparisons[orbit[2]]
+    if entry.kind != "spin" or entry.field_model is None:
+        return None, None
+    return model_in_payload(*orbit, np.asarray(samples["tt2000"].values), attitude_of(*orbit, samples))
+
+
 #: What is said of a day, or a part of one, without a sub-interval of use.
 _TELLS_NOTHING = "the day tells nothing of its sensor and has the table's parameters"
 
 
 @dataclass(frozen=True)
 class SpinRecord:
-    """Readings (time, 3) nT, unwrapped phase, stamps and which are good; (time,)."""
+    """Readings (time, 3) nT, unwrapped phase, stamps and which are good; (time,).
+
+    `model` is a model's field in payload axes, (time, 3) nT, NaN far from the Earth; None where none is
+    asked for.
+    """
 
     readings: Floats
     phase: Floats
     stamps: Int64
     good: np.ndarray
+    model: Floats | None = None
 
     def estimate(
         self,
@@ -474,10 +500,10 @@ def unusable_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusio
 
 def pad_days(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     """Return days padded with empty parts, sub-intervals and means: all of a store are of one size."""
-    return _pad(days, ("block", "sub", "mean_of"))
+    return _pad(days, ("block", "sub", "mean_of", "sum"))
 
 
-def _pad(parts: Sequence[xr.Dataset], dims: Sequence[str] = ("sub", "mean_of")) -> list[xr.Dataset]:
+def _pad(parts: Sequence[xr.Dataset], dims: Sequence[str] = ("sub", "mean_of", "sum")) -> list[xr.Dataset]:
     most = {name: max(one.sizes[name] for one in parts) for name in dims}
     return [
         one.pad({name: (0, most[name] - one.sizes[name]) for name in most}, constant_values=_EMPTY)
@@ -510,6 +536,7 @@ def _empty_estimates(
     }
     rows |= {name: (("block", "sub"), none, dict(_TT2000)) for name in ("sub_start", "sub_end")}
     rows |= {"mean": (_MEANS, np.zeros((1, 0, 3)), {"units": "nT", "frame": "payload"})}
+    rows |= {"near_earth": (_SUMS, _NO_SUM[None])}
     return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
 
 
@@ -547,27 +574,44 @@ def _span_of(span: tuple[int, int]) -> dict[str, Any]:
 def _payload_means(
     record: SpinRecord, parameters: CalibrationParameters, period: float, span: tuple[int, int]
 ) -> xr.Dataset:
-    """Return means over whole turns in payload axes: (block, mean, axis) nT, and their times."""
+    """Return means over whole turns in payload axes, times, and sums against a model of the Earth's field.
+
+    (block, mean, axis) nT, (block, mean) TT2000 and (block, sum, column, other).
+    """
+    payload = despin(parameters.correct(record.readings), record.phase)
+    mean, at = _means_of_turns(record, payload, record.good, period, span)
+    sums = _NO_SUM
+    if record.model is not None and (near := record.good & finite_rows(record.model)).any():
+        # Both fields over the same samples: a turn's field is bent near perigee.
+        columns = np.concatenate([payload, record.model], axis=1)
+        both, middle = _means_of_turns(record, columns, near, period, span)
+        sums = np.concatenate([_NO_SUM, sums_near_earth(both[:, :3], both[:, 3:], middle, parameters)])
+    return xr.Dataset(
+        {
+            "mean": (_MEANS, mean[None], {"units": "nT", "frame": "payload"}),
+            "mean_time": (_MEANS[:2], at[None], dict(_TT2000)),
+            "near_earth": (_SUMS, sums[None]),
+        }
+    )
+
+
+def _means_of_turns(
+    record: SpinRecord, columns: Floats, good: np.ndarray, period: float, span: tuple[int, int]
+) -> tuple[Floats, Int64]:
+    """Return means of columns over whole turns (mean, column), NaN for few samples, and their times."""
     phase, stamps = record.phase, record.stamps
     turns = max(1, round(SPIN_DAY_SETTINGS.mean_s / period))
-    known = record.good & np.isfinite(phase)
-    field = parameters.correct(record.readings)
-    payload = despin(field, phase)
+    known = good & np.isfinite(phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
     group -= group[known].min()
     most = int(group[known].max()) + 1
     count = np.bincount(group[known], minlength=most + 1)[:most]
     usual = np.median(count[count > 0])
     whole = count > SPIN_DAY_SETTINGS.full_mean * usual
-    sums = np.stack([np.bincount(group[known], part[known], most + 1)[:most] for part in payload.T], axis=1)
+    sums = np.stack([np.bincount(group[known], part[known], most + 1)[:most] for part in columns.T], axis=1)
     times = np.bincount(group[known], (stamps[known] - span[0]) / SECOND, most + 1)[:most]
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(whole[:, None], sums / count[:, None], np.nan)
         middle = np.where(whole, times / count, -1.0)
     at = np.where(whole, span[0] + np.rint(np.nan_to_num(middle) * SECOND), 0).astype(np.int64)
-    return xr.Dataset(
-        {
-            "mean": (_MEANS, mean[None], {"units": "nT", "frame": "payload"}),
-            "mean_time": (_MEANS[:2], at[None], dict(_TT2000)),
-        }
-    )
+    return mean, at

@@ -1,22 +1,33 @@
-"""What the orbit does to a day of a spinning sensor: eclipses, in which nothing is estimated, and perigees.
+"""What the orbit does to a day of a spinning sensor: eclipses, perigees, and a field that a model tells.
 
 Temperatures change in eclipse and for some time after it, and the axis of the spin moves at perigee (Plaschke
 et al. 2019, sections 5.6, 6 and 8). `eclipses_of` gives the spans that no sub-interval may hold, from a flag
-or from the position; `perigees_of` the instants at which a day is cut.
+or from the position; `perigees_of` the instants at which a day is cut; `model_in_payload` the model's field
+near the Earth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.frames import FRAMES, sun_direction_gse, sunlit_fraction, to_gse
+from inflight.frames import (
+    EARTH_RADIUS,
+    FRAMES,
+    gse_to_itrf,
+    gse_to_payload,
+    sun_direction_gse,
+    sunlit_fraction,
+    to_gse,
+)
+from inflight.main_field import MainField
 from inflight.mission import Mission
 from inflight.samples import Series
-from inflight.spin import Exclusion
+from inflight.spin import Attitude, Exclusion
 from inflight.tasks.archive import ArchiveIndex, Need, channel_series
 from inflight.time import Int64, day_bounds
 from inflight.units import factor_and_offset
@@ -163,3 +174,44 @@ def _least(stamps: Int64, distance: Floats) -> list[int]:
         shift = 0.5 * (before - after) / max(before - 2.0 * here + after, 1e-12)
         out.append(int(stamps[at]) + round(float(np.clip(shift, -1, 1)) * int(stamps[at + 1] - stamps[at])))
     return out
+
+
+def model_in_payload(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    day: np.datetime64,
+    stamps: Int64,
+    attitude: Attitude | None,
+) -> tuple[Floats | None, dict[str, str] | None]:
+    """Return the field of the comparison's model at stamps (time, 3), nT, payload axes, and what is missing.
+
+    NaN beyond the distance that the comparison states; None where nothing tells where the spacecraft was or
+    how it lay.
+    """
+    entry = mission.comparisons[comparison]
+    assert entry.kind == "spin"
+    assert entry.field_model is not None
+    need = _position_of(mission, needs)
+    series = channel_series(cat, need, day, index) if need is not None else None
+    if need is None or series is None or attitude is None:
+        found = "no spin axis" if attitude is None else "no position of the day"
+        message = f"{found}: no field model tells the parameters that leave no tone"
+        remedy = "deliver a channel of kind 'position', and state the 'spin_axis'"
+        return None, {"channel": f"{comparison}.field_model", "message": message, "remedy": remedy}
+    place = _positions(series, mission, need)
+    radius = np.interp(stamps, series.stamps, np.linalg.norm(place, axis=1))
+    near = np.flatnonzero(radius <= entry.field_model.within * EARTH_RADIUS)
+    model = MainField.of(entry.field_model.model, Path(cat.workspace))
+    out = np.full((stamps.size, 3), np.nan)
+    if near.size:
+        # Places far out are no knots of its field.
+        low, high = np.searchsorted(series.stamps, stamps[[near[0], near[-1]]])
+        some = slice(max(low - 3, 0), high + 3)
+        orbit = gse_to_itrf(place[some], series.stamps[some])
+        there = model.along_orbit(orbit, series.stamps[some], stamps[near])
+        axes = attitude.axis[near], attitude.sunward[near]
+        out[near] = gse_to_payload(to_gse(there, stamps[near], "itrf"), *axes)
+    return out, None

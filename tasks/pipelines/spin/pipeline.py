@@ -15,7 +15,10 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, MissionError
+from inflight.main_field import MainField
 from inflight.mission import Mission
+from inflight.model import Model
+from inflight.spin import HELD
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
@@ -53,7 +56,7 @@ class SpinPipeline(Pipeline):
     """
 
     tag = "spin"
-    versions = Versions(statistics=4, tables=6, products=8)
+    versions = Versions(statistics=5, tables=7, products=8)
 
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a spin comparison."""
@@ -66,12 +69,24 @@ class SpinPipeline(Pipeline):
         settings: ReprocessSettings,
         span: tuple[DayLike | None, DayLike | None],
     ) -> Plan:
-        """Find out what has to be done; raises `MissionError` when all days are to be fitted at once."""
+        """Find out what has to be done.
+
+        Raises
+        ------
+        MissionError
+            When all days are to be fitted at once, a field model has no file, or the pre-flight model lets it
+            tell nothing.
+        """
         if settings.table == "continuous":
             raise MissionError(
                 "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
             )
-        return super().make_plan(cat, mission, settings, span)
+        plan = super().make_plan(cat, mission, settings, span)
+        entry = mission.comparisons[settings.comparison]
+        if entry.kind == "spin" and entry.field_model is not None:
+            MainField.of(entry.field_model.model, Path(cat.workspace))
+            _require_a_parameter_to_tell(plan.model)
+        return plan
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
         """Return the channel that tells eclipses; none where they are computed, or not asked for."""
@@ -119,6 +134,9 @@ class SpinPipeline(Pipeline):
         whole = split_at_flips([first, last + ONE_DAY], mission)
         by_window = keep.table("zero-level", partial(zero_level_table, read, model, windows))
         by_month = keep.table("zero-level-monthly", partial(zero_level_table, read, model, months))
+        entry = mission.comparisons[settings.comparison]
+        near_earth = entry.field_model if entry.kind == "spin" else None
+        external = near_earth.external if near_earth else None
         makers = {
             "daily": ([*ordered, last + ONE_DAY], by_month),
             "window": (windows, by_window),
@@ -126,7 +144,7 @@ class SpinPipeline(Pipeline):
             "span": (whole, by_window),
         }
         for name, (bounds, zero) in makers.items():
-            keep.table(name, partial(spin_table, read, model, bounds, name, zero))
+            keep.table(name, partial(spin_table, read, model, bounds, name, zero, external))
         flips = {"flipper": partial(flipper_table, read, model, whole, mission)} if flips_of(mission) else {}
         return keep.solved(settings.table, model, keep.stage_possible(flips))
 
@@ -178,6 +196,20 @@ class SpinPipeline(Pipeline):
         from inflight.tasks.pipelines.spin.report import spin_table_parts
 
         return page_sections(spin_table_parts(SpinResults.of(cat, mission, comparison)))
+
+
+def _require_a_parameter_to_tell(model: Model) -> None:
+    from inflight.tasks.pipelines.spin.day import require_spinning
+
+    entry = require_spinning(model)
+    if not any(
+        (one := entry.parameters[name.partition("[")[0]]).free and one.time == "block" for name in HELD
+    ):
+        raise MissionError(
+            f"'field_model' is to tell {', '.join(HELD)}, and '{model.name}' holds all of them",
+            file="mission.yaml",
+            remedy="in the pre-flight model let those that it may tell be 'time: block', not 'free: false'",
+        )
 
 
 def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:

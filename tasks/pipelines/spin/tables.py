@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,7 @@ from inflight.spin import (
     SpinParametersInUse,
     ValueInUse,
     choose_estimates,
+    fit_held,
     held_slopes,
     join_parameters,
 )
@@ -93,6 +94,9 @@ _EIGHT = np.array([PARAMETER_NAMES.index(name) for name in SPIN_RELATED])
 
 #: The parameter that leaves no tone and is found from natural fluctuations.
 AXIAL = "offset[3]"
+
+#: Origin of what a model of the Earth's field tells.
+FIELD_MODEL = "field model"
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,7 @@ def spin_table(
     edges: Sequence[np.datetime64],
     kind: str,
     zero: xr.Dataset | None = None,
+    external_nT: float | None = None,
 ) -> xr.Dataset:
     """Return the table of windows of days; windows without a day are skipped.
 
@@ -171,6 +176,9 @@ def spin_table(
         Name of the table.
     zero : Dataset, optional
         Offsets along the spin axis: see `zero_level_table`.
+    external_nT : float, optional
+        What the field model lacks that tells gains and rotation (`inflight.spin.fit_held`); without it
+        they keep the ground's values.
 
     Returns
     -------
@@ -182,7 +190,7 @@ def spin_table(
         confirm, keep; empty for what stays as on the ground) and `reason` state what was decided on these.
     """
     entry = require_spinning(model)
-    in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0])
+    in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0], external_nT)
     rows = [
         in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges, cut=True)
     ]
@@ -195,15 +203,21 @@ class _InUse:
 
     eight: SpinParametersInUse
     axial: ValueInUse
+    #: Gains and rotation, which a field model tells, and the correlation of the four of `HELD`.
+    others: dict[str, ValueInUse]
+    correlation: Floats
+    external: float | None = None
     source: str = GROUND
     learnt: tuple[int, int] = (0, 0)
 
     @classmethod
-    def from_ground(cls, entry: ModelEffect, tt2000: int) -> _InUse:
+    def from_ground(cls, entry: ModelEffect, tt2000: int, external: float | None) -> _InUse:
         """Return the values in use before the flight."""
         ground, sigma = ground_of(entry, tt2000)
-        axial = ValueInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
-        return cls(SpinParametersInUse.from_ground(ground, sigma), axial)
+        values = dict(zip(PARAMETER_NAMES, ground.values().tolist(), strict=True))
+        held = {name: ValueInUse(name, values[name], sigma[name]) for name in HELD}
+        axial, eight = held.pop(AXIAL), SpinParametersInUse.from_ground(ground, sigma)
+        return cls(eight, axial, held, np.eye(len(HELD)), external)
 
     def row(
         self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
@@ -220,14 +234,16 @@ class _InUse:
         decision, self.axial, error = self.axial.update(axial.value, axial.sigma)
         if decision.verdict == "update":
             self.source = axial.source
+        decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: decision}
+        told = self._by_field_model(days, entry, (ground, sigma), error)
+        if AXIAL in told:
+            decisions[AXIAL], axial, error = told.pop(AXIAL)
+        decisions |= {name: one[0] for name, one in told.items()}
         stated = np.where(self.eight.from_flight, np.sqrt(np.diag(step.covariance)), np.inf)
         parameters = ground.changed(dict(zip(SPIN_RELATED, self.eight.value.tolist(), strict=True)))
-        others = (
-            {AXIAL: ExternalValue(self.axial.value, error, self.source)} if self.axial.from_flight else {}
-        )
+        others = self._values_of_held({AXIAL: error, **{name: one[2] for name, one in told.items()}})
         twelve = join_parameters((self.eight.value, stated, parameters), ground, sigma, others)
         used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
-        decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: decision}
         # The interval's own offsets 1 and 2, too, are those for the third offset in use.
         estimated = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
         own = join_parameters((step.estimate, step.sigma, estimated), ground, sigma, others)
@@ -238,12 +254,13 @@ class _InUse:
                 own_value[at], own_sigma[at] = own.value[at], step.sigma[order]
             if np.isfinite(stated[order]):
                 conditional[at] = stated[order]
-        if np.isfinite(axial.sigma):
-            own_value[PARAMETER_NAMES.index(AXIAL)], own_sigma[PARAMETER_NAMES.index(AXIAL)] = (
-                axial.value,
-                axial.sigma,
-            )
-        full = _full_covariance(twelve, step.covariance, stated)
+        for name, estimate in {AXIAL: axial, **{name: one[1] for name, one in told.items()}}.items():
+            if np.isfinite(estimate.sigma):
+                at = PARAMETER_NAMES.index(name)
+                own_value[at], own_sigma[at] = estimate.value, estimate.sigma
+        full = _full_covariance(twelve, step.covariance, stated, self.correlation)
+        sigma_of_all = np.where(np.isfinite(twelve.sigma), np.sqrt(np.diag(full)), twelve.sigma)
+        twelve = replace(twelve, sigma=sigma_of_all)
         taught = [day for day in days if np.isfinite(day["sigma"].values[0]).any()]
         if taught:
             # An interval without estimates goes on with values that an earlier one was taught.
@@ -261,6 +278,58 @@ class _InUse:
             used=used,
             excess=excess,
         )
+
+    def _values_of_held(self, errors: Mapping[str, float]) -> dict[str, ExternalValue]:
+        """Return what the flight tells of `HELD`, with the errors to be stated where they are given."""
+        sources = {name: (one, FIELD_MODEL) for name, one in self.others.items()}
+        return {
+            name: ExternalValue(one.value, errors.get(name, one.sigma), source)
+            for name, (one, source) in {**sources, AXIAL: (self.axial, self.source)}.items()
+            if one.from_flight
+        }
+
+    def _by_field_model(
+        self,
+        days: Sequence[xr.Dataset],
+        entry: ModelEffect,
+        before: tuple[CalibrationParameters, Mapping[str, float]],
+        axial_error: float,
+    ) -> dict[str, tuple[Decision, ExternalValue, float]]:
+        """Decide on what a field model tells of `HELD`: decision, estimate and the error to be stated.
+
+        The third offset is held at the value in use by its error, and told where it is known much better
+        afterwards: zero levels of the solar wind are better than any model.
+        """
+        if self.external is None:
+            return {}
+        ground, sigma = before
+        at_ground = {name: float(ground.values()[PARAMETER_NAMES.index(name)]) for name in HELD}
+        known = {**sigma, AXIAL: axial_error}
+        shift = np.array([self.axial.value - at_ground[name] if name == AXIAL else 0.0 for name in HELD])
+        found = fit_held(
+            np.concatenate([day["near_earth"].values[0] for day in days]),
+            shift,
+            np.array([known[name] for name in HELD]),
+            self.external,
+        )
+        if found is None:
+            return {}
+        errors = np.sqrt(np.diag(found.covariance))
+        self.correlation = found.covariance / np.outer(errors, errors)
+        out = {}
+        for name, value, error in zip(HELD, found.value.tolist(), errors.tolist(), strict=True):
+            parameter = entry.parameters[name.partition("[")[0]]
+            told = parameter.free and parameter.time == "block"
+            if not told or error > SPIN_TABLE_SETTINGS.determined_part * known[name]:
+                continue
+            estimate = ExternalValue(at_ground[name] + value, error, FIELD_MODEL)
+            if name == AXIAL:
+                decision, self.axial, stated = self.axial.update(estimate.value, error)
+                self.source = FIELD_MODEL if decision.verdict == "update" else self.source
+            else:
+                decision, self.others[name], stated = self.others[name].update(estimate.value, error)
+            out[name] = decision, estimate, stated
+        return out
 
 
 def _combine_days(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
@@ -321,8 +390,10 @@ def _axial_offset(zero: xr.Dataset | None, start: int, end: int) -> ExternalValu
     return ExternalValue(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), source)
 
 
-def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) -> Floats:
-    """Return the covariance of the twelve: that of the eight, and the variances of the others.
+def _full_covariance(
+    twelve: ParameterTable, covariance: Floats, sigma: Floats, correlation: Floats | None = None
+) -> Floats:
+    """Return the covariance of the twelve: that of the eight, and that of the others by their correlation.
 
     The eight change with the errors of what leaves no tone (`inflight.spin.held_slopes`), so that nearly all
     of these cancels in the tones of the product. The `sigma` of the eight is infinite for those that the
@@ -331,9 +402,11 @@ def _full_covariance(twelve: ParameterTable, covariance: Floats, sigma: Floats) 
     out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
     known = np.isfinite(sigma)
     places, held = _EIGHT[known], np.array([PARAMETER_NAMES.index(name) for name in HELD])
-    slopes, variance = held_slopes(twelve.parameters)[known], out[held, held]
-    out[np.ix_(places, places)] = covariance[np.ix_(known, known)] + slopes * variance @ slopes.T
-    out[np.ix_(places, held)] = slopes * variance
+    slopes, errors = held_slopes(twelve.parameters)[known], np.sqrt(out[held, held])
+    four = np.outer(errors, errors) * (np.eye(len(HELD)) if correlation is None else correlation)
+    out[np.ix_(held, held)] = four
+    out[np.ix_(places, places)] = covariance[np.ix_(known, known)] + slopes @ four @ slopes.T
+    out[np.ix_(places, held)] = slopes @ four
     out[np.ix_(held, places)] = out[np.ix_(places, held)].T
     return out
 
