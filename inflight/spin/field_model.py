@@ -12,7 +12,8 @@ the stated spin axis is off by, two angles across it. e and w are fitted, each h
 d is always counted from the ground's values: applied once, it leaves nothing to apply again.
 
 What the model lacks besides is no white noise: errors come from the scatter of sums over ten minutes, their
-neighbours within an hour and a half correlated (Bartlett's kernel).
+neighbours within an hour and a half correlated (Bartlett's kernel); no error is below that of the scatter
+pooled over the four.
 """
 
 from __future__ import annotations
@@ -160,6 +161,9 @@ def fit_held(sums: Floats, value: Floats, sigma: Floats, external_nT: float) -> 
     inverse = scipy.linalg.inv(normal / (noise * excess) + np.eye(free))
     change = inverse @ slopes.sum(axis=0) / (noise * excess)
     covariance = inverse @ (meat / (noise * excess) ** 2 + np.eye(free)) @ inverse
-    covariance = covariance * np.outer(errors, errors)
+    # The scatter along one column alone comes from a few passages: where it happens to be small, the one
+    # pooled over the four stands.
+    wider = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(covariance)))
+    covariance = covariance * np.outer(wider * errors, wider * errors)
     known = (start + change * errors)[_OWN]
     return HeldFit(known, covariance[_OWN, _OWN], float(np.sqrt(left)), float(np.sqrt(noise)))
