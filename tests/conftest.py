@@ -17,6 +17,8 @@ def pytest_ignore_collect(collection_path, config):
 
 #: Files of long cases that share nothing: each of their tests may go to any process.
 CASES = ("tests/physics_cases/test_cases.py", "tests/dual/test_hard_cases.py")
+#: Files of few tests that take long, though not so long that a quick run leaves them out.
+FEW_AND_LONG = ("tests/web/test_explorer_page.py", "tests/faults/test_interruption.py")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -41,7 +43,9 @@ def pytest_collection_modifyitems(config, items):
     if not hasattr(config, "workerinput"):
         return
     counts = Counter(item.path for item in items)
-    long = {item.path for item in items if item.get_closest_marker("slow")}
+    long = {
+        item.path for item in items if item.get_closest_marker("slow") or item.nodeid.startswith(FEW_AND_LONG)
+    }
     items.sort(key=lambda item: (item.path not in long, -counts[item.path], str(item.path)))
 
 
