@@ -441,7 +441,7 @@ def best_lag(
     low, high, loss = LAG_SETTINGS.shortest * data.series.step_s, LAG_SETTINGS.longest, cache(loss)
     grid, parts = np.geomspace(low, high, LAG_SETTINGS.tried), _FINER
     if about is not None:
-        middle = max(about, low)
+        middle = min(max(about, low), high)
         close = middle * np.geomspace(1.0 / LAG_SETTINGS.around, LAG_SETTINGS.around, LAG_SETTINGS.close)
         close = np.append(low, close[close > low]) if about <= low else close[close <= high]
         at = int(np.argmin([loss(float(lag)).sum() for lag in close]))

@@ -1,12 +1,14 @@
 """Lags that no column of the bank has: mixtures of its neighbours, and the profile over all lags."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from row_cases import DAY_NS
 
 from inflight.diagnosis import ModelColumns, make_folds
 from inflight.diagnosis.candidates import BANK_SETTINGS
-from inflight.diagnosis.refine import lag_weights, profile_lag
+from inflight.diagnosis.refine import best_lag, lag_weights, profile_lag
 from inflight.lsq import GramArrays
 from inflight.samples import slow_response
 
@@ -102,3 +104,15 @@ def test_no_lag_is_found_where_there_is_none():
     assert found.best < 20.0
     assert found.as_json()["best_s"] == found.best
     assert found.lags[np.argmin(found.remaining)] < 20.0
+
+
+@pytest.mark.parametrize("about", [None, 5.0, 900.0, 6000.0, 40_000.0])
+@pytest.mark.parametrize("lag", [40.0, 900.0, 7000.0])
+def test_the_best_lag_is_found_wherever_the_banks_own_answer_lies(lag, about):
+    blocks = 1.0 + 0.1 * np.sin(np.arange(24.0))
+
+    def loss(tried):
+        return blocks * np.log(max(tried, 1.0) / lag) ** 2
+
+    found, _ = best_lag(None, SimpleNamespace(series=SimpleNamespace(step_s=STEP_S)), loss, about)
+    assert found == pytest.approx(lag, rel=0.1)
