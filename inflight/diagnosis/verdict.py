@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.design import Term
@@ -155,6 +156,8 @@ REMAINING_SETTINGS = RemainingSettings()
 AtNativeCadence = Callable[[Search, bool, Sequence[Option]], Native | None]
 
 
+# Its matrices are small: threads of the linear algebra would mostly wait for each other.
+@threadpool_limits.wrap(limits=1)
 def run_search(
     search: Search, data: DiagnosisData, native: AtNativeCadence | None = None
 ) -> tuple[Diagnosis, Search]:

@@ -374,24 +374,25 @@ def _beside(matrix: Floats, scores: Floats, functions: Floats) -> tuple[Floats, 
 
 def _held_out(search: Search, one: InTime, forms: Sequence[tuple[Change, int]]) -> InTime:
     """Return a parameter with the form of some that leaves least of held-out blocks; constant when all do."""
-    apart, runs = _scores(search, [change for change, _ in forms])
-    best, rules = int(np.argmin(apart.loss.sum(axis=0))), search.rules
+    apart, rules = _scores(search, [change for change, _ in forms]), search.rules
+    best = int(np.argmin(apart.loss.sum(axis=0)))
     if not (apart.gain[best] > rules.gain and apart.t[best] > rules.t):
         return one
     change, width = forms[best]
+    runs = _scores(search, [change], interleaved=False)
     return replace(
         one,
         form="irregular" if width else change.name,
         gain=float(apart.gain[best]),
         t=float(apart.t[best]),
-        contiguous_gain=float(runs.gain[best]),
+        contiguous_gain=float(runs.gain[0]),
         window_blocks=width,
         window_s=width * block_length(search.raw) / SECOND,
     )
 
 
-def _scores(search: Search, changes: Sequence[Change]) -> tuple[Scores, Scores]:
-    """Return how changes of parameters follow held-out blocks: every k-th of them, and runs of them."""
+def _scores(search: Search, changes: Sequence[Change], interleaved: bool = True) -> Scores:
+    """Return how changes of parameters follow held-out blocks: every k-th of them, or runs of them."""
     base, own = search.base()[0], search.model_columns()
     functions = {name: source for change in changes for name, source in change.functions.items()}
     sources = [source for source, _ in functions.values()]
@@ -400,11 +401,7 @@ def _scores(search: Search, changes: Sequence[Change]) -> tuple[Scores, Scores]:
     grams = TimedGrams.of(calibrated, own, functions)
     columns = [grams.index(list(change.functions)) for change in changes]
     y, present = grams.residuals[0], search.present_in(grams)
-    apart, runs = (
-        score(grams, present, columns, y, make_folds(len(grams), interleaved))
-        for interleaved in (True, False)
-    )
-    return apart, runs
+    return score(grams, present, columns, y, make_folds(len(grams), interleaved))
 
 
 def _alike(search: Search, one: InTime, others: Sequence[InTime]) -> tuple[str, ...]:
@@ -412,7 +409,7 @@ def _alike(search: Search, one: InTime, others: Sequence[InTime]) -> tuple[str, 
 
     def loss(each: InTime) -> Floats:
         # One after the other: a record of years has hundreds of windows.
-        return _scores(search, [windows_of(search, each, one.window_blocks)])[0].loss
+        return _scores(search, [windows_of(search, each, one.window_blocks)]).loss
 
     least = loss(one)
     return tuple(each.parameter for each in others if hac_t(loss(each) - least)[0] < search.rules.rival_t)
