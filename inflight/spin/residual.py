@@ -147,8 +147,10 @@ def error_by_tones(left: Tones) -> Floats:
     An offset that is off by a shows in the modulus as a tone of amplitude a (Plaschke et al. 2019, eq. 21), a
     gain as one at twice the spin, a spin axis along z. Its phase is that of the field, so that both axes
     across the spin axis have the same. An offset along z leaves no tone; what moves the other two lies in any
-    direction, and moves it as much as one of them. Nature's tones of n intervals have 2 n degrees of freedom, one complex
-    tone being most of a steep spectrum; those of `Tones.noise` are 2 n for each group of turns (F test).
+    direction, and moves it as much as one of them.
+
+    Nature's tones of n intervals have 2 n degrees of freedom, one complex tone being most of a steep
+    spectrum; those of `Tones.noise` are 2 n for each group of turns (F test).
     A wave at just the spin frequency that keeps its phase for half an hour is not told from an offset.
 
     Parameters
