@@ -9,10 +9,19 @@ from .derived import (
     parse_channel,
     slow_response,
 )
-from .spin_folding import FOLD_ORDER, FOLDING_VERSION, Complex, Folding, fold_series, fold_spins
+from .spin_folding import (
+    FOLD_ORDER,
+    FOLDING_SETTINGS,
+    FOLDING_VERSION,
+    Complex,
+    Folding,
+    fold_series,
+    fold_spins,
+)
 
 __all__ = [
     "FIELD_ROLES",
+    "FOLDING_SETTINGS",
     "FOLDING_VERSION",
     "FOLD_ORDER",
     "PLAY_VERSION",

@@ -17,6 +17,7 @@ from itertools import repeat
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from inflight.arrays import Floats
 from inflight.lsq import jackknife
@@ -29,7 +30,7 @@ from inflight.residual import (
     placebo_shifts_of,
     select_successively,
 )
-from inflight.samples import FOLD_ORDER, Complex
+from inflight.samples import FOLD_ORDER, FOLDING_SETTINGS, Complex
 
 Ints = npt.NDArray[np.int64]
 
@@ -54,12 +55,19 @@ class ToneSettings:
         Part of the tones' own rms below which a structure is not worth a sentence. Assumed.
     rival : float
         Explaining this part of what the best coordinate does, a rival may as well be the cause. Assumed.
+    around : int
+        Intervals whose tones are taken together where it is asked what of them nature leaves. Assumed: half
+        an hour, within which a unit of the spacecraft or an offset changes little.
+    chance : float
+        Tones of nature alone are taken for an error with this probability. Level of significance.
     """
 
     bins: int = 12
     count: int = 4
     least_part: float = 0.05
     rival: float = 0.8
+    around: int = 3
+    chance: float = 1e-3
 
 
 TONE_SETTINGS = ToneSettings()
@@ -131,6 +139,45 @@ def tones_of_turns(rows: Floats, weight: Floats, noise: Floats, sectors: int) ->
     value = tones_of(rows, sectors)
     turns = slice(0, len(value) * sectors)
     return Tones(value, weight[turns].reshape(-1, sectors).min(axis=1), noise[turns][::sectors])
+
+
+def error_by_tones(left: Tones) -> Floats:
+    """Return the error of a product that shows as tones beyond nature's noise; (interval, 3), nT rms.
+
+    An offset that is off by a shows in the modulus as a tone of amplitude a (Plaschke et al. 2019, eq. 21), a
+    gain as one at twice the spin, a spin axis along z. Its phase is that of the field, so that both axes
+    across the spin axis have the same. An offset along z leaves no tone; what moves the other two lies in any
+    direction, and moves it as much as one of them.
+
+    Nature's tones of n intervals have 2 n degrees of freedom, one complex tone being most of a steep
+    spectrum; those of `Tones.noise` are 2 n for each group of turns (F test).
+    A wave at just the spin frequency that keeps its phase for half an hour is not told from an offset.
+
+    Parameters
+    ----------
+    left : Tones
+        Of a product.
+
+    Returns
+    -------
+    ndarray
+        In axes that turn; zero where nature explains the tones or nothing is known.
+    """
+    known = np.isfinite(left.value).all(axis=1) & (left.noise > 0.0)
+    power = np.where(known[:, None], 0.5 * np.abs(left.value) ** 2, 0.0)
+    nature = np.where(known, left.noise**2, 0.0)
+    summed = np.column_stack([power, nature, known])
+    kernel = np.ones(TONE_SETTINGS.around)
+    summed = np.stack([np.convolve(one, kernel, mode="same") for one in summed.T], axis=1)
+    count = np.maximum(summed[:, -1], 1.0)
+    tones = (summed[:, :-2] / count[:, None]).reshape(len(known), len(ROW_NAMES), FOLD_ORDER)
+    expected = np.maximum(summed[:, -2] / count, 1e-300)
+    ratio = tones.sum(axis=(1, 2)) / len(ROW_NAMES) / expected
+    limit = scipy.stats.f.isf(TONE_SETTINGS.chance, 2.0 * count, 2.0 * FOLDING_SETTINGS.groups * count)
+    part = np.where(ratio > limit, 1.0 - 1.0 / np.maximum(ratio, 1.0), 0.0)
+    along, across = (part[:, None] * tones[..., :2].sum(axis=2)).T
+    along = along + part * tones[:, 1, 0]
+    return np.asarray(np.sqrt(np.stack([across, across, along], axis=1)))
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,19 @@
 """Tones of a residual: how large, what they follow, and what is said of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from inflight.spin import TONES, ToneCoordinate, Tones, rank_tone_dependences, tone_dependence, tones_of
+from inflight.spin import (
+    TONES,
+    ToneCoordinate,
+    Tones,
+    error_by_tones,
+    rank_tone_dependences,
+    tone_dependence,
+    tones_of,
+)
 
 INTERVALS = 600
 BLOCK = np.arange(INTERVALS) // 30
@@ -45,6 +55,21 @@ def test_a_row_gives_back_the_tones_it_is_made_of():
     assert np.allclose(found[0, 4:], 0.0)
     size = Tones(found, np.ones(1), np.ones(1)).size
     assert np.sum(size**2) == pytest.approx(np.mean(row**2))
+
+
+def test_an_offset_of_some_hours_is_an_error_of_these_hours_and_nature_is_none():
+    hours, size, noise = slice(100, 160), 0.3, 0.01
+    # Rows have a fourth of the power of eight amplitudes of two parts each.
+    nature = [replace(noisy(seed, noise), noise=np.full(INTERVALS, 2.0 * noise)) for seed in range(10)]
+    assert np.mean([error_by_tones(one).any(axis=1).mean() for one in nature]) < 2e-3
+    value = nature[0].value.copy()
+    value[hours, MODULUS] += size * np.exp(1j * np.linspace(0.0, 3.0, 60))  # the field's direction turns
+    found = error_by_tones(replace(nature[0], value=value))
+    # Along x or y the offset is `size`, and the sum over both axes is what is known of it; z leaves no tone.
+    assert np.sqrt(np.mean(np.sum(found[hours, :2] ** 2, axis=1))) == pytest.approx(size, rel=0.03)
+    assert np.allclose(found[hours, 2], found[hours, 0], rtol=0.03)
+    assert not found[:90].any()
+    assert not found[170:].any()
 
 
 def test_noise_follows_nothing():

@@ -16,6 +16,8 @@ from inflight.samples import fold_spins
 from inflight.spin import (
     PARAMETER_NAMES,
     CalibrationParameters,
+    Tones,
+    error_by_tones,
     field_uncertainty,
     make_spin_product,
     tones_of_turns,
@@ -24,7 +26,7 @@ from inflight.tasks.archive import SPIN_FAULTS, day_faults, load_samples, within
 from inflight.tasks.pipelines.base import ProductBatch, rounded
 from inflight.tasks.pipelines.spin.day import attitude_of, plain_readings, require_spinning
 from inflight.tasks.pipelines.spin.orbit import eclipses_of
-from inflight.time import day_bounds, to_utc
+from inflight.time import SECOND, day_bounds, to_utc
 
 #: A matrix for each of the twelve parameters: 1 where it meets itself.
 _ONE_EACH = np.eye(12)[:, :, None] * np.eye(12)[:, None, :]
@@ -92,9 +94,17 @@ def spin_product(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, d
         "coverage": float(good.sum() * step / (span[1] - span[0])),
         "samples": int(good.sum()),
     }
-    report |= _residual(bound, batch.preflight, samples, span)
+    tones = _tones(bound, batch.preflight, samples, span)
+    told = day_faults(samples, job.needs, job.index, day)
+    if tones is not None:
+        before, left, interval_ns = tones
+        vector = next(need for need in job.needs if need.name == "vector")
+        channel = f"{vector.instrument}.{vector.channel}"
+        report |= {"before_nT": before.rms, "after_nT": left.rms, "floor_nT": left.floor}
+        report["weight"] = float(left.weight.sum())
+        told += _add_error_by_tones(product, left, interval_ns, span, channel)
     report["phase"] = str(samples["spin_phase"].attrs["told"])
-    report[SPIN_FAULTS] = day_faults(samples, job.needs, job.index, day)
+    report[SPIN_FAULTS] = told
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return rounded(product), report
 
@@ -117,22 +127,51 @@ def _row_at(table: xr.Dataset, tt2000: int) -> xr.Dataset:
     return table.isel(interval=int(inside[-1]))
 
 
-def _residual(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:
-    """Return the weighted rms of the spin tones, before and after calibration, and the noise floor; nT.
+def _tones(
+    bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]
+) -> tuple[Tones, Tones, int] | None:
+    """Return the spin tones of synthetic turns before and after calibration, and an interval's length, ns.
 
-    As `inflight compare` measures them; ``weight`` is what the day counts. Empty where nothing can be folded.
+    As `inflight compare` measures them; None where nothing can be folded.
     """
     assert bound.layout is not None
     if bound.layout.folding is None:
-        return {}
+        return None
     try:
         folded = fold_spins(samples, bound.layout.folding, span)
     except InflightError:
-        return {}
+        return None
     before, after = rows_of(raw, folded), rows_of(bound, folded)
     weight = np.where(after.good, folded["weight"].values, 0.0)
     noise, sectors = np.asarray(folded["noise"].values), bound.layout.folding.sectors
-    known = tones_of_turns(before.residual, weight, noise, sectors)
-    left = tones_of_turns(after.residual, weight, noise, sectors)
-    out = {"before_nT": known.rms, "after_nT": left.rms, "floor_nT": left.floor}
-    return out | {"weight": float(left.weight.sum())}
+    known, left = (tones_of_turns(one.residual, weight, noise, sectors) for one in (before, after))
+    return known, left, bound.layout.folding.interval_ns
+
+
+def _add_error_by_tones(
+    product: xr.Dataset, left: Tones, interval_ns: int, span: tuple[int, int], channel: str
+) -> list[dict[str, str]]:
+    """Add to a product's uncertainty what still goes with the spin; return what is to be told of it.
+
+    One value holds for a day and more: what changes within, or what the majority of the sub-intervals
+    outvoted, is in no error of the parameters.
+    """
+    found = error_by_tones(left)
+    at = np.clip((product["tt2000"].values - span[0]) // interval_ns, 0, len(found) - 1)
+    added, stated = found[at], product["uncertainty"].values
+    product["uncertainty"] = product["uncertainty"].copy(data=np.hypot(stated, added))
+    there = np.isfinite(stated).all(axis=1)
+    across, _, along = (np.sqrt(np.sum(added[there] ** 2, axis=0) / max(there.sum(), 1))).tolist()
+    own = np.sqrt(np.sum(stated[there] ** 2, axis=0) / max(there.sum(), 1))
+    if not (across > own[:2].min() or along > own[2]):
+        return []
+    hours = float(np.count_nonzero(found.any(axis=1)) * interval_ns / SECOND / 3600.0)
+    message = (
+        f"for {hours:.1f} h tones at the spin are left that nature does not explain: {across:.3f} nT rms "
+        f"across the spin axis, {along:.3f} nT along it, more than the errors of the parameters"
+    )
+    remedy = (
+        "see with 'inflight compare' and 'inflight diagnose' what they follow: an offset or a field of the "
+        "spacecraft that changes, or waves at the spin; the uncertainty holds them"
+    )
+    return [{"channel": channel, "message": message, "remedy": remedy}]
