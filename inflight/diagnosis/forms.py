@@ -53,13 +53,14 @@ ACTS_ON: Mapping[str, str] = {
     "field at the sensor": "channel_field",
     "scale factors": "channel_scale",
     "angles": "channel_angle",
+    "mounting": "channel_turn",
     "bias of the scalar sensor": "channel_bias",
     "clock of the scalar sensor": "channel_clock",
 }
 
 #: Effects of which a constant channel is a constant that the calibration has anyway; the others' channels
 #: are taken about their mean.
-_HAS_CONSTANT = frozenset({"channel_field", "channel_scale", "channel_angle"})
+_HAS_CONSTANT = frozenset({"channel_field", "channel_scale", "channel_angle", "channel_turn"})
 
 #: Effects of the core that are cells by another name: effect, and how its channel is followed.
 _SAME = {"channel_power": "square", "hysteresis": "play"}

@@ -620,7 +620,8 @@ def _stamp_readings(
     if option.family != "clock" or option.change or [one.unit for one in coefficients] != ["s"]:
         return ()
     only = coefficients[0]
-    return stamp_readings(data.mission, data.model.comparison, only.value, only.sigma)
+    sign = -1.0 if option.mechanism == "vector_clock" else 1.0
+    return stamp_readings(data.mission, data.model.comparison, sign * only.value, only.sigma)
 
 
 def _sharing(model: Model, option: Option) -> tuple[str, ...]:
