@@ -61,7 +61,7 @@ _KINDS = {
     "nonlinearity": "a non-linear sensor",
     "response_curve": "a response of the sensor that is no straight line",
     "time_shift": "a clock that is off",
-    "vector_clock": "readings that are late (or positions that are early, or eddy currents alike on every axis)",
+    "vector_clock": "late readings (or early positions, or eddy currents alike on every axis)",
     "scalar_bias": "a constant error of the scalar sensor",
     "scalar_response": "an averaging of the scalar sensor that is not known",
     "oscillator": "a reference oscillator that is off",

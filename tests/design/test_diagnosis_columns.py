@@ -30,7 +30,6 @@ DIFFERENCED = [
     ("temperature", {"channel": "coil_temperature", "sensor": "fgm"}),
     ("channel_scale", {"channel": "coil_temperature", "sensor": "fgm"}),
     ("channel_angle", {"channel": "coil_temperature", "sensor": "fgm"}),
-    ("channel_turn", {"channel": "coil_temperature", "sensor": "fgm"}),
     ("cross_talk", {"sensor": "fgm"}),
     ("scalar_bias", {"sensor": "ovm"}),
     ("time_shift", {"sensor": "ovm"}),
