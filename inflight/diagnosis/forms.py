@@ -450,7 +450,12 @@ def driving_channels(data: DiagnosisData) -> list[str]:
 def _cells(
     search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
 ) -> list[Followed]:
-    """Return the cells of one row of the table; those that the core has only when they are asked for."""
+    """Return the cells of one row of the table; those that the core has only when they are asked for.
+
+    None where the comparison has no sensor that would show them: what is not tried counts in no p-value.
+    """
+    if not acting_sensors(known_effects(data.model.own)[label], data.mission, data.model):
+        return []
     core = {
         (term.entry.effect.label(), *term.entry.effect.channels)
         for term in search.library.all_terms
