@@ -418,7 +418,7 @@ class ChannelTurn(Effect):
     acts_on = VECTOR_ROLES
     channels = ("",)
     follows_field = True
-    seen_in = ("dual", "field_model")
+    seen_in = ("field_model",)
     coefficient = Parameter("deg", AXES, step=1e-4, sigma=0.1, per_channel=1)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
