@@ -49,13 +49,13 @@ BANK_SETTINGS = BankSettings()
 THERMAL = frozenset({"temperature", "other", "voltage"})
 
 #: Effects that only such channels are tried with.
-OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
+OF_THERMAL = frozenset({"channel_scale", "channel_angle", "channel_turn", "hysteresis"})
 
 #: Effects that are tried with every lag: a field behind its channel, a body that warms after an eclipse.
 SLOW = frozenset({"channel_field", "day_night"})
 
 #: Effects that are tried with every lag of a channel that the model uses inside a sensor's equation.
-OF_RESPONSE = frozenset({"channel_scale", "channel_angle"})
+OF_RESPONSE = frozenset({"channel_scale", "channel_angle", "channel_turn"})
 
 #: Effects that the pass does not try by themselves: they need a time, which the search over blocks finds.
 TIMED = frozenset(
@@ -283,7 +283,10 @@ def acting_sensors(kind: type[Effect], mission: Mission, model: Model) -> list[S
     """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
     sensors = list(sensors_of(mission, model.comparison).values())
     roles = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
-    if mission.comparisons[model.comparison].kind == "platform":
+    comparison = mission.comparisons[model.comparison].kind
+    if kind.seen_in and comparison not in kind.seen_in:
+        return []
+    if comparison == "platform":
         # The vector sensor gives the direction only: whatever is seen is at the scalar sensor.
         roles = ("scalar",)
     for role in roles:

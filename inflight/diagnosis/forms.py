@@ -53,13 +53,14 @@ ACTS_ON: Mapping[str, str] = {
     "field at the sensor": "channel_field",
     "scale factors": "channel_scale",
     "angles": "channel_angle",
+    "mounting": "channel_turn",
     "bias of the scalar sensor": "channel_bias",
     "clock of the scalar sensor": "channel_clock",
 }
 
 #: Effects of which a constant channel is a constant that the calibration has anyway; the others' channels
 #: are taken about their mean.
-_HAS_CONSTANT = frozenset({"channel_field", "channel_scale", "channel_angle"})
+_HAS_CONSTANT = frozenset({"channel_field", "channel_scale", "channel_angle", "channel_turn"})
 
 #: Effects of the core that are cells by another name: effect, and how its channel is followed.
 _SAME = {"channel_power": "square", "hysteresis": "play"}
@@ -449,7 +450,12 @@ def driving_channels(data: DiagnosisData) -> list[str]:
 def _cells(
     search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
 ) -> list[Followed]:
-    """Return the cells of one row of the table; those that the core has only when they are asked for."""
+    """Return the cells of one row of the table; those that the core has only when they are asked for.
+
+    None where the comparison has no sensor that would show them: what is not tried counts in no p-value.
+    """
+    if not acting_sensors(known_effects(data.model.own)[label], data.mission, data.model):
+        return []
     core = {
         (term.entry.effect.label(), *term.entry.effect.channels)
         for term in search.library.all_terms

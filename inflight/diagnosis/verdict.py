@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -290,7 +291,7 @@ def held_against_others(
     """
     left = left_follows_field(search, data) | left_follows(search, data) if remaining.is_there else {}
     shared = share_line(search, data, residual, remaining.signature)
-    instead = of_one_direction(effects) | instead_of_several(search, data)
+    instead = of_one_direction(effects) | of_one_response(effects) | instead_of_several(search, data)
     alike = alike_but_for_noise(search, data)
     out = []
     for effect in effects:
@@ -373,6 +374,34 @@ def of_one_direction(effects: Sequence[FoundEffect]) -> dict[str, str]:
             for ratio, one in parts[1:]:
                 whole += f" {'-' if ratio < 0 else '+'} {abs(ratio):.3g} * {one.channels[0]}"
             out |= dict.fromkeys((one.name for _, one in parts), f"a field that follows {whole}")
+    return out
+
+
+def of_one_response(effects: Sequence[FoundEffect]) -> dict[str, str]:
+    """Return the lagged fields that may be one: effect -> the one response that does as well as both.
+
+    A channel whose field is taken twice, with two lags, is either two sources or one whose response is no
+    single lag: a delay is nearly a difference of lags. One source has one direction, or one matrix but for a
+    factor. Where both are that within their errors (`_ratio`, with a degree of freedom less than numbers),
+    the data do not tell; one source is taken for two in a part `unlike` of all cases, or in fewer: errors of
+    similar lags are correlated.
+    """
+    out: dict[str, str] = {}
+    for first, second in combinations(effects, 2):
+        both = first.coefficients, second.coefficients
+        same = first.name.partition("@")[0] == second.name.partition("@")[0] and first.channels
+        if (
+            not same
+            or first.lag_s == second.lag_s
+            or [one.unit for one in both[0]] != [one.unit for one in both[1]]
+        ):
+            continue
+        parts = [np.array([[one.value, one.sigma] for one in each]).T for each in both]
+        if len(both[0]) < 2 or min(float(part[1].min()) for part in parts) <= 0:
+            continue
+        if _ratio(*parts)[2] < scipy.special.chdtri(len(both[0]) - 1, REPORT_SETTINGS.unlike):
+            words = f"one response to {' and '.join(first.channels)} that is no single lag, such as a delay,"
+            out |= {first.name: words, second.name: words}
     return out
 
 
@@ -623,7 +652,8 @@ def _stamp_readings(
     if option.family != "clock" or option.change or [one.unit for one in coefficients] != ["s"]:
         return ()
     only = coefficients[0]
-    return stamp_readings(data.mission, data.model.comparison, only.value, only.sigma)
+    sign = -1.0 if option.mechanism == "vector_clock" else 1.0
+    return stamp_readings(data.mission, data.model.comparison, sign * only.value, only.sigma)
 
 
 def _sharing(model: Model, option: Option) -> tuple[str, ...]:

@@ -228,6 +228,8 @@ class Effect:
     family_by_channel: ClassVar[bool] = False
     #: Roles of the sensors it may act on, the usual one first.
     acts_on: ClassVar[tuple[str, ...]] = ("vector", "inboard", "outboard", "scalar")
+    #: Kinds of comparisons whose residual shows it; all when empty.
+    seen_in: ClassVar[tuple[str, ...]] = ()
     #: Names in the samples; an option ``channel`` replaces the first one.
     channels: tuple[str, ...] = ()
     #: Options the YAML may give in addition to parameters.

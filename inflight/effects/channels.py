@@ -381,6 +381,57 @@ class Eddy(Effect):
         return [{}]
 
 
+class VectorClock(Effect):
+    """Readings of a vector sensor that are late by `seconds`: ``-seconds * dB/dt``, every axis alike.
+
+    The rate is that in the sensor's axes: the field's along the orbit, and the sensor's turn. Positions that
+    are early do the same, but for what attitude manoeuvres add to the turn.
+    """
+
+    family = "clock"
+    acts_on = ("vector",)
+    follows_field = True
+    seen_in = ("field_model",)
+    seconds = Parameter("s", step=1e-2, sigma=1.0)
+    reach_s = reach_of_rate
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``-seconds * dB/dt``; (time, axis) nT, NaN where a sample has no neighbour."""
+        seconds = values["seconds"]
+        return np.where(seconds == 0.0, 0.0, -seconds * _field_rate(samples))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
+
+class ChannelTurn(Effect):
+    """A sensor that turns with any channel: ``angle x B`` with the angle ``coefficient * channel``, small.
+
+    A boom or a star tracker's bracket that bends with heat turns the vector sensor against the attitude; only
+    another vector of the field shows it. Angles about the axes x, y, z of the sensor.
+    """
+
+    family = "sensor"
+    family_by_channel = True
+    acts_on = VECTOR_ROLES
+    channels = ("",)
+    follows_field = True
+    seen_in = ("field_model",)
+    coefficient = Parameter("deg", AXES, step=1e-4, sigma=0.1, per_channel=1)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``angle x B``; (time, axis) nT."""
+        angle = times_axes(self.drive(samples, "coefficient"), np.deg2rad(values["coefficient"]))
+        return np.asarray(np.cross(angle, best_field(samples)))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every temperature: structures bend with heat."""
+        return options_of_channels(channels_of_kind(mission, "temperature"))
+
+
 class TollesLawson(Effect):
     """Permanent, induced and eddy-current field of a platform (Tolles and Lawson; Leliak 1961).
 

@@ -50,6 +50,8 @@ _LIBRARY: tuple[type[Effect], ...] = (
     channels.Induced,
     channels.SoftIron,
     channels.Eddy,
+    channels.VectorClock,
+    channels.ChannelTurn,
     channels.TollesLawson,
     spacecraft.Torquer,
     spacecraft.Remanent,

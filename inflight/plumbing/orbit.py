@@ -29,7 +29,7 @@ from inflight.plumbing.fields import (
     magnitude,
     unit_remedies,
 )
-from inflight.plumbing.findings import Finding, Remedy
+from inflight.plumbing.findings import Finding, Remedy, channel_path
 from inflight.plumbing.records import PLUMBING_SETTINGS, Record, Survey, choose, typical_squares
 from inflight.samples import continuous_sign
 from inflight.time import SECOND, Int64
@@ -49,6 +49,9 @@ _CONVENTIONS = {
         ("-y", "-z", "w", "-x"),
     ),
 }
+
+#: Frames that an attitude may be towards.
+_FRAMES = ("itrf", "nec", "gcrf")
 
 #: Spacing of the positions at which the main field is computed: between them it is linear within some nT.
 _STEP_NS = 20 * SECOND
@@ -79,7 +82,7 @@ class Orbit:
         step = max(_STEP_NS, position.cadence_ns)
         places = replace(position, stamps=stamps, values=fixed, cadence_ns=step)
         field = replace(places, values=MainField.of(IGRF).at(fixed, stamps), name="main field")
-        attitude = survey.of_kind("attitude", ("itrf", "nec", "gcrf"))
+        attitude = survey.of_kind("attitude", _FRAMES)
         return cls(
             position, field, places, attitude and replace(attitude, values=continuous_sign(attitude.values))
         )
@@ -90,15 +93,20 @@ class Orbit:
         return replace(self.field, values=np.linalg.norm(self.field.values, axis=1))
 
     def in_spacecraft(self, stamps: Int64, lag_ns: int = 0, convention: str = "") -> Floats:
-        """Return the field in the spacecraft's axes, by the attitude read at another time; (row, 3) nT."""
+        """Return the field in the spacecraft's axes; (row, 3) nT.
+
+        By the attitude read at another time, in another convention, or towards another frame.
+        """
         assert self.attitude is not None
         field, quaternion = self.field.at(stamps), self.attitude.at(stamps + lag_ns)
-        if convention:
+        frame = self.attitude.entry.frame or ""
+        if convention in _FRAMES:
+            frame = convention
+        elif convention:
             names = _CONVENTIONS[convention][1]
             really = {name.removeprefix("-"): k for k, name in enumerate(names)}
             signs = [-1.0 if names[really[axis]].startswith("-") else 1.0 for axis in "xyzw"]
             quaternion = quaternion[:, [really[axis] for axis in "xyzw"]] * signs
-        frame = self.attitude.entry.frame or ""
         return itrf_to_spacecraft(field, quaternion, frame, self.places.at(stamps), stamps)
 
 
@@ -152,13 +160,17 @@ def orbit_axes(survey: Survey, orbit: Orbit) -> list[Finding]:
         mounted = Mounted(vector, vector.at(stamps), survey.mission.instruments[vector.instrument])
         rival = {
             name: (orbit.in_spacecraft(stamps, convention=name), _convention_remedy(orbit.attitude, name))
-            for name in _CONVENTIONS
+            for name in (*_CONVENTIONS, *_FRAMES)
+            if name != orbit.attitude.entry.frame
         }
         out += axes_against(stamps, orbit.in_spacecraft(stamps), {role: mounted}, rival)
     return out
 
 
 def _convention_remedy(attitude: Record, convention: str) -> Remedy:
+    if convention in _FRAMES:
+        line = (channel_path(attitude.instrument, attitude.channel, "frame"), convention)
+        return Remedy(f"the quaternion is towards {convention}", (line,))
     words, really = _CONVENTIONS[convention]
     return Remedy(words, (axes_line(attitude.instrument, attitude.channel, attitude.entry, "xyzw", really),))
 

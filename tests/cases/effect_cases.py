@@ -42,6 +42,8 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "cross_talk": ("fgm", {}),
     "channel_scale": ("fgm", {"channel": "coil_temperature"}),
     "channel_angle": ("fgm", {"channel": "coil_temperature"}),
+    "vector_clock": ("fgm", {}),
+    "channel_turn": ("fgm", {"channel": "coil_temperature"}),
     "channel_bias": ("ovm", {"channel": "electronics_temperature"}),
     "channel_clock": ("ovm", {"channel": "electronics_temperature"}),
     "adc_temperature": ("fgm", {"channel": "electronics_temperature"}),

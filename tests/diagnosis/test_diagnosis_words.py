@@ -1,5 +1,7 @@
 """What a diagnosis says: why nothing can be told, what switches where, what was left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from inflight.diagnosis.result import (
     stop_reason,
 )
 from inflight.diagnosis.search import Rules
-from inflight.diagnosis.verdict import of_one_direction
+from inflight.diagnosis.verdict import of_one_direction, of_one_response
 from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
@@ -327,3 +329,14 @@ def test_currents_that_make_one_field_may_be_one_that_nobody_records():
 def test_directions_that_are_known_badly_are_not_called_one():
     known, vague = (0.01, 0.01, 0.01), (0.2, 0.3, 0.2)
     assert not of_one_direction([field("a", (1, 0.1, 0), known), field("b", (1, -0.1, 0.1), vague)])
+
+
+def test_two_lags_of_one_channel_with_one_direction_may_be_one_response():
+    error = (0.03, 0.03, 0.03)
+    slow = field("rod", (-3.0, -2.8, -2.3), error)
+    slow = replace(slow, name=f"{slow.name}@lag=35s", lag_s=35.0)
+    quick = field("rod", (1.5, 1.4, 1.15), error)
+    assert set(of_one_response([slow, quick])) == {slow.name, quick.name}
+    # Of two directions they are two sources, a wire and what it heats; and two channels are no one response.
+    assert not of_one_response([slow, field("rod", (1.5, -1.4, 1.15), error)])
+    assert not of_one_response([slow, field("heater", (1.5, 1.4, 1.15), error)])

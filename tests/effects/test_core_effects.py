@@ -1,21 +1,25 @@
 """Every effect and every model is undone exactly, and says what it means in the published equations."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
-from effect_cases import MISSION, PLACES, PREFLIGHT, SENSORS, entry_of, model_of, true_samples
+from effect_cases import MISSION, PLACES, PREFLIGHT, ROOT, SENSORS, entry_of, model_of, true_samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from inflight.calibration import to_sensor_angles
 from inflight.calibration.published import from_sensor_angles
+from inflight.diagnosis.candidates import acting_sensors
 from inflight.effects import Effect, Parameter, known_effects, with_field
 from inflight.effects.base import best_field
 from inflight.effects.sensors import field_strength_rate
 from inflight.errors import ModelError, SamplesError
+from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.time import SECOND
 
@@ -163,6 +167,39 @@ def test_a_scalar_reading_taken_early_shows_the_field_of_an_earlier_time(shift):
     )
     raw = one("time_shift", seconds=shift).disturb(smooth)["scalar"].values
     assert_allclose(raw[1:-1], strength(seconds - shift)[1:-1], rtol=0, atol=1e-4)
+
+
+def test_a_late_vector_shows_an_earlier_field_and_a_turned_one_a_turned_field():
+    truth = true_samples(0)
+    seconds = (truth["tt2000"].values - truth["tt2000"].values[0]) / SECOND
+
+    def field(t):
+        return np.stack([3e4 * np.sin(t / 900), 2e4 * np.cos(t / 700), 1e4 + 0 * t], axis=1)
+
+    smooth = truth.assign(vector=(("time", "axis"), field(seconds)))
+    late = model_of({"effect": "vector_clock", "sensor": "fgm", "seconds": 0.4}).disturb(smooth)
+    assert_allclose(late["vector"].values[2:-2], field(seconds - 0.4)[2:-2], rtol=0, atol=0.01)
+    degrees = np.array([0.002, -0.001, 0.003])
+    given = {"sensor": "fgm", "channel": "coil_temperature", "coefficient": degrees.tolist()}
+    bent = model_of({"effect": "channel_turn", **given}).disturb(smooth)["vector"].values
+    angle = truth["coil_temperature"].values[:, None] * np.deg2rad(degrees)
+    whole = Rotation.from_rotvec(angle).apply(field(seconds))
+    # Of second order in the angle.
+    assert np.abs(bent - whole).max() < np.max(np.sum(angle**2, axis=1)) * 4e4
+    assert np.abs(bent - field(seconds)).max() > 10
+
+
+def test_a_turn_and_a_late_vector_are_tried_where_the_residual_shows_them():
+    text = (ROOT / "missions" / "champ.yaml").read_text(encoding="utf-8")
+    against_model = "comparisons: {main: {kind: field_model, vector: fgm}}"
+    alone = Mission.parse(
+        text.replace("comparisons: {main: {kind: scalar, vector: fgm, scalar: ovm}}", against_model)
+    )
+    model = SimpleNamespace(comparison="main")
+    for name in ("channel_turn", "vector_clock"):
+        kind = known_effects()[name]
+        assert [sensor.name for sensor in acting_sensors(kind, alone, model)] == ["fgm"]
+        assert acting_sensors(kind, MISSION, model) == [], "a field strength shows neither"
 
 
 def test_a_rate_is_not_invented_where_a_sample_stands_alone():

@@ -56,6 +56,13 @@ FAULTS = {
         "the quaternion turns the other way",
         "[x, y, z, w]",
     ),
+    "attitude's frame": (
+        "instruments.attitude.channels.attitude.frame",
+        "gcrf",
+        axes,
+        "the quaternion is towards itrf",
+        "itrf",
+    ),
     "microtesla": (f"{FGM}.channels.field.file_unit", "uT", units, "the unit of 'fgm' is wrong", "nT"),
     "ten times": (f"{OVM}.channels.field.factor", "10", units, "the unit of 'ovm' is wrong", "1"),
     "metres": (
