@@ -49,10 +49,10 @@ def _show_coverage(kept: Path | None, seeds: int, only: str) -> None:
 def _show_spin_coverage(seeds: int) -> None:
     from threadpoolctl import threadpool_limits
 
-    from benchmarks.spin_coverage import perigee_coverage, spin_coverage, table
+    from benchmarks.spin_coverage import bending_coverage, perigee_coverage, spin_coverage, table
 
     with threadpool_limits(1):
-        print("\n".join(table(spin_coverage(seeds))), flush=True)
+        print("\n".join(table(spin_coverage(seeds) + bending_coverage(seeds))), flush=True)
         print("\n".join(table(perigee_coverage(seeds, 3) + perigee_coverage(seeds, 6))), flush=True)
 
 

@@ -30,11 +30,14 @@ from inflight.spin import (
     PARAMETER_NAMES,
     SPIN_RELATED,
     CalibrationParameters,
+    despin,
     field_uncertainty,
     fit_held,
     held_slopes,
+    respin,
     sums_near_earth,
 )
+from inflight.tasks.pipelines.intercalibration.tables import bending_day, bending_table
 from inflight.tasks.pipelines.spin.day import SpinRecord, estimates_of, ground_of, require_spinning
 from inflight.tasks.pipelines.spin.tables import spin_table
 from inflight.time import SECOND, Int64, day_bounds
@@ -47,6 +50,8 @@ _EIGHT = [PARAMETER_NAMES.index(name) for name in SPIN_RELATED]
 _HELD = [PARAMETER_NAMES.index(name) for name in HELD]
 #: Samples of a day, one of each stretch, at which the product is looked at.
 _LOOKED_AT = (0.2, 0.8)
+#: Bends of a boom are drawn from so much, rad.
+_BEND = 0.003
 #: What a field model lacks, nT, and how near the Earth it is looked at, km.
 _EXTERNAL_NT, _NEAR_KM = 20.0, 3.0 * ambient.EARTH_RADIUS_KM
 
@@ -137,6 +142,67 @@ def _pulls(seed: int, days: int, mission: Mission, model: Model) -> Floats:
     product = (off / uncertainty)[seed % len(at)]
     errors = error[_EIGHT] / table["sigma"].values[_EIGHT], alone / table["conditional_sigma"].values[_EIGHT]
     return np.concatenate([*errors, product])
+
+
+def bending_coverage(seeds: int = 40, days: int = 2) -> list[SpinCoverage]:
+    """Return the counts of the bend between two spinning sensors on a boom, day by day.
+
+    Each is calibrated by its own tones. Errors of the rotation on the ground are part of the bend as it is
+    defined, and none are drawn.
+    """
+    mission = Mission.parse((_MISSIONS / "themis.yaml").read_text(encoding="utf-8"))
+    model = Model.parse((_MISSIONS / "models/themis-preflight.yaml").read_text(encoding="utf-8"), mission)
+    pulls = np.array([_pulls_of_bends(seed, days, mission, model) for seed in range(seeds)])
+    return [
+        SpinCoverage(name=f"bend, day {day + 1}", of="table", pulls=one) for day, one in enumerate(pulls.T)
+    ]
+
+
+def _pulls_of_bends(seed: int, days: int, mission: Mission, model: Model) -> Floats:
+    """Return the errors of each day's bend in its sigma; (day,)."""
+    entry, comparison = require_spinning(model), mission.comparisons["main"]
+    assert comparison.kind == "spin"
+    ground, sigma = ground_of(entry, day_bounds(_FIRST)[0])
+    known = {name: sigma[name] for name in SPIN_RELATED}
+    generator = np.random.default_rng([seed, 3])
+    bends = _BEND * generator.normal(size=days)
+    stretches = [_stretch(seed, number, SPACECRAFT_PRESETS["themis"]) for number in range(days)]
+    products: list[list[xr.Dataset]] = []
+    for bent in (np.zeros(days), bends):
+        drawn = ground.spin_related() + generator.normal(size=len(SPIN_RELATED)) * [
+            known[name] for name in SPIN_RELATED
+        ]
+        sensor_is = ground.changed(dict(zip(SPIN_RELATED, drawn.tolist(), strict=True)))
+        noise, readings, records = SPACECRAFT_PRESETS["themis"].noise, [], []
+        for number, (one, bend) in enumerate(zip(stretches, bent, strict=True)):
+            turned = respin(despin(one.field, one.phase), one.phase + bend)
+            plain = sensor_is.disturb(turned)
+            readings.append(plain + noise * generator.normal(size=plain.shape))
+            good = np.ones(one.phase.size, dtype=np.bool_)
+            record = SpinRecord(readings[-1], one.phase, one.stamps, good)
+            records.append(
+                estimates_of(record.estimate(comparison, ground, known), day_bounds(_FIRST + number))
+            )
+        table = spin_table(records, model, [_FIRST, _FIRST + days], "window").isel(interval=0)
+        in_use = CalibrationParameters.from_values(table["value"].values)
+        products.append(
+            [_product(one, in_use.correct(own)) for one, own in zip(stretches, readings, strict=True)]
+        )
+    each = [bending_day(pair, _FIRST + number)[0] for number, pair in enumerate(zip(*products, strict=True))]
+    found = bending_table(each, [])
+    return np.asarray((found["value"].values[:, 0] - bends) / found["sigma"].values[:, 0])
+
+
+def _product(one: _Stretch, field: Floats) -> xr.Dataset:
+    """Return what of a day's product the bend is made from."""
+    return xr.Dataset(
+        {
+            "tt2000": ("time", one.stamps),
+            "field_sensor": (("time", "axis"), field),
+            "spin_phase": ("time", np.mod(one.phase, 2.0 * np.pi)),
+            "flag": ("time", np.zeros(one.phase.size, dtype=np.uint32)),
+        }
+    )
 
 
 def perigee_coverage(seeds: int = 40, passages: int = 3) -> list[SpinCoverage]:

@@ -30,12 +30,16 @@ from inflight.calibration import mounting
 from inflight.catalog import Catalog, Workspace, shipped_missions
 from inflight.simulate import MissionSettings, SimulationSettings, simulate_day
 from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.simulate.stray import coefficients
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.base import newest_table
 
 #: Days of a mission, s between samples, and moments of a day at which its product is looked at.
 _DAYS, _CADENCE, _MOMENTS = 3, 10, 5
+#: Days of a mission whose tables have days as clusters, s between samples that hold the torquers' band, and
+#: nT/A that the solar array's field is stated to.
+_TABLE_DAYS, _TORQUER_CADENCE, _SOLAR_SIGMA = 7, 5, 0.05
 #: What is wrong with the fluxgate and the scalar sensor; all else is left out, of the model, too.
 _WRONG = ("misalignment", "offset", "scalar_bias", "time_shift")
 #: What a model of the main field lacks and what stays, nT along each Earth-fixed axis: drawn, and stated.
@@ -186,7 +190,70 @@ def relation(seed: int, folder: Path) -> dict[str, Pulls]:
     # Both sensors are right where they are calibrated: turned against each other, and no more.
     expected = np.concatenate([turn, np.zeros(9)])
     names = {"relation table": "between-relation", "daily table": "between-relation-daily"}
-    return {"relation": {of: _table_pulls(cat, name, expected) for of, name in names.items()}}
+    pulls = {of: _table_pulls(cat, name, expected) for of, name in names.items()}
+    # White noise and rounding of each sensor; a mean holds so many readings as `corners` averages.
+    table = newest_table(cat, "between-corners")
+    readings = float(table.attrs["mean_s"]) / _CADENCE if table is not None else 1.0
+    noise = np.array([settings.vector_noise, settings.vector_noise, settings.scalar_noise])
+    variance = (noise**2 + settings.resolution**2 / 12.0) / readings
+    return {"relation": {**pulls, "corners": _table_pulls(cat, "between-corners", variance)}}
+
+
+def mission_tables(seed: int, folder: Path) -> dict[str, Pulls]:
+    """Return the errors of what the fit of all days tells beside its parameters.
+
+    All panels of the solar array have one field, drawn from what the model states, and no field switches with
+    day and night: a current that steps with the light is not told from it.
+    """
+    generator = np.random.default_rng([seed, 5])
+    solar = generator.normal(0.0, _SOLAR_SIGMA, 3).tolist()
+    settings = _champ(
+        seed,
+        {*_WRONG, "temperature", "temperature_lag", "external_field", "torquer", "solar_array"},
+        days=_TABLE_DAYS,
+        cadence=_TORQUER_CADENCE,
+        include=("scalar_bias",),
+        overrides={
+            "scalar_bias": float(generator.normal(0.0, 0.2)),
+            "time_shift": float(generator.normal(0.0145, 0.002)),
+            "panel_fields": [solar] * 3,
+            "panel_positions": [[0.0, 0.0, 0.0]] * 3,
+        },
+    )
+    cat = simulated_workspace(folder, _TABLE_DAYS, settings=settings, workers=1)
+    path = folder / "models" / "champ-preflight.yaml"
+    _keep_effects(path, ("vector_sensor", "temperature", "scalar_bias", "time_shift", "torquer"))
+    model = yaml.safe_load(path.read_text(encoding="utf-8"))
+    coefficient = {"unit": "nT/A", "value": [0.0, 0.0, 0.0], "sigma": [_SOLAR_SIGMA] * 3}
+    array = {"effect": "channel_field", "sensor": "fgm", "channel": "solar_current"}
+    model["effects"].append({**array, "coefficient": coefficient})
+    path.write_text(yaml.safe_dump(model, sort_keys=False), encoding="utf-8")
+    _reprocess(cat, table="continuous", trend="constant")
+    # The model has the vector sensor's matrix right, and states another one at the scalar sensor.
+    parameters = settings.parameters
+    stated = next(one for one in model["effects"] if one.get("name") == "torquer_ovm")["matrix"]["value"]
+    torquer = np.reshape(stated, (3, 3)) - np.array(parameters.torquer_scalar)
+    at_vector, at_scalar = coefficients(parameters)["panel_left"]
+    truth = {
+        "current-steps": np.asarray(at_vector) - np.asarray(at_scalar),
+        "torquer-band": torquer,
+        "torquer-band-daily": torquer,
+        "torquer-band-mean": torquer,
+        "day-night": np.zeros(3),
+        "day-night-series": np.zeros(12),
+        "z-offset": np.zeros(1),
+        "z-offset-slope": np.zeros(1),
+    }
+    pulls = {f"{name} table": _table_pulls(cat, f"main-{name}", one) for name, one in truth.items()}
+    # A model of the panels has one to three of them.
+    panels = _table_pulls(cat, "main-panels", truth["current-steps"])
+    pulls["panels table"] = np.pad(panels, (0, 9 - panels.size), constant_values=np.nan)
+    lag = newest_table(cat, "main-coil-temperature")
+    at = {} if lag is None else {name: float(lag[name].values[-1]) for name in ("value", "sigma")}
+    pulls["coil-temperature table, lag"] = np.array(
+        [(at["value"] - parameters.temperature_lag) / at["sigma"] if at else np.nan]
+    )
+    return {"tables": pulls}
 
 
 #: Pipelines by what makes their missions.
@@ -196,6 +263,7 @@ CASES: Mapping[tuple[str, ...], Callable[[int, Path], dict[str, Pulls]]] = {
     ("zero_level",): zero_level,
     ("field_model",): field_model,
     ("relation",): relation,
+    ("tables",): mission_tables,
 }
 
 
@@ -225,15 +293,9 @@ def table_coverage(seeds: int = 12, only: str = "") -> Iterator[TableCoverage]:
 def _champ(seed: int, kept: set[str], **more: Any) -> SimulationSettings:
     """Return the settings of a low orbit in which some of the usual effects are there and no other."""
     standard = set(SimulationSettings.standard_effects)
-    return SimulationSettings(
-        seed=seed,
-        start=dt.date(2005, 1, 1),
-        days=_DAYS,
-        cadence=_CADENCE,
-        defects=(),
-        without=tuple(sorted(standard - kept)),
-        **more,
-    )
+    settings = {"days": _DAYS, "cadence": _CADENCE, "defects": (), **more}
+    without = tuple(sorted(standard - kept))
+    return SimulationSettings(seed=seed, start=dt.date(2005, 1, 1), without=without, **settings)
 
 
 def _boom(folder: Path, settings: DualSettings, *changes: tuple[str, str]) -> Catalog:

@@ -1,4 +1,4 @@
-from .clusters import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
+from .clusters import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters, student_sigma
 from .contrasts import Mask, RobustFit, Series, robust_contrast, robust_fit, to_amperes, window_means
 from .covariance import (
     bartlett_covariance,
@@ -115,6 +115,7 @@ __all__ = [
     "solve",
     "solve_clusters",
     "solve_scaled",
+    "student_sigma",
     "to_amperes",
     "unpack",
     "window_means",

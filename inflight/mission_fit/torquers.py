@@ -25,7 +25,7 @@ subtracted *with* the torquers' own and *instead of* a constant remanent field.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise, product
 
@@ -44,6 +44,7 @@ from inflight.lsq import (
     biweight,
     robust_sigma,
     solve_clusters,
+    student_sigma,
     window_means,
 )
 from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
@@ -296,7 +297,7 @@ def fit_band(equations: xr.Dataset, *, by: str = "segment") -> TorquerFit:
     equations : xarray.Dataset
         Of `band_equations`, one day or all of them.
     by : str
-        What is a cluster of the covariance: ``segment`` or ``day``.
+        What is a cluster of the covariance: ``segment``, or ``day``, with no sigma below that of segments.
 
     Raises
     ------
@@ -310,6 +311,11 @@ def fit_band(equations: xr.Dataset, *, by: str = "segment") -> TorquerFit:
         np.add.at(total, which, gram)
         gram, rows = total, np.bincount(which, weights=rows)
     fit = solve_clusters(gram, rows)
+    if by == "day":
+        # Few days, with nine numbers: along one of them their scatter may be small by chance.
+        stretches = solve_clusters(equations["gram"].values, equations["rows"].values)
+        wider = np.maximum(stretches.sigma / fit.sigma, 1.0)
+        fit = replace(fit, covariance=fit.covariance * np.outer(wider, wider))
     return TorquerFit(fit, int(equations["start"].values.min()), int(equations["end"].values.max()))
 
 
@@ -350,7 +356,8 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
     """Return the robust mean of daily values, component by component, with the error of their scatter.
 
     Days weigh with their own variance and Tukey's biweight about the mean, from the weighted median
-    on. The error is that of the scatter between days, whatever their own errors are.
+    on. The error is that of the scatter between days, whatever their own errors are. Few days may agree by
+    chance in one component: the scatter over their errors, of all nine together, counts as nine more days.
 
     Parameters
     ----------
@@ -371,7 +378,10 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
         )
     columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]
     dims = ("axis", "coil")
-    mean, error, scatter = (np.array(part).reshape(3, 3) for part in zip(*columns, strict=True))
+    mean, error, formal, scatter = (np.array(part).reshape(3, 3) for part in zip(*columns, strict=True))
+    days, ratio = len(value), (error / formal) ** 2
+    ratio = ((days - 1) * ratio + ratio.size * ratio.mean()) / (days - 1 + ratio.size)
+    error = student_sigma(days + ratio.size) * formal * np.sqrt(ratio)
     return xr.Dataset(
         {
             "value": (dims, mean, {"units": "nT/A", "at": "difference"}),
@@ -384,8 +394,8 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
-    """Return mean, its standard deviation and the scatter of values (day,) of one component."""
+def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float, float]:
+    """Return mean, its error by the scatter and by `sigma`, and the scatter, of (day,) of one component."""
     own = 1.0 / np.maximum(sigma, 0.5 * np.median(sigma)) ** 2
     order = np.argsort(value)
     share = np.cumsum(own[order]) / own.sum()
@@ -398,7 +408,8 @@ def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
     # A day that weighs much pulls the mean to itself: its residual is scaled to its size without the pull.
     share = weight / weight.sum()
     residual = (value - mean) / (1.0 - np.minimum(share, TORQUER_SETTINGS.most_share))
-    return mean, float(np.sqrt(np.sum((share * residual) ** 2))), scatter
+    error, formal = np.sqrt(np.sum((share * residual) ** 2)), np.sqrt(np.sum(share**2 / own))
+    return mean, float(error), float(formal), scatter
 
 
 def band_spectra(

@@ -154,6 +154,16 @@ def test_the_robust_mean_s_error_covers_two_thirds():
     assert 0.58 < np.mean(np.abs(pulls) < 1) < 0.78
 
 
+def test_the_errors_of_few_days_cover_the_truth():
+    pulls = []
+    for seed in range(12):
+        parts = [band_equations(*make_day(day, seed, hours=3), longest=1500) for day in range(6)]
+        joined = concat_band_equations(parts)
+        mean, fit = robust_mean(daily_fits(joined)), fit_band(joined, by="day")
+        pulls.append([((mean["value"] + LACKS) / mean["sigma"]).values, (fit.for_scalar - LACKS) / fit.sigma])
+    assert (np.sqrt(np.mean(np.square(pulls), axis=(0, 2, 3))) < 1.2).all()
+
+
 def test_spectra_show_the_line_before_and_not_after():
     day = make_day(noise=0.05)
     fit = fit_band(band_equations(*day))

@@ -130,8 +130,9 @@ class FieldModelPipeline(Pipeline):
         """
         if settings.table == "continuous":
             raise MissionError(
-                f"'{settings.comparison}' has no table 'continuous'",
-                remedy="choose daily, window, monthly or span",
+                f"comparisons.{settings.comparison}: no trend in time is fitted against a field model, "
+                "so there is no table 'continuous'",
+                remedy="--table span fits all days together; daily, window and monthly show what changes",
             )
         kinds = {channel.kind for _, _, channel in mission.channel_instruments()}
         missing = [] if position_channel(mission) else ["a position (kind: position, frame: itrf or gcrf)"]

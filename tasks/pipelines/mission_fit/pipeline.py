@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.errors import MissionError
-from inflight.mission import Mission, ScalarComparison
+from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     Batch,
@@ -33,7 +32,6 @@ from inflight.tasks.pipelines.base import (
 )
 from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.report import Progress
-from inflight.time import DayLike
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,24 +58,6 @@ class MissionPipeline(Pipeline):
     def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
         """Return True for a scalar comparison whose days are to be fitted at once."""
         return mission.comparisons[settings.comparison].kind == "scalar" and settings.table == "continuous"
-
-    def make_plan(
-        self,
-        cat: Catalog,
-        mission: Mission,
-        settings: ReprocessSettings,
-        span: tuple[DayLike | None, DayLike | None],
-    ) -> Plan:
-        """Find out what has to be done; raises `MissionError` where a published form is asked for."""
-        entry = mission.comparisons[settings.comparison]
-        if isinstance(entry, ScalarComparison) and entry.estimate != "exact":
-            raise MissionError(
-                f"comparisons.{settings.comparison}.estimate: '{entry.estimate}' fits days, windows, months "
-                "or one span, and not all days at once",
-                file="mission.yaml",
-                remedy="choose another table, or leave 'estimate' out",
-            )
-        return super().make_plan(cat, mission, settings, span)
 
     def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
         """Return currents, torquers and the sensor's temperatures."""
@@ -153,10 +133,17 @@ class MissionPipeline(Pipeline):
         """Return the residual, the fitted model, and the tables that could not be made."""
         if solved is None:
             return {"residual": {}}
+        comparison = work.plan.settings.comparison
+        form = getattr(work.mission.comparisons[comparison], "estimate", "exact")
+        note = (
+            f"comparisons.{comparison}.estimate: '{form}' makes tables of days, windows, months and spans; "
+            "the fit of all days takes the exact equations"
+        )
         return {
             "residual": residual_of_days(work),
             "model": {"name": solved.model.name, "version": solved.model.version},
             "left_out": solved.notes,
+            "warnings": [note] if form != "exact" else [],
         }
 
     def compare(

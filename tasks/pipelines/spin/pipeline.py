@@ -79,7 +79,9 @@ class SpinPipeline(Pipeline):
         """
         if settings.table == "continuous":
             raise MissionError(
-                "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
+                f"comparisons.{settings.comparison}: no trend in time is fitted to spin tones, so there "
+                "is no table 'continuous'",
+                remedy="--table span fits all days together; daily, window and monthly show what changes",
             )
         plan = super().make_plan(cat, mission, settings, span)
         entry = mission.comparisons[settings.comparison]

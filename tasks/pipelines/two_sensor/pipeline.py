@@ -72,8 +72,9 @@ class StatesPipeline(Pipeline):
 
         if settings.table == "continuous":
             raise MissionError(
-                "a comparison of two sensors has no table 'continuous'",
-                remedy="choose daily, window or span",
+                f"comparisons.{settings.comparison}: states of two sensors follow no trend in time, so there "
+                "is no table 'continuous'",
+                remedy="--table span learns the states from all days together; choose it, daily or window",
             )
         plan = super().make_plan(cat, mission, settings, span)
         levels = ZeroLevels.of(cat, mission, settings.comparison)

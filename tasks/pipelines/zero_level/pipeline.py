@@ -122,7 +122,9 @@ class ZeroLevelPipeline(Pipeline):
         """
         if settings.table == "continuous":
             raise MissionError(
-                "a zero level has no table 'continuous'", remedy="choose daily, window, monthly or span"
+                f"comparisons.{settings.comparison}: no trend in time is fitted to zero levels, so there "
+                "is no table 'continuous'",
+                remedy="--table span takes all days together; daily, window and monthly show what changes",
             )
         product = zero_level_of(mission, settings.comparison).product
         if product is None:
