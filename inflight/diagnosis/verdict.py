@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.design import Term
@@ -157,8 +156,6 @@ REMAINING_SETTINGS = RemainingSettings()
 AtNativeCadence = Callable[[Search, bool, Sequence[Option]], Native | None]
 
 
-# Its matrices are small: threads of the linear algebra would mostly wait for each other.
-@threadpool_limits.wrap(limits=1)
 def run_search(
     search: Search, data: DiagnosisData, native: AtNativeCadence | None = None
 ) -> tuple[Diagnosis, Search]:

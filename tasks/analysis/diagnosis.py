@@ -14,6 +14,7 @@ from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog
 from inflight.design import BURST_SETTINGS
@@ -148,7 +149,9 @@ def examine(
     native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    found, search = run_search(search, data, native)
+    # Its matrices are small: threads of the linear algebra would mostly wait for each other.
+    with threadpool_limits(1):
+        found, search = run_search(search, data, native)
     report_progress("search", 1, 1)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None

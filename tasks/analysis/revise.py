@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy
+from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Workspace
@@ -1033,7 +1034,9 @@ class Workbench:
         listener = self.progress or (lambda stage, done, total: None)
         native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
         begun = begin_search(self.made, self.settings)
-        found, search = run_search(begun, replace(context, model=model), native)
+        # Its matrices are small: threads of the linear algebra would mostly wait for each other.
+        with threadpool_limits(1):
+            found, search = run_search(begun, replace(context, model=model), native)
         faults = self._plumbing() if self._faults is None else self._faults
         trend = trend_of_products(self.cat, self.settings.comparison, self.root.version, self.start, self.end)
         return found.after_plumbing(faults).with_products(trend), search
