@@ -134,15 +134,24 @@ def _columns(mjd: int) -> dict[str, np.ndarray]:
     return {name: renamed[name] for name in [*order, *(one for one in renamed if one not in order)]}
 
 
-def warm_days(days: range, lag: float, seed: int, scale: float = 1.0, follows: str = "coil") -> MadeUp:
+def warm_days(
+    days: range,
+    lag: float,
+    seed: int,
+    scale: float = 1.0,
+    follows: str = "coil",
+    by_day: tuple[float, float, float] | None = None,
+) -> MadeUp:
     """Make days whose scale factors follow a temperature `lag` seconds before the recorded one.
+
+    Where a field `by_day` is given, nT, the days know their orbit.
 
     The residual is that of a model that takes `KNOWN` coefficients of the coil without a lag; `follows` names
     what is followed in truth, ``coil``, ``electronics`` or ``none``; `scale` multiplies the noise of 0.1 nT.
     """
     random, blocks = np.random.default_rng(seed), []
     for mjd in days:
-        columns = _columns(mjd)
+        columns, day = dict(_columns(mjd)), SCENE.day(mjd)
         truth = {"coil": _warm(mjd, lag) - 10, "electronics": _electronics(mjd) - 10}.get(follows)
         recorded = _warm(mjd, 0.0) - 10
         residual = scale * random.normal(0, 0.1, recorded.size)
@@ -151,7 +160,10 @@ def warm_days(days: range, lag: float, seed: int, scale: float = 1.0, follows: s
             if truth is not None:
                 residual += signal * (LINEAR[axis] * truth + QUADRATIC[axis] * truth**2)
             residual -= signal * (KNOWN[0] * recorded + KNOWN[1] * recorded**2)
-        blocks.append(block_equations(columns, residual, SCENE.day(mjd).span, robust=False))
+        if by_day is not None:
+            columns |= switched_columns(day.direction, day.sunlit)
+            residual += (day.direction @ np.array(by_day)) * day.sunlit
+        blocks.append(block_equations(columns, residual, day.span, robust=False))
     return made_up(model_with(TEMPERATURE), blocks)
 
 

@@ -108,6 +108,14 @@ def test_the_lag_is_found_with_its_sign(lag):
     np.testing.assert_allclose(fit.linear, LINEAR, atol=5 * fit.fit.sigma[:3].max())
 
 
+def test_a_field_by_day_is_no_lag():
+    made = warm_days(MONTH, 25.0, seed=0, by_day=FIELD)
+    value, sigma = fit_coil_lag(made.equations, made.auxiliary, made.found, made.model, 100.0).lag
+    assert value == pytest.approx(125.0, abs=4 * sigma)
+    assert sigma < 0.3
+    assert _judged(made).rivals[0].channel == "coil_temperature"
+
+
 def test_stated_errors_of_coefficients_and_lag_hold():
     quiet, pulls = warm_days(CYCLES, 10.0, seed=0, scale=1e-3), []
     for seed in range(40):
