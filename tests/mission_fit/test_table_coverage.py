@@ -9,8 +9,8 @@ from inflight.tasks.pipelines import PIPELINES
 
 def test_every_pipeline_is_counted():
     counted = {tag for tags in CASES for tag in tags}
-    # Spinning sensors have a table of their own.
-    assert counted == {one.tag for one in PIPELINES} - {"spin"}
+    # Spinning sensors have a table of their own; `tables` are what the fit of all days makes beside.
+    assert counted == {one.tag for one in PIPELINES} - {"spin"} | {"tables"}
 
 
 def test_errors_that_are_too_small_or_too_large_are_marked():
