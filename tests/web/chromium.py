@@ -143,7 +143,7 @@ class Chromium:
         """Return all text that is shown."""
         return str(self.evaluate("window.allText ? window.allText() : ''"))
 
-    def wait_for(self, expression: str, seconds: float = 60.0, *, pause: float = 0.1) -> Any:
+    def wait_for(self, expression: str, seconds: float = 120.0, *, pause: float = 0.1) -> Any:
         """Return the value of an expression as soon as it is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -153,7 +153,7 @@ class Chromium:
         shown = self.text()[:1500]
         raise AssertionError(f"{expression} is not true after {seconds} s; the page shows: {shown}")
 
-    def wait_for_text(self, text: str, seconds: float = 60.0) -> None:
+    def wait_for_text(self, text: str, seconds: float = 120.0) -> None:
         """Wait until a text is shown."""
         self.wait_for(f"window.allText && window.allText().includes({json.dumps(text)})", seconds)
 
