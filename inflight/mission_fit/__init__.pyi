@@ -26,6 +26,7 @@ from .held_numbers import held_numbers_of, held_products, held_shifts, held_term
 from .joint_effects import (
     JointDayNight,
     compare_temperatures_jointly,
+    day_night_columns,
     fit_coil_lag,
     fit_day_night_jointly,
     joint_cross_talk,
@@ -141,6 +142,7 @@ __all__ = [
     "cross_talk",
     "daily_fits",
     "daily_parameters",
+    "day_night_columns",
     "day_statistics",
     "empty_equations",
     "extract_epochs",

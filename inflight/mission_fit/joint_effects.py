@@ -139,8 +139,8 @@ def fit_coil_lag(
         )
     channel = entry.effect.channels[0]
     rates, own = coil_columns_of(channel, KINDS[2:]), coil_columns_of(entry.name, KINDS[:2])
-    wide, lit = _beside_the_light(equations, auxiliary, rates, model)
-    sigma = np.concatenate([prior_sigma_of(model), [_PRIOR[SWITCHED]] * len(lit), [PRIOR[2]]])
+    wide, night = _with_day_night_columns(equations, auxiliary, rates, model)
+    sigma = np.concatenate([prior_sigma_of(model), [_PRIOR[SWITCHED]] * len(night), [PRIOR[2]]])
     fit, change = found.fit, 0.0
     for _ in range(CAUSE_SETTINGS.passes):
         value, before = np.array([fit.value[fit.index(name)][0] for name in own]), change
@@ -230,16 +230,16 @@ def compare_temperatures_jointly(
         for name in channels
     }
     added = [column for names in columns.values() for column in names if column not in held]
-    wide, lit = _beside_the_light(equations, auxiliary, added, model)
+    wide, night = _with_day_night_columns(equations, auxiliary, added, model)
     # The residual is that of the fit of all days, without the temperature coefficients of the model.
     fitted = dict(zip(found.fit.trends, found.fit.at(wide.middle)[0].T, strict=True))
     zero = np.zeros(len(wide))
     values = [zero if name in held else fitted.get(name, zero) for name in wide.columns]
     nine = wide.columns[:9]
     rest = wide.at(np.stack(values, axis=1)).marginalise(nine, cut=SOLVER_SETTINGS.weak_cut, least_kept=0.0)
-    others = [name for name in [*equations.columns[9:], *lit] if name not in held]
+    others = [name for name in [*equations.columns[9:], *night] if name not in held]
     known = dict(zip(equations.columns, prior_sigma_of(model).tolist(), strict=True))
-    known |= dict.fromkeys(lit, _PRIOR[SWITCHED])
+    known |= dict.fromkeys(night, _PRIOR[SWITCHED])
     prior = np.array([known[name] for name in others])
     squares: dict[str, Floats] = {}
     sections = np.array_split(np.arange(len(wide)), min(CAUSE_SETTINGS.sections, len(wide)))
@@ -337,7 +337,7 @@ def fit_day_night_jointly(
             "the model has a field of day and night itself: the table 'trend' tells it",
             remedy="leave it out of the model to have it fitted beside",
         )
-    names = _lit_columns(auxiliary, form)
+    names = day_night_columns(auxiliary, form)
     if not names:
         raise CalibrationError(
             "the mission delivers no positions", remedy="state a channel of kind 'position'"
@@ -370,7 +370,7 @@ def fit_day_night_jointly(
     return JointDayNight(field, replace(found, fit=fit), wide)
 
 
-def _beside_the_light(
+def _with_day_night_columns(
     equations: NormalEquations, auxiliary: Sequence[xr.Dataset | None], names: Sequence[str], model: Model
 ) -> tuple[NormalEquations, list[str]]:
     """Return equations with columns of temperatures, and the names of those of day and night before them.
@@ -378,16 +378,16 @@ def _beside_the_light(
     A temperature follows the light, and a field that switches with it does what a lag does: what it may be
     belongs to the lag's error. None where the model holds such a field, or no day knows its orbit too.
     """
-    lit = [] if holds_day_night(model) else _lit_columns(auxiliary, SWITCHED)
-    if lit:
+    night = [] if holds_day_night(model) else day_night_columns(auxiliary)
+    if night:
         try:
-            return with_auxiliary_columns(equations, auxiliary, [*lit, *names]), lit
+            return with_auxiliary_columns(equations, auxiliary, [*night, *names]), night
         except CalibrationError:
             pass
     return with_auxiliary_columns(equations, auxiliary, names), []
 
 
-def _lit_columns(auxiliary: Sequence[xr.Dataset | None], form: str) -> list[str]:
+def day_night_columns(auxiliary: Sequence[xr.Dataset | None], form: str = SWITCHED) -> list[str]:
     """Return the columns of a field of day and night in one of its forms; none without positions."""
     known = {str(name) for part in auxiliary if part is not None for name in part["beside"].values}
     return sorted(name for name in known if name.startswith(form))

@@ -112,7 +112,7 @@ def sums_near_earth(field: Floats, model: Floats, stamps: Int64, parameters: Cal
         columns[:, :, _AXIS.start + at] = -cross(np.broadcast_to(one, model.shape), model)
     columns[:, :, _LEFT] = model - field
     columns[:, 0, -1] = 1.0
-    segment = (stamps - stamps[:1]) // HELD_FIT_SETTINGS.segment_ns if stamps.size else stamps
+    segment = (stamps - stamps[:1]) // HELD_FIT_SETTINGS.segment_ns
     out = [
         np.einsum("tai,taj->ij", columns[segment == one], columns[segment == one])
         for one in np.unique(segment)

@@ -149,9 +149,7 @@ def examine(
     native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    # Its matrices are small: threads of the linear algebra would mostly wait for each other.
-    with threadpool_limits(1):
-        found, search = run_search(search, data, native)
+    found, search = search_on_one_thread(search, data, native)
     report_progress("search", 1, 1)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
@@ -380,6 +378,14 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
         rules,
         time_variable=time_variable_columns(made.plan.library),
     )
+
+
+def search_on_one_thread(
+    search: Search, data: DiagnosisData, native: NativeEstimator
+) -> tuple[Diagnosis, Search]:
+    """Return what `run_search` does; its matrices are small, and threads would mostly wait for each other."""
+    with threadpool_limits(1):
+        return run_search(search, data, native)
 
 
 def _groups_of_blocks(start: Any, width: int) -> list[list[int]]:

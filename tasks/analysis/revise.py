@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy
-from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Workspace
@@ -53,7 +52,6 @@ from inflight.diagnosis import (
     require_known,
     residual_with,
     row_variance,
-    run_search,
     time_variable_columns,
     values_of,
     with_blocks,
@@ -72,6 +70,7 @@ from inflight.tasks.analysis.diagnosis import (
     intervals_of,
     make_pass,
     native_estimator,
+    search_on_one_thread,
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
 from inflight.tasks.analysis.kept_diagnosis import archive_of, last_diagnosis, made_from, save_diagnosis
@@ -1034,9 +1033,7 @@ class Workbench:
         listener = self.progress or (lambda stage, done, total: None)
         native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
         begun = begin_search(self.made, self.settings)
-        # Its matrices are small: threads of the linear algebra would mostly wait for each other.
-        with threadpool_limits(1):
-            found, search = run_search(begun, replace(context, model=model), native)
+        found, search = search_on_one_thread(begun, replace(context, model=model), native)
         faults = self._plumbing() if self._faults is None else self._faults
         trend = trend_of_products(self.cat, self.settings.comparison, self.root.version, self.start, self.end)
         return found.after_plumbing(faults).with_products(trend), search

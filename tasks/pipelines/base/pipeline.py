@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from inflight.catalog import Catalog, Day
+from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
@@ -138,6 +139,25 @@ class Pipeline(ABC):
             channels=self.extra_channels(mission, settings.comparison),
             reach_s=self.reach_s,
         )
+
+    @staticmethod
+    def refuse_continuous(settings: ReprocessSettings, why: str, remedy: str = "") -> None:
+        """Raise `MissionError` where all days are to be fitted at once by a pipeline that fits no trend.
+
+        Parameters
+        ----------
+        settings : ReprocessSettings
+        why : str
+            That no trend is fitted to what is calibrated here, as the start of a sentence.
+        remedy : str, optional
+            Which tables to choose; those of nearly all pipelines when absent.
+        """
+        if settings.table == "continuous":
+            raise MissionError(
+                f"comparisons.{settings.comparison}: {why}, so there is no table 'continuous'",
+                remedy=remedy
+                or "--table span fits all days together; daily, window and monthly show what changes",
+            )
 
     def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
         """Return the days that a run would make, and those that are up to date.

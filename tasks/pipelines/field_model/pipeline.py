@@ -128,12 +128,7 @@ class FieldModelPipeline(Pipeline):
             When the mission has no position over the Earth or no attitude, no file of the model's
             coefficients, or all days are to be fitted at once.
         """
-        if settings.table == "continuous":
-            raise MissionError(
-                f"comparisons.{settings.comparison}: no trend in time is fitted against a field model, "
-                "so there is no table 'continuous'",
-                remedy="--table span fits all days together; daily, window and monthly show what changes",
-            )
+        self.refuse_continuous(settings, "no trend in time is fitted against a field model")
         kinds = {channel.kind for _, _, channel in mission.channel_instruments()}
         missing = [] if position_channel(mission) else ["a position (kind: position, frame: itrf or gcrf)"]
         missing += [] if "attitude" in kinds else ["an attitude (kind: attitude)"]

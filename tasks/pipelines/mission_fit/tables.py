@@ -32,6 +32,7 @@ from inflight.mission_fit import (
     compare_temperatures_jointly,
     concat_band_equations,
     daily_parameters,
+    day_night_columns,
     filled_running_mean,
     find_clock_faults,
     fit_coil_lag,
@@ -338,10 +339,9 @@ def auxiliary_table_makers(
 
 def _with_day_night(equations: NormalEquations, columns: Sequence[xr.Dataset | None]) -> NormalEquations:
     """Return the equations with the field of day and night as a cause, where any day knows its orbit."""
-    names = {str(name) for part in columns if part is not None for name in part["beside"].values}
-    day_night = sorted(name for name in names if name.startswith(SWITCHED))
+    night = day_night_columns(columns)
     try:
-        return with_auxiliary_columns(equations, columns, day_night) if day_night else equations
+        return with_auxiliary_columns(equations, columns, night) if night else equations
     except CalibrationError:
         return equations
 

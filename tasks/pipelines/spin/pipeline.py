@@ -77,12 +77,7 @@ class SpinPipeline(Pipeline):
             When all days are to be fitted at once, a field model has no file, or the pre-flight model lets it
             tell nothing.
         """
-        if settings.table == "continuous":
-            raise MissionError(
-                f"comparisons.{settings.comparison}: no trend in time is fitted to spin tones, so there "
-                "is no table 'continuous'",
-                remedy="--table span fits all days together; daily, window and monthly show what changes",
-            )
+        self.refuse_continuous(settings, "no trend in time is fitted to spin tones")
         plan = super().make_plan(cat, mission, settings, span)
         entry = mission.comparisons[settings.comparison]
         if entry.kind == "spin" and entry.field_model is not None:

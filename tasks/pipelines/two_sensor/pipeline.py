@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.errors import CatalogError, MissionError
+from inflight.errors import CatalogError
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import (
     Pipeline,
@@ -70,12 +70,11 @@ class StatesPipeline(Pipeline):
         """
         from inflight.tasks.pipelines.two_sensor.constant import ZeroLevels
 
-        if settings.table == "continuous":
-            raise MissionError(
-                f"comparisons.{settings.comparison}: states of two sensors follow no trend in time, so there "
-                "is no table 'continuous'",
-                remedy="--table span learns the states from all days together; choose it, daily or window",
-            )
+        self.refuse_continuous(
+            settings,
+            "states of two sensors follow no trend in time",
+            "--table span learns the states from all days together; choose it, daily or window",
+        )
         plan = super().make_plan(cat, mission, settings, span)
         levels = ZeroLevels.of(cat, mission, settings.comparison)
         if levels is None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from inflight.calibration import change_outside, outside_learnt
 from inflight.catalog import Catalog, Day
-from inflight.errors import CalibrationError, CatalogError, MissionError
+from inflight.errors import CalibrationError, CatalogError
 from inflight.flags import Flag
 from inflight.mission import Mission, sensors_of
 from inflight.model import instrument_variance
@@ -120,12 +120,11 @@ class ZeroLevelPipeline(Pipeline):
         CatalogError
             When there is no day to work on.
         """
-        if settings.table == "continuous":
-            raise MissionError(
-                f"comparisons.{settings.comparison}: no trend in time is fitted to zero levels, so there "
-                "is no table 'continuous'",
-                remedy="--table span takes all days together; daily, window and monthly show what changes",
-            )
+        self.refuse_continuous(
+            settings,
+            "no trend in time is fitted to zero levels",
+            "--table span takes all days together; daily, window and monthly show what changes",
+        )
         product = zero_level_of(mission, settings.comparison).product
         if product is None:
             return super().make_plan(cat, mission, settings, span)
