@@ -69,10 +69,11 @@ def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int, vector
     yield command(f"{days} days: diagnose again", ["diagnose"], folder)
     kept = _stored(folder, "equations/main/library") / days
     print(f"{days} days: statistics {kept / 1e6:.2f} MB a day, product {size / 1e6:.2f} MB a day", flush=True)
-    yield from _loop(folder, days)
-    yield command(f"{days} days: compare", ["compare"], folder)
+    # Before the model has other versions, of which no day is yet.
     if not vector_hz:
         yield from _new_day(folder, days)
+    yield from _loop(folder, days)
+    yield command(f"{days} days: compare", ["compare"], folder)
     shutil.rmtree(folder)
 
 

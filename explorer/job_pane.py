@@ -67,6 +67,9 @@ class JobPane:
         self._job: BackgroundJob | None = None
         self._poll_callback: Any = None
         self._show: Callable[[Any], pn.viewable.Viewable] = panes.text
+        self._then: Callable[[Any], None] | None = None
+        #: What follows a result that was shown.
+        self._due: Callable[[], None] | None = None
         #: What the page holds.
         self.panel = pn.Column(self._status, self._content, sizing_mode="stretch_width")
 
@@ -80,7 +83,11 @@ class JobPane:
         self._content.objects = list(parts)
 
     def begin(
-        self, name: str, work: Callable[[Progress], Any], show: Callable[[Any], pn.viewable.Viewable]
+        self,
+        name: str,
+        work: Callable[[Progress], Any],
+        show: Callable[[Any], pn.viewable.Viewable],
+        then: Callable[[Any], None] | None = None,
     ) -> None:
         """Begin a job; its result is shown when it is finished, unless another was begun meanwhile.
 
@@ -90,12 +97,19 @@ class JobPane:
             Takes the progress function; runs in the background thread.
         show : callable
             Makes a pane of the result; runs in the page's thread.
+        then : callable, optional
+            Called with the result once it is shown: what takes long and need not be seen at once.
         """
-        self.follow(self._background.begin(name, work), show)
+        self.follow(self._background.begin(name, work), show, then)
 
-    def follow(self, job: BackgroundJob, show: Callable[[Any], pn.viewable.Viewable]) -> None:
+    def follow(
+        self,
+        job: BackgroundJob,
+        show: Callable[[Any], pn.viewable.Viewable],
+        then: Callable[[Any], None] | None = None,
+    ) -> None:
         """Show the progress and the result of a job that was begun, as `begin` does."""
-        self._job, self._show = job, show
+        self._job, self._show, self._then, self._due = job, show, then, None
         self._status.visible = True
         self._status.object = panes.progress(self._job)
         # What changes while a browser still takes the page in may never reach it: a quick job's result.
@@ -108,18 +122,28 @@ class JobPane:
     def _poll(self) -> None:
         job = self._job
         if job is None:
+            due, self._due = self._due, None
+            self._end_polling()
+            if due is not None:
+                due()
             return
         if not job.is_finished:
             self._status.object = panes.progress(job)
             return
         self._job, self._status.visible = None, False
-        if self._poll_callback is not None:
-            self._poll_callback.stop()
-            self._poll_callback = None
         if job.error is None:
             self.put(self._show(job.result))
-        else:
+            if (then := self._then) is not None:
+                self._due = lambda: then(job.result)
+                return
+        self._end_polling()
+        if job.error is not None:
             # An unexpected error leaves its traceback in the terminal.
             if job.error["message"].startswith("unexpected"):
                 print(job.trace, file=sys.stderr)
             self.put(panes.error(job.error))
+
+    def _end_polling(self) -> None:
+        if self._poll_callback is not None:
+            self._poll_callback.stop()
+            self._poll_callback = None

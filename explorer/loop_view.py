@@ -113,7 +113,7 @@ class LoopView:
         )
 
     def _make_right(self) -> None:
-        self._model_pane = JobPane(self._session.background)
+        self._model_pane, self._seen_pane = (JobPane(self._session.background) for _ in range(2))
         self._error, self._versions, self._numbers = (
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
@@ -145,6 +145,7 @@ class LoopView:
             pn.Row(self._other, self._try, self._add, self._undo, sizing_mode="stretch_width"),
             self._error,
             self._model_pane.panel,
+            self._seen_pane.panel,
             pn.Row(self._own, self._drop, self._reprocess, sizing_mode="stretch_width"),
             self._versions,
             self._numbers,
@@ -260,44 +261,52 @@ class LoopView:
         if verb == "try":
             self._model_pane.begin(
                 f"Try {effect}",
-                lambda progress: (
-                    self._session.preview(comparison, effect, progress),
-                    self._session.before_after(),
-                ),
-                lambda found: self._tried(effect, *found),
+                lambda progress: self._session.preview(comparison, effect, progress),
+                self._tried,
+                lambda change: self._show_change(effect, change, trial=True),
             )
         else:
             self._model_pane.begin(
                 f"{verb} {effect}".strip(),
-                lambda progress: (
-                    self._session.change(comparison, verb, effect, progress, empirical=empirical),
-                    self._session.before_after(),
-                    self._session.contributions(),
+                lambda progress: self._session.change(
+                    comparison, verb, effect, progress, empirical=empirical
                 ),
-                lambda found: self._changed(effect, *found),
+                self._changed,
+                lambda change: self._show_change(effect, change),
             )
 
-    def _tried(self, effect: str, change: Fields, seen: BeforeAfter | None) -> pn.viewable.Viewable:
-        self._draw_error(change)
-        self._show_change(effect, change, seen)
+    def _tried(self, change: Fields) -> pn.viewable.Viewable:
         why = change["not_justified"]
         doubt = f" These data do not speak for it: {why}." if why else ""
         return self._told(paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved."), change)
 
-    def _show_change(self, effect: str, change: Fields, seen: BeforeAfter | None) -> None:
-        """Show on the left what a change does to the residual, against the channel of its effect."""
-        self._residual.show_change(seen, effect, str(change["effect"]), change["error"]["noise_floor_nT"])
-
-    def _changed(
-        self, effect: str, change: Fields, seen: BeforeAfter | None, made: Contributions | None
-    ) -> pn.viewable.Viewable:
+    def _changed(self, change: Fields) -> pn.viewable.Viewable:
         self._notify()
-        self._show_change(effect, change, seen)
-        self._time.show_contributions(made)
         # The diagnosis shown is of the model before.
         self._show_diagnosis()
         self._show_model()
         return self._told(change_tables(change)[0], change)
+
+    def _show_change(self, effect: str, change: Fields, *, trial: bool = False) -> None:
+        """Draw what a change does: the error, and on the left the residual against the effect's channel.
+
+        Its numbers are there by now: what is drawn follows them.
+        """
+        if trial:
+            self._draw_error(change)
+
+        def seen(found: tuple[BeforeAfter | None, Contributions | None]) -> pn.viewable.Viewable:
+            floor = change["error"]["noise_floor_nT"]
+            self._residual.show_change(found[0], effect, str(change["effect"]), floor)
+            if not trial:
+                self._time.show_contributions(found[1])
+            return panes.text()
+
+        self._seen_pane.begin(
+            "Residual before and after",
+            lambda progress: (self._session.before_after(), self._session.contributions()),
+            seen,
+        )
 
     def _told(self, sentence: str, change: Fields) -> pn.viewable.Viewable:
         """Return a sentence on a change; its numbers stand below the versions."""

@@ -13,10 +13,13 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any, Final
+
+from threadpoolctl import threadpool_limits
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -51,6 +54,10 @@ _IMPORTED = [
     "pint",
     "zarr",
 ]
+
+#: What processes take to start, s, about; and how many pieces of work are few. Of more, the first is not tried
+#: here: it would keep all processes waiting.
+_START_S, _FEW = 3.0, 6
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the
 #: 1000 that Dask keeps by itself are more than a mission of 3000 days has.
@@ -155,21 +162,65 @@ def _end_fork_server() -> None:
         forkserver._forkserver._stop()  # type: ignore[attr-defined]
 
 
+class _Done:
+    """The result of work that was done at once; stands for a Dask future."""
+
+    def __init__(self, work: Callable[..., Any], arguments: Sequence[Any]) -> None:
+        self._error: Exception | None = None
+        try:
+            # As in a process of its own: results must not depend on the number of threads.
+            with threadpool_limits(1):
+                self._result = work(*arguments)
+        except Exception as error:
+            self._error = error
+
+    def result(self) -> Any:
+        """Return the result, or raise what the work raised."""
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+    def cancel(self) -> None:
+        """There is nothing to cancel any more."""
+
+
 class _LazyClient:
-    """Stands for a client that is started when the first work is given to it."""
+    """Stands for a client whose processes start when there is work enough for them.
+
+    A few pieces of work are done in this process while what is left of them, as long as those before it took,
+    takes no longer than processes take to start.
+    """
 
     def __init__(self, workers: int | None, niceness: int) -> None:
         self._settings, self._stack = (workers, niceness), ExitStack()
         self._client: Client | None = None
         # Prefect's tasks run in threads, several of which may bring the first work.
         self._starting = threading.Lock()
+        self._left = 0
+        self._took: list[float] = []
 
-    def submit(self, *work: Any, **options: Any) -> Any:
+    def expect(self, pieces: int) -> None:
+        """Tell how many pieces of work come, before the first of them."""
+        alone = SCHEDULER_VARIABLE not in os.environ and pieces <= _FEW
+        self._left, self._took = (pieces if alone else 0), []
+
+    def submit(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Give work to the client: see `distributed.Client.submit`."""
         with self._starting:
+            if self._client is None and self._pays_to_stay():
+                begun = time.perf_counter()
+                done = _Done(work, arguments)
+                self._took.append(time.perf_counter() - begun)
+                self._left -= 1
+                return done
             if self._client is None:
                 self._client = self._stack.enter_context(dask_client(*self._settings))
-        return self._client.submit(*work, **options)
+        return self._client.submit(work, *arguments, **options)
+
+    def _pays_to_stay(self) -> bool:
+        """Return whether what is left of few pieces takes no longer than a start of processes."""
+        usual = sum(self._took) / max(len(self._took), 1)
+        return self._left > 0 and (self._left == 1 or self._left * usual < _START_S)
 
     def end_processes(self) -> None:
         """End the processes; the next work starts others. Nothing may be under way."""

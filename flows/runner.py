@@ -17,7 +17,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.tasks import Progress, batch_mapper, few_at_once, result_of, with_progress
+from inflight.tasks import Progress, batch_mapper, expect_work, few_at_once, result_of, with_progress
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -97,6 +97,7 @@ class PrefectRunner:
             run_group = _as_task(stage, _run_batches)
             shared = (_as_is(client), _as_is(function))
             size = -(-len(arguments) // TASKS_OF_A_STAGE) or 1
+            expect_work(client, len(arguments))
             results = few_at_once(
                 lambda group: run_group.submit(*shared, _as_is(group)),
                 lambda future: future.result(),

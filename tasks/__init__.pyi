@@ -7,7 +7,7 @@ from .analysis import (
     diagnose,
 )
 from .archive import ingest, simulate
-from .batches import Mapper, batch_mapper, few_at_once, result_of, with_progress
+from .batches import Mapper, batch_mapper, expect_work, few_at_once, result_of, with_progress
 from .coverage import COVERAGE, CoverageDay, comparison_of_product, coverage_days
 from .models import (
     ModelHistory,
@@ -56,6 +56,7 @@ __all__ = [
     "diagnose",
     "error_fields",
     "failure_lines",
+    "expect_work",
     "few_at_once",
     "find_model",
     "find_table",

@@ -36,6 +36,7 @@ def iter_results(
     """
     if client is None:
         return (function(*job) for job in jobs)
+    expect_work(client, len(jobs))
     return few_at_once(lambda job: client.submit(function, *job, pure=False), result_of, jobs)
 
 
@@ -72,6 +73,13 @@ def give_back_memory() -> None:
         trim(0)
 
 
+def expect_work(client: Any, pieces: int) -> None:
+    """Tell a client that starts its processes by itself how many pieces of work come: a few may need none."""
+    expect = getattr(client, "expect", None)
+    if expect is not None:
+        expect(pieces)
+
+
 def end_processes(client: Any) -> None:
     """Let a client that starts its processes by itself end them: what follows needs the memory.
 
@@ -91,11 +99,14 @@ def result_of(future: Any) -> Any:
         When several processes in turn ended while they ran it. Errors of the function itself are raised as
         they are.
     """
-    from distributed import KilledWorker
-
     try:
         return future.result()
-    except KilledWorker as error:
+    except Exception as error:
+        # Dask is imported where it is used; work that was done in this process needs none.
+        from distributed import KilledWorker
+
+        if not isinstance(error, KilledWorker):
+            raise
         raise WorkerError(
             f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
             remedy="look for what ends them, most often too little memory: fewer '--workers' or "

@@ -11,7 +11,7 @@ enough here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -64,6 +64,16 @@ class ClusteredFit:
     def sigma(self) -> Floats:
         """Standard deviations; (column,)."""
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+    def of(self, columns: slice) -> ClusteredFit:
+        """Return the same fit, told for some of its columns."""
+        return replace(
+            self,
+            value=self.value[columns],
+            covariance=self.covariance[columns, columns],
+            retained=self.retained[columns],
+            determined=self.determined[columns],
+        )
 
 
 def grams_by_cluster(

@@ -46,7 +46,7 @@ from .parameter_series import (
     running_mean,
 )
 from .periods import KNOWN_PERIODS, MIN_CYCLES, ParameterSpectrum, parameter_spectrum
-from .superposed_epochs import EpochStack, concat_epochs, extract_epochs, fit_step, stack_epochs
+from .superposed_epochs import LIGHT, EpochStack, concat_epochs, extract_epochs, fit_step, stack_epochs
 from .temperature import (
     CoilBlock,
     CoilFit,
@@ -100,6 +100,7 @@ __all__ = [
     "DISPLAY_UNITS",
     "ETA",
     "KNOWN_PERIODS",
+    "LIGHT",
     "MEAN_STATES",
     "MIN_CYCLES",
     "SERIES",

@@ -35,7 +35,7 @@ from inflight.effects import (
 )
 from inflight.errors import SamplesError
 from inflight.lsq import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
-from inflight.mission_fit.superposed_epochs import PRIOR, fit_contrasts, weights_of
+from inflight.mission_fit.superposed_epochs import PRIOR, fit_contrasts, light_columns, weights_of
 from inflight.time import DAY, utc_text
 
 MODELS = ("constant", "two_panels", "two_sides", "three_panels")
@@ -119,7 +119,8 @@ def fit_by_local_time(
         if np.unique(day[inside]).size < fewest:
             continue
         part = epochs.isel(epoch=inside)
-        fit = fit_contrasts(part, _direction_columns(part), prior_sigma=prior_sigma, fewest=fewest)
+        columns = _direction_columns(part)
+        fit = fit_contrasts(part, columns, prior_sigma=prior_sigma, fewest=fewest).of(slice(3))
         value[index], sigma[index], determined[index] = fit.value, fit.sigma, fit.determined
     middle = (np.arange(bins) + 0.5) * 24.0 / bins
     return LocalTimeDependence(middle, value, sigma, determined, np.bincount(place, minlength=bins))
@@ -272,9 +273,13 @@ def select_panel_model(
     """
     columns = _model_columns(epochs, local_time, normals, areas)
     weight, day = weights_of(epochs), epochs["day"].values
-    fits = {name: fit_contrasts(epochs, one, prior_sigma=prior_sigma) for name, one in columns.items()}
+    fits = {
+        name: fit_contrasts(epochs, one, prior_sigma=prior_sigma).of(slice(one.shape[1]))
+        for name, one in columns.items()
+    }
+    light = light_columns(epochs)
     squares = {
-        name: held_out(one, epochs["contrast"].values, weight, day, folds, prior_sigma)
+        name: held_out(np.hstack([one, light]), epochs["contrast"].values, weight, day, folds, prior_sigma)
         for name, one in columns.items()
     }
     best = min(squares, key=lambda name: float(squares[name].mean()))

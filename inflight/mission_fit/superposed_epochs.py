@@ -352,6 +352,10 @@ def _epoch_dataset(rows: Sequence[dict[str, object]], series: Series, windows: W
 #: What is known of a current's field beforehand: nT/A, as for the effect `solar_array`.
 PRIOR = 1.0
 
+#: The channel that says what of the Sun is seen, 0 to 1; where epochs hold it, a field of day and night is
+#: fitted beside every current. Its own prior is nT.
+LIGHT = "sunlit"
+
 
 @dataclass(frozen=True)
 class Confounding:
@@ -382,6 +386,8 @@ class StepFit:
     currents : tuple of str
     fit : ClusteredFit
         Values nT/A in the order current, axis.
+    light : ClusteredFit or None
+        Field of day and night that was fitted beside them, nT; None where the epochs know no light.
     confounding : tuple of Confounding
         Channels that were not fitted.
     epochs, days : int
@@ -392,6 +398,7 @@ class StepFit:
 
     currents: tuple[str, ...]
     fit: ClusteredFit
+    light: ClusteredFit | None
     confounding: tuple[Confounding, ...]
     epochs: int
     days: int
@@ -408,7 +415,17 @@ class StepFit:
         return self.fit.sigma.reshape(-1, 3)
 
     def table(self) -> xr.Dataset:
-        """Return `value`, `sigma`, `retained`, `determined` (current, axis), `covariance`, confounding."""
+        """Return `value`, `sigma`, `retained`, `determined` (current, axis), `covariance`, confounding.
+
+        `day_night`, `day_night_sigma` and `day_night_determined` (axis) are the field fitted beside, nT.
+        """
+        light = {}
+        if self.light is not None:
+            light = {
+                "day_night": ("axis", self.light.value, {"units": "nT", "at": "difference"}),
+                "day_night_sigma": ("axis", self.light.sigma, {"units": "nT"}),
+                "day_night_determined": ("axis", self.light.determined),
+            }
         dims = ("current", "axis")
         shape = (len(self.currents), 3)
         covariance = self.fit.covariance.reshape(*shape, *shape)
@@ -421,6 +438,7 @@ class StepFit:
                 "determined": (dims, self.fit.determined.reshape(shape)),
                 "correlation": ("confounder", np.array([one.correlation for one in self.confounding])),
                 "slope": ("confounder", np.array([one.slope for one in self.confounding])),
+                **light,
             },
             coords={
                 "current": list(self.currents),
@@ -435,6 +453,10 @@ def fit_step(
     epochs: xr.Dataset, currents: Sequence[str] = (), *, prior_sigma: float = PRIOR, fewest: int = 5
 ) -> StepFit:
     """Fit ``A_vector - A_scalar`` to stored epochs.
+
+    A field of day and night, three components more, is fitted beside where the epochs hold `sunlit`: steps
+    in the light and of several sizes tell the two apart, and where all steps are alike and at the edge of
+    the shadow the sigma says that they are not told apart.
 
     Parameters
     ----------
@@ -469,12 +491,21 @@ def fit_step(
             remedy="name the channels when the epochs are made, and take more days",
         )
     columns = epochs["column"].sel(current=list(names)).values.reshape(epochs.sizes["epoch"], -1)
-    fit = fit_contrasts(epochs, columns, prior_sigma=prior_sigma, fewest=fewest)
+    whole = fit_contrasts(epochs, columns, prior_sigma=prior_sigma, fewest=fewest)
+    fit, light = whole.of(slice(columns.shape[1])), whole.of(slice(columns.shape[1], None))
     placebo_columns = epochs["placebo_column"].sel(current=list(names)).values.reshape(columns.shape)
     standardised = (epochs["placebo"].values - placebo_columns @ fit.value) / epochs["sigma"].values
     good = np.isfinite(standardised)
     placebo = float(np.sqrt(np.mean(standardised[good] ** 2))) if good.any() else float("nan")
-    return StepFit(names, fit, confounding_of(epochs, names), epochs.sizes["epoch"], fit.clusters, placebo)
+    return StepFit(
+        names,
+        fit,
+        light if light.value.size else None,
+        confounding_of(epochs, names),
+        epochs.sizes["epoch"],
+        fit.clusters,
+        placebo,
+    )
 
 
 def fit_contrasts(
@@ -482,16 +513,28 @@ def fit_contrasts(
 ) -> ClusteredFit:
     """Fit any columns (epoch, column) in A to the contrasts, days as clusters; values in nT/A.
 
-    Epochs with a column that is NaN, where a channel is missing, are left out.
+    Those of `light_columns` are fitted beside, and are the last of the values. Epochs with a column that is
+    NaN, where a channel is missing, are left out.
     """
-    whole = np.isfinite(columns).all(axis=1)
+    wide = np.hstack([columns, light_columns(epochs)])
+    whole = np.isfinite(wide).all(axis=1)
     gram, rows = grams_by_cluster(
-        columns[whole],
+        wide[whole],
         epochs["contrast"].values[whole],
         weights_of(epochs)[whole],
         epochs["day"].values[whole],
     )
-    return solve_clusters(gram, rows, np.full(columns.shape[1], prior_sigma), fewest=fewest)
+    return solve_clusters(gram, rows, np.full(wide.shape[1], prior_sigma), fewest=fewest)
+
+
+def light_columns(epochs: xr.Dataset) -> Floats:
+    """Return the contrasts of a field of day and night; (epoch, 3), (epoch, 0) where no light is known."""
+    if LIGHT not in epochs["current"].values:
+        return np.zeros((epochs.sizes["epoch"], 0))
+    columns = np.asarray(epochs["column"].sel(current=LIGHT).values)
+    # Where the light stays as it is, its contrast is rounding.
+    columns = np.where(np.abs(columns) < 1e-9, 0.0, columns)
+    return columns if np.isfinite(columns).all(axis=1).any() else columns[:, :0]
 
 
 def weights_of(epochs: xr.Dataset) -> Floats:
@@ -508,7 +551,7 @@ def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confoundi
     main = epochs["step"].sel(current=fitted[0]).values
     found = []
     for name in epochs["current"].values:
-        if name in fitted:
+        if name in (*fitted, LIGHT):
             continue
         other = epochs["step"].sel(current=name).values
         # The rounding errors of a channel that is constant are no steps.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from epoch_cases import TRUTH, epochs_of_days, make_day, steps_of, stored_epochs
 
 from benchmarks.excursions import find_excursions
@@ -63,15 +64,59 @@ def test_contrasts_know_their_white_noise(stored):
 
 def test_what_steps_together_is_reported_with_its_share(stored):
     fit = fit_step(stored)
-    battery, sunlit = fit.confounding
+    (battery,) = fit.confounding
     assert (battery.channel, battery.unit) == ("battery_current", "A")
     assert battery.correlation == pytest.approx(1.0)
     assert battery.slope == pytest.approx(0.5)
-    assert (sunlit.unit, sunlit.correlation) == ("1", pytest.approx(0.0, abs=1e-9))
+    # The light does not change in these days: of a field of day and night little is known.
+    assert not fit.light.determined.any() and fit.light.sigma.min() > 0.5
     together = fit_step(stored, ["solar_current", "battery_current"])
     assert together.fit.retained.max() < 1e-6
     assert not together.fit.determined.any()
     assert together.value[0] + 0.5 * together.value[1] == pytest.approx(fit.value[0], abs=1e-3)
+
+
+def with_light(epochs, field, in_light=0.5, seed=0):
+    """Epochs whose current steps with the light but for a part of them, and a field of day and night in them."""
+    random = np.random.default_rng([seed, 7])
+    direction = epochs["column"].values[:, 0] / epochs["step"].values
+    step = np.where(random.uniform(size=epochs.sizes["epoch"]) < in_light, 0.0, -1.0)
+    columns = np.stack([epochs["column"].values[:, 0], step[:, None] * direction], axis=1)
+    both = epochs.drop_dims("current")
+    return both.assign(
+        contrast=both["contrast"] + columns[:, 1] @ np.asarray(field),
+        column=(("epoch", "current", "axis"), columns),
+        placebo_column=(("epoch", "current", "axis"), np.zeros(columns.shape)),
+        step=(("epoch", "current"), np.column_stack([epochs["step"].values[:, 0], step])),
+        unit=("current", ["A", "1"]),
+    ).assign_coords(current=["solar_current", "sunlit"])
+
+
+def test_a_field_of_day_and_night_is_told_from_the_current_that_steps_with_the_light():
+    field = np.array([0.8, 0.0, -0.5])
+    pulls, lights, alone = [], [], []
+    for seed in range(100):
+        epochs = with_light(stored_epochs(seed), field, seed=seed)
+        fit = fit_step(epochs)
+        pulls.append((fit.value[0] - TRUTH) / fit.sigma[0])
+        lights.append((fit.light.value - field) / fit.light.sigma)
+        current = fit_step(epochs.sel(current=["solar_current"]))
+        alone.append((current.value[0] - TRUTH) / current.sigma[0])
+    for each in (pulls, lights):
+        assert 0.58 < np.mean(np.abs(each) < 1) < 0.78
+        assert np.abs(np.mean(each, axis=0)).max() < 0.4
+    # Without it the current would have taken what belongs to the light.
+    assert np.median(np.abs(np.array(alone)[:, 0])) > 4.0
+    table = fit.table()
+    assert table["day_night"].values == pytest.approx(fit.light.value)
+
+
+def test_steps_of_one_size_that_all_come_with_the_light_are_told_from_nothing():
+    epochs = stored_epochs(1)
+    one_size = epochs["column"] / -epochs["step"].values[:, :, None] * 5.0
+    epochs = epochs.assign(column=one_size, step=xr.full_like(epochs["step"], -5.0))
+    fit = fit_step(with_light(epochs, np.zeros(3), in_light=0.0))
+    assert not fit.light.determined.any() and fit.sigma[0].min() > 0.1
 
 
 def test_the_stack_shows_a_step_of_the_size_of_the_drop(stored):

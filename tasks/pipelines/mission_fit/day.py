@@ -35,10 +35,11 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import SamplesError
-from inflight.frames import direction_of, geometry_at
+from inflight.frames import add_geometry, direction_of, geometry_at
 from inflight.lsq import RESIDUAL, to_amperes
 from inflight.mission import Mission
 from inflight.mission_fit import (
+    LIGHT,
     AuxiliaryColumns,
     DayDrift,
     band_equations,
@@ -337,8 +338,13 @@ def _current_steps(
         steps = find_steps(stamps[own], values, unit=str(channel.attrs["units"]))
         known = {name: samples[name].variable for name in ("tt2000", "weight", *present) if name in samples}
         known["field"] = xr.Variable(("time", "axis"), rows.field, {"units": "nT"})
-        known |= _geometry_at_steps(samples, np.searchsorted(stamps, steps.time))
-        found = extract_epochs(xr.Dataset(known), residual, steps, channel=present[0], others=present[1:])
+        light = add_geometry(samples, [LIGHT]).get(LIGHT)
+        # Days without a position have the same columns as the others.
+        known[LIGHT] = xr.Variable("time", np.full(stamps.size, np.nan)) if light is None else light.variable
+        at_steps = _geometry_at_steps(samples, np.searchsorted(stamps, steps.time))
+        known |= {name: one for name, one in at_steps.items() if name not in known}
+        others = (*present[1:], LIGHT)
+        found = extract_epochs(xr.Dataset(known), residual, steps, channel=present[0], others=others)
     except SamplesError:
         return None
     return found if found.sizes["epoch"] else None

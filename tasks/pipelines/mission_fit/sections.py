@@ -322,6 +322,8 @@ def current_steps(found: MissionFitResults) -> Part:
         f"nothing steps the same contrasts scatter by {placebo:.2f} of their white noise."
     )
     part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
+    if "day_night" in table:
+        _add_light(part, table)
     confounders = zip(
         *(table[name].values.tolist() for name in ("confounder", "correlation", "slope")), strict=True
     )
@@ -344,6 +346,21 @@ def current_steps(found: MissionFitResults) -> Part:
             # Both share their axis of time, so they are one figure of the page.
             part.plots.append(column(*stack_figures(stack_epochs(chosen, value[0]), title)))
     return part
+
+
+def _add_light(part: Part, table: xr.Dataset) -> None:
+    """Add the field of day and night that was fitted beside the current."""
+    value, sigma = table["day_night"].values, table["day_night_sigma"].values
+    determined = table["day_night_determined"].values
+    part.fields["day_night"] = {"value": value, "sigma": sigma, "determined": determined, "unit": "nT"}
+    part.add_text(
+        "A field of day and night is fitted beside, so that the current does not take what steps with the light: "
+        + "; ".join(
+            f"{axis} {number:.3g} +- {error:.2g} nT" if known else f"{axis} not determined"
+            for axis, number, error, known in zip(_AXES, value, sigma, determined, strict=True)
+        )
+        + "."
+    )
 
 
 def _add_dipole_split(part: Part, found: MissionFitResults, table: xr.Dataset) -> None:
