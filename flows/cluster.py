@@ -55,9 +55,11 @@ _IMPORTED = [
     "zarr",
 ]
 
-#: What processes take to start, s, about; and how many pieces of work are few. Of more, the first is not tried
-#: here: it would keep all processes waiting.
+#: What processes take to start, s, about; and how many pieces of work are few. Of more, the first is not
+#: tried here: it would keep all processes waiting.
 _START_S, _FEW = 3.0, 6
+#: Pieces of work that only a long record has.
+_MUCH = 100
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the
 #: 1000 that Dask keeps by itself are more than a mission of 3000 days has.
@@ -138,7 +140,23 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
                 silence_logs=logging.ERROR,
             )
         )
+        if not address:
+            stack.enter_context(_counted(scheduler))
         yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
+
+
+#: Schedulers of clusters that live in this process: their workers are forks of one process.
+_living: list[object] = []
+
+
+@contextmanager
+def _counted(scheduler: object) -> Iterator[None]:
+    """Count a cluster while it lives."""
+    _living.append(scheduler)
+    try:
+        yield
+    finally:
+        _living.remove(scheduler)
 
 
 def _start_fork_server(environment: Mapping[str, str]) -> None:
@@ -196,7 +214,7 @@ class _LazyClient:
         self._client: Client | None = None
         # Prefect's tasks run in threads, several of which may bring the first work.
         self._starting = threading.Lock()
-        self._left = 0
+        self._left = self._given = 0
         self._took: list[float] = []
 
     def expect(self, pieces: int) -> None:
@@ -215,6 +233,7 @@ class _LazyClient:
                 return done
             if self._client is None:
                 self._client = self._stack.enter_context(dask_client(*self._settings))
+            self._given += 1
         return self._client.submit(work, *arguments, **options)
 
     def _pays_to_stay(self) -> bool:
@@ -223,10 +242,16 @@ class _LazyClient:
         return self._left > 0 and (self._left == 1 or self._left * usual < _START_S)
 
     def end_processes(self) -> None:
-        """End the processes; the next work starts others. Nothing may be under way."""
+        """End the processes; the next work starts others. Nothing may be under way.
+
+        After much work, the process that they were forks of ends, too: memory counts then, not two seconds.
+        """
         with self._starting:
             self._client = None
             self._stack.close()
+            if self._given > _MUCH and not _living:
+                _end_fork_server()
+            self._given = 0
 
 
 @contextmanager

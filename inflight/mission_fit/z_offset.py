@@ -210,7 +210,8 @@ def _fit_both_with_errors(square: Floats, spread: Floats, variance: Floats, sigm
     robust_weight, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
     for _ in range(SPREAD_SETTINGS.passes):
-        true = np.maximum(spread - value[1], 0.0) / value[0]
+        # Where nothing follows the offsets, there is no law to take them from.
+        true = np.maximum((spread - value[1]) / value[0], 0.0) if value[0] else np.zeros_like(spread)
         of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
         total = variance + extra + value[0] ** 2 * of_x
         weight = robust_weight / total

@@ -12,13 +12,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from inflight.errors import WorkerError
+from inflight.errors import ReadError, WorkerError
 from inflight.flows import DaySpan, available_cores, dask_client, lazy_client
 from inflight.flows import runner as runner_module
 from inflight.flows.launch import prefect_environment, prefect_settings
 from inflight.flows.runner import PrefectRunner, progress_to
 from inflight.flows.server import EmbeddedServer, is_own
-from inflight.tasks.batches import end_processes
+from inflight.tasks.batches import end_processes, iter_results
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):
@@ -168,6 +168,57 @@ def test_processes_end_when_asked_and_others_start_with_the_next_work(counted_cl
         assert client.submit(abs, -2) == 2
     assert counted_clusters == ["started", "ended"] * 2
     end_processes(None)
+
+
+def test_few_quick_pieces_of_work_start_no_processes(counted_clusters, monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+    with lazy_client(2) as client:
+        assert list(iter_results(client, abs, [(number,) for number in (-3, -2, -1)])) == [3, 2, 1]
+        # One more than was told of is no longer little.
+        assert client.submit(abs, -4) == 4
+    assert counted_clusters == ["started", "ended"]
+
+
+def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters, monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+    monkeypatch.setattr("inflight.flows.cluster._START_S", 0.05)
+    started = []
+
+    def slow(number):
+        time.sleep(0.02)
+        started.append(len(counted_clusters))
+        return number
+
+    with lazy_client(2) as client:
+        client.expect(4)
+        found = [client.submit(slow, number) for number in range(4)]
+    # The first alone was done here: the other three would have taken longer than a start.
+    assert started == [0, 1, 1, 1]
+    assert [one if isinstance(one, int) else one.result() for one in found] == [0, 1, 2, 3]
+
+
+def test_many_pieces_and_those_for_a_running_scheduler_are_given_to_processes(counted_clusters, monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+    with lazy_client(2) as client:
+        client.expect(7)
+        client.submit(abs, -1)
+        assert counted_clusters == ["started"]
+    monkeypatch.setenv("INFLIGHT_DASK_SCHEDULER", "tcp://127.0.0.1:1")
+    with lazy_client(2) as client:
+        client.expect(1)
+        client.submit(abs, -1)
+    assert counted_clusters == ["started", "ended"] * 2
+
+
+def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_clusters, monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+
+    def broken(number):
+        raise ReadError(f"piece {number}")
+
+    with lazy_client(2) as client, pytest.raises(ReadError, match="piece 7"):
+        list(iter_results(client, broken, [(7,)]))
+    assert counted_clusters == []
 
 
 class _Done:

@@ -69,7 +69,8 @@ def test_what_steps_together_is_reported_with_its_share(stored):
     assert battery.correlation == pytest.approx(1.0)
     assert battery.slope == pytest.approx(0.5)
     # The light does not change in these days: of a field of day and night little is known.
-    assert not fit.light.determined.any() and fit.light.sigma.min() > 0.5
+    assert not fit.light.determined.any()
+    assert fit.light.sigma.min() > 0.5
     together = fit_step(stored, ["solar_current", "battery_current"])
     assert together.fit.retained.max() < 1e-6
     assert not together.fit.determined.any()
@@ -77,7 +78,7 @@ def test_what_steps_together_is_reported_with_its_share(stored):
 
 
 def with_light(epochs, field, in_light=0.5, seed=0):
-    """Epochs whose current steps with the light but for a part of them, and a field of day and night in them."""
+    """Epochs whose current steps with the light but for a part of them, with a field of day and night."""
     random = np.random.default_rng([seed, 7])
     direction = epochs["column"].values[:, 0] / epochs["step"].values
     step = np.where(random.uniform(size=epochs.sizes["epoch"]) < in_light, 0.0, -1.0)
@@ -116,7 +117,8 @@ def test_steps_of_one_size_that_all_come_with_the_light_are_told_from_nothing():
     one_size = epochs["column"] / -epochs["step"].values[:, :, None] * 5.0
     epochs = epochs.assign(column=one_size, step=xr.full_like(epochs["step"], -5.0))
     fit = fit_step(with_light(epochs, np.zeros(3), in_light=0.0))
-    assert not fit.light.determined.any() and fit.sigma[0].min() > 0.1
+    assert not fit.light.determined.any()
+    assert fit.sigma[0].min() > 0.1
 
 
 def test_the_stack_shows_a_step_of_the_size_of_the_drop(stored):

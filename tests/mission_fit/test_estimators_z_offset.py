@@ -115,6 +115,14 @@ def test_errors_of_the_known_offsets_do_not_raise_the_noise():
     assert abs(law.noise - 0.04) < 4 * np.sqrt(law.covariance[1, 1])
 
 
+def test_days_of_one_spread_follow_no_offset():
+    statistics = days(np.linspace(-1, 1, 40), noise=0.2)
+    alike = statistics.assign(variance=xr.full_like(statistics["variance"], 1.0))
+    law = fit_spread_law(alike, np.linspace(-1, 1, 40) ** 3, np.full(40, 0.02))
+    assert law.factor == pytest.approx(0.0, abs=1e-12)
+    assert law.noise == pytest.approx(1.0)
+
+
 def test_the_noise_comes_from_the_days_themselves():
     level, sigma = residual_noise(days(np.linspace(-1, 1, 40), noise=0.2))
     assert abs(level - 0.04) < 4 * sigma

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from chromium import Chromium, find_chromium
 from heated_mission import deliver_heated_day, heater_field, make_heated_workspace
 from tiny_mission import make_tiny_workspace
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -210,6 +211,30 @@ def test_tables_and_figures_are_used_by_the_keyboard(browser, address):
     chosen = "pick('.tabulator-row').findIndex((one) => one.matches('.tabulator-selected'))"
     browser.wait_for(f"{chosen} > 0")
     browser.wait_for("location.search.includes('candidate=')")
+
+
+def test_two_browsers_do_not_disturb_each_other(browser, address, tmp_path):
+    """Each tries an effect of its own at the same time, on a part of its own."""
+    other = Chromium(find_chromium(), tmp_path / "profile")
+    try:
+        for one, effect in ((browser, "scale_drift"), (other, "boom_temperature")):
+            one.open(f"{address}&tab=the-loop&candidate={effect}")
+        for one in (browser, other):
+            one.wait_for_text("Drag over the map", 120)
+            one.wait_for_text("noise floor 0.0")
+        other.fill("Only where", "boom_temperature=5~9")
+        for one in (browser, other):
+            one.press("button", "Try")
+        for one, effect in ((browser, "scale_drift"), (other, "boom_temperature")):
+            one.wait_for_text("Tried; nothing is saved.", 120)
+            tried = [name for name in drawn_error(one, "try:")["bars"] if name.startswith("try")]
+            assert tried == [f"try: {effect}"]
+        other.wait_for_text("Selected: boom_temperature 5 to 9 degC")
+        assert "Selected:" not in browser.text()
+        assert "select=" not in browser.evaluate("location.search")
+        assert other.complaints == []
+    finally:
+        other.close()
 
 
 def test_who_has_no_token_is_shown_how_to_get_it_and_nothing_else(address):

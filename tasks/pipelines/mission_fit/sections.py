@@ -354,7 +354,7 @@ def _add_light(part: Part, table: xr.Dataset) -> None:
     determined = table["day_night_determined"].values
     part.fields["day_night"] = {"value": value, "sigma": sigma, "determined": determined, "unit": "nT"}
     part.add_text(
-        "A field of day and night is fitted beside, so that the current does not take what steps with the light: "
+        "A field of day and night is fitted beside: the current does not take what steps with the light. "
         + "; ".join(
             f"{axis} {number:.3g} +- {error:.2g} nT" if known else f"{axis} not determined"
             for axis, number, error, known in zip(_AXES, value, sigma, determined, strict=True)
