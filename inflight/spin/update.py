@@ -18,13 +18,13 @@ gains and the rotation about the spin axis from the ground or from a model of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -128,7 +128,7 @@ def decide_update(
 _TOGETHER = (("offset[1]", "elevation[1]"), ("offset[2]", "elevation[2]"))
 
 #: As rare by chance, of two numbers, as `UpdateSettings.significance` sigma of one.
-_RARE_CHI2 = float(scipy.stats.chi2.isf(2.0 * scipy.stats.norm.sf(UPDATE_SETTINGS.significance), 2))
+_RARE_CHI2 = -2.0 * math.log(math.erfc(UPDATE_SETTINGS.significance / math.sqrt(2.0)))
 
 
 @dataclass(frozen=True)

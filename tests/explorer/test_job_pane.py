@@ -21,3 +21,44 @@ def test_a_result_is_shown_only_once_the_browser_has_the_page(monkeypatch):
     poll()
     assert pane.panel[1].objects[0].object == "it is 2"
     background.close()
+
+
+def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
+    polls, followed = Polls(), []
+    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
+    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
+    background = Background()
+    pane = JobPane(background)
+    show = lambda result: pn.pane.HTML(f"it is {result}")  # noqa: E731
+    pane.begin("sum", lambda progress: 1 + 1, show, followed.append)
+    assert pane._job.wait(60)
+    polls.run()
+    assert pane.panel[1].objects[0].object == "it is 2"
+    assert (followed, polls.stopped) == ([], 0)
+    polls.run()
+    assert (followed, polls.stopped) == ([2], 1)
+    # What fails has nothing that follows.
+    pane.begin("quotient", lambda progress: 1 / 0, show, followed.append)
+    assert pane._job.wait(60)
+    polls.run()
+    polls.run()
+    assert (followed, polls.stopped) == ([2], 2)
+    background.close()
+
+
+class Polls:
+    """The newest callback of a pane; `run` calls it unless it was stopped."""
+
+    def __init__(self):
+        self.callback, self.stopped = None, 0
+
+    def add(self, callback, period):
+        self.callback = callback
+        return self
+
+    def stop(self):
+        self.callback, self.stopped = None, self.stopped + 1
+
+    def run(self):
+        if self.callback is not None:
+            self.callback()
