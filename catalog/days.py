@@ -29,6 +29,9 @@ from inflight.catalog.schema import (
 from inflight.catalog.spans import Span
 from inflight.errors import CatalogError
 
+#: So many rows are asked for by their numbers; of more, all of the span are read.
+_FEW_ROWS = 200
+
 
 def day_record(row: DayRow, dataset: str, path: str | None) -> Day:
     """Return a row of the database as the record users see."""
@@ -109,22 +112,27 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
     dataset = dataset_id(session, name)
     if dataset is None:
         return []
-    rows = session.execute(
-        _in_span(_with_store().where(DayRow.dataset_id == dataset), span).order_by(DayRow.id)
-    )
+    # What tells records apart is little: of those that are not chosen no more is read.
+    kinds = select(DayRow.id, DayRow.day, DayRow.state).where(DayRow.dataset_id == dataset)
     current = set(session.scalars(select(CurrentRow.day_id).where(CurrentRow.dataset_id == dataset)))
-    by_day: dict[dt.date, list[Any]] = defaultdict(list)
-    for row, path in rows:
-        if row.id in current:
-            by_day[row.day] = [(row, path)]
-        elif row.state != "published":
-            by_day[row.day].append((row, path))
-    chosen = []
+    by_day: dict[dt.date, list[tuple[int, str]]] = defaultdict(list)
+    for number, day, state in session.execute(_in_span(kinds, span).order_by(DayRow.id)):
+        if number in current:
+            by_day[day] = [(number, state)]
+        elif state != "published":
+            by_day[day].append((number, state))
+    chosen: list[int] = []
     for _, found in sorted(by_day.items()):
         preferred = {"published"} if accepted is None else accepted
-        matching = [pair for pair in found if pair[0].state in preferred]
-        chosen += matching[-1:] or (found[-1:] if accepted is None else [])
-    return [day_record(row, name, path) for row, path in chosen]
+        matching = [number for number, state in found if state in preferred]
+        chosen += matching[-1:] or ([found[-1][0]] if accepted is None else [])
+    if not chosen:
+        return []
+    query = _in_span(_with_store().where(DayRow.dataset_id == dataset), span)
+    if len(chosen) <= _FEW_ROWS:
+        query = query.where(DayRow.id.in_(chosen))
+    rows = {row.id: (row, path) for row, path in session.execute(query)}
+    return [day_record(rows[number][0], name, rows[number][1]) for number in chosen]
 
 
 def published_contexts(session: Session, name: str) -> list[tuple[dt.date, str | None]]:

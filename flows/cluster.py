@@ -205,8 +205,8 @@ class _Done:
 class _LazyClient:
     """Stands for a client whose processes start when there is work enough for them.
 
-    A few pieces of work are done in this process while what is left of them, as long as those before it took,
-    takes no longer than processes take to start.
+    A few pieces of work are done in this process while processes would save less of what is left of them, by
+    how long those before it took, than they take to start.
     """
 
     def __init__(self, workers: int | None, niceness: int) -> None:
@@ -237,9 +237,10 @@ class _LazyClient:
         return self._client.submit(work, *arguments, **options)
 
     def _pays_to_stay(self) -> bool:
-        """Return whether what is left of few pieces takes no longer than a start of processes."""
+        """Return whether processes would save less of few pieces than they take to start."""
         usual = sum(self._took) / max(len(self._took), 1)
-        return self._left > 0 and (self._left == 1 or self._left * usual < _START_S)
+        workers = min(self._settings[0] or available_cores(), self._left)
+        return self._left > 0 and (1.0 - 1.0 / workers) * self._left * usual < _START_S
 
     def end_processes(self) -> None:
         """End the processes; the next work starts others. Nothing may be under way.

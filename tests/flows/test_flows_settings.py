@@ -181,7 +181,7 @@ def test_few_quick_pieces_of_work_start_no_processes(counted_clusters, monkeypat
 
 def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters, monkeypatch):
     monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
-    monkeypatch.setattr("inflight.flows.cluster._START_S", 0.05)
+    monkeypatch.setattr("inflight.flows.cluster._START_S", 0.02)
     started = []
 
     def slow(number):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inflight.calibration import CHANGE, LEARNT, outside_learnt
+from inflight.calibration import CHANGE, LEARNT
 from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import InflightError
 from inflight.mission import Mission
@@ -181,9 +181,10 @@ class TableStager:
             What else products depend on.
         """
         table = self.tables[name]
+        days = list(self.work.plan.days)
+        rows = table_row_hashes(table, [sum(day_bounds(day)) // 2 for day in days])
         used = {
-            day: UsedTable(self.ids[name], (table_row_hash(table, sum(day_bounds(day)) // 2), *inputs), table)
-            for day in self.work.plan.days
+            day: UsedTable(self.ids[name], (row, *inputs), table) for day, row in zip(days, rows, strict=True)
         }
         return TablesToPublish(
             model=model, used=used, certify=self.certify, kept=tuple(self.ids), notes=dict(notes or {})
@@ -203,18 +204,46 @@ def is_certified(record: TableRecord, bounds: tuple[int, int]) -> bool:
 
 def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
     """Return the hash of a table's row at an instant; a product changes only when this does."""
-    inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
-    if inside.size == 0:
-        return ""
-    row = table.isel(interval=int(inside[-1]))
-    digest = hashlib.sha256()
-    names = ["value", "covariance", "determined", "after", *LEARNT]
-    if outside_learnt(row, np.array([tt2000])).any():
-        names += CHANGE
-    for name in names:
-        if name in row:
-            digest.update(np.ascontiguousarray(row[name].values).tobytes())
-    return digest.hexdigest()
+    return table_row_hashes(table, [tt2000])[0]
+
+
+def table_row_hashes(table: xr.Dataset, instants: Sequence[int]) -> list[str]:
+    """Return the hash of a table's row at each instant, empty where there is none."""
+    start, end = table["start"].values, table["end"].values
+    told = [
+        name for name in ("value", "covariance", "determined", "after", *LEARNT, *CHANGE) if name in table
+    ]
+    # Of each variable its values by row; what has no rows is the same for all.
+    by_row = {
+        name: np.moveaxis(table[name].values, table[name].dims.index("interval"), 0)
+        if "interval" in table[name].dims
+        else None
+        for name in told
+    }
+    learnt = [by_row[name] for name in LEARNT if by_row.get(name) is not None]
+    known: dict[tuple[int, bool], str] = {}
+    hashes = []
+    for tt2000 in instants:
+        inside = np.flatnonzero((start <= tt2000) & (tt2000 < end))
+        if inside.size == 0:
+            hashes.append("")
+            continue
+        row = int(inside[-1])
+        outside = False
+        if len(learnt) == len(LEARNT):
+            first, last = (int(one[row]) for one in learnt)
+            outside = last > first and not first <= tt2000 < last
+        if (row, outside) not in known:
+            digest = hashlib.sha256()
+            for name in told:
+                if name in CHANGE and not outside:
+                    continue
+                values = by_row[name]
+                of_row = table[name].values if values is None else values[row]
+                digest.update(np.ascontiguousarray(of_row).tobytes())
+            known[row, outside] = digest.hexdigest()
+        hashes.append(known[row, outside])
+    return hashes
 
 
 def reuse_interrupted_days(
