@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from heated_mission import deliver_heated_day, heater_field
 
 from inflight.catalog import Catalog, DayData, write_segment
 from inflight.errors import CatalogError, SettingsError, WorkerError
@@ -10,7 +11,7 @@ from inflight.explorer.session import ExplorerSession
 from inflight.explorer.table_versions import list_of_tables, tables_of, told_changes
 from inflight.explorer.work import InOwnProcess, WorkRequest, plan_work
 from inflight.flows import plan_span
-from inflight.tasks import coverage_days, run_log, runs_progress
+from inflight.tasks import coverage_days, ingest, run_log, runs_progress
 
 PROBLEM = {"day": "2024-03-05", "channel": "turning", "message": "too hot", "remedy": "let it cool"}
 EXCLUSION = """
@@ -139,6 +140,10 @@ def test_a_plan_is_that_of_the_verb_and_writes_nothing(workspace):
 def test_work_is_done_by_a_process_of_its_own_stopped_and_taken_up_again(workspace):
     text = workspace.mission_file.read_text(encoding="utf-8") + EXCLUSION
     workspace.mission_file.write_text(text, encoding="utf-8")
+    # So many pieces of work that processes start for them: there is time to be stopped.
+    for day in range(5, 9):
+        deliver_heated_day(workspace.data, f"2024-03-{day:02}", heater_field)
+    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
     request = WorkRequest("reprocess", settings={"comparison": "main", "batch_days": 1}, reason="a trial")
     work = InOwnProcess(workspace.root, request, 1)
     before = [day.id for day in Catalog(workspace.root).days("l2/field")]
@@ -149,7 +154,7 @@ def test_work_is_done_by_a_process_of_its_own_stopped_and_taken_up_again(workspa
     assert (stopped.state, stopped.settings["reason"]) == ("failed", "a trial")
     assert [day.id for day in cat.days("l2/field")] == before
     report = InOwnProcess(workspace.root, request, 1)(nobody)
-    assert (report["days"]["done"], report["run"]) == (4, cat.runs(last=1)[0].id)
+    assert (report["days"]["done"], report["run"]) == (8, cat.runs(last=1)[0].id)
     # An error of the step comes back as it is.
     wrong = WorkRequest("reprocess", settings={"comparison": "main", "use_table": "main-span:99"})
     with pytest.raises(CatalogError, match="99"):
