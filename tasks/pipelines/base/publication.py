@@ -213,14 +213,13 @@ def table_row_hashes(table: xr.Dataset, instants: Sequence[int]) -> list[str]:
     told = [
         name for name in ("value", "covariance", "determined", "after", *LEARNT, *CHANGE) if name in table
     ]
-    # Of each variable its values by row; what has no rows is the same for all.
+    # Values by row; what has no rows is the same for all.
     by_row = {
         name: np.moveaxis(table[name].values, table[name].dims.index("interval"), 0)
-        if "interval" in table[name].dims
-        else None
         for name in told
+        if "interval" in table[name].dims
     }
-    learnt = [by_row[name] for name in LEARNT if by_row.get(name) is not None]
+    learnt = [by_row[name] for name in LEARNT if name in by_row]
     known: dict[tuple[int, bool], str] = {}
     hashes = []
     for tt2000 in instants:
@@ -238,8 +237,7 @@ def table_row_hashes(table: xr.Dataset, instants: Sequence[int]) -> list[str]:
             for name in told:
                 if name in CHANGE and not outside:
                     continue
-                values = by_row[name]
-                of_row = table[name].values if values is None else values[row]
+                of_row = by_row[name][row] if name in by_row else table[name].values
                 digest.update(np.ascontiguousarray(of_row).tobytes())
             known[row, outside] = digest.hexdigest()
         hashes.append(known[row, outside])
