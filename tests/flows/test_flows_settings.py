@@ -221,6 +221,18 @@ def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_c
     assert counted_clusters == []
 
 
+@pytest.mark.parametrize(("pieces", "ends"), [(31, 1), (30, 0)])
+def test_what_processes_were_forks_of_ends_after_much_work(counted_clusters, monkeypatch, pieces, ends):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+    ended = []
+    monkeypatch.setattr("inflight.flows.cluster._end_fork_server", lambda: ended.append(1))
+    with lazy_client(2) as client:
+        for number in range(pieces):
+            client.submit(abs, number)
+        end_processes(client)
+        assert len(ended) == ends
+
+
 class _Done:
     """A task, or a future, that has its result at once."""
 
