@@ -59,7 +59,7 @@ _IMPORTED = [
 #: tried here: it would keep all processes waiting.
 _START_S, _FEW = 3.0, 6
 #: Pieces of work that only a long record has.
-_MUCH = 30
+_MUCH = 12
 
 #: Messages that Dask keeps for its developers, of each connection. Each holds a batch with all it needs: the
 #: 1000 that Dask keeps by itself are more than a mission of 3000 days has.

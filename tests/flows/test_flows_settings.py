@@ -221,7 +221,7 @@ def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_c
     assert counted_clusters == []
 
 
-@pytest.mark.parametrize(("pieces", "ends"), [(31, 1), (30, 0)])
+@pytest.mark.parametrize(("pieces", "ends"), [(13, 1), (12, 0)])
 def test_what_processes_were_forks_of_ends_after_much_work(counted_clusters, monkeypatch, pieces, ends):
     monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     ended = []
