@@ -141,22 +141,13 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
             )
         )
         if not address:
-            stack.enter_context(_counted(scheduler))
+            _living.append(scheduler)
+            stack.callback(_living.remove, scheduler)
         yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
 
 
 #: Schedulers of clusters that live in this process: their workers are forks of one process.
 _living: list[object] = []
-
-
-@contextmanager
-def _counted(scheduler: object) -> Iterator[None]:
-    """Count a cluster while it lives."""
-    _living.append(scheduler)
-    try:
-        yield
-    finally:
-        _living.remove(scheduler)
 
 
 def _start_fork_server(environment: Mapping[str, str]) -> None:

@@ -147,6 +147,7 @@ def counted_clusters(monkeypatch):
         yield SimpleNamespace(submit=lambda function, *given, **options: function(*given))
         told.append("ended")
 
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     monkeypatch.setattr("inflight.flows.cluster.dask_client", start)
     return told
 
@@ -170,8 +171,7 @@ def test_processes_end_when_asked_and_others_start_with_the_next_work(counted_cl
     end_processes(None)
 
 
-def test_few_quick_pieces_of_work_start_no_processes(counted_clusters, monkeypatch):
-    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+def test_few_quick_pieces_of_work_start_no_processes(counted_clusters):
     with lazy_client(2) as client:
         assert list(iter_results(client, abs, [(number,) for number in (-3, -2, -1)])) == [3, 2, 1]
         # One more than was told of is no longer little.
@@ -180,7 +180,6 @@ def test_few_quick_pieces_of_work_start_no_processes(counted_clusters, monkeypat
 
 
 def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters, monkeypatch):
-    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     monkeypatch.setattr("inflight.flows.cluster._START_S", 0.02)
     started = []
 
@@ -198,7 +197,6 @@ def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters
 
 
 def test_many_pieces_and_those_for_a_running_scheduler_are_given_to_processes(counted_clusters, monkeypatch):
-    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     with lazy_client(2) as client:
         client.expect(7)
         client.submit(abs, -1)
@@ -210,9 +208,7 @@ def test_many_pieces_and_those_for_a_running_scheduler_are_given_to_processes(co
     assert counted_clusters == ["started", "ended"] * 2
 
 
-def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_clusters, monkeypatch):
-    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
-
+def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_clusters):
     def broken(number):
         raise ReadError(f"piece {number}")
 
@@ -223,7 +219,6 @@ def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_c
 
 @pytest.mark.parametrize(("pieces", "ends"), [(13, 1), (12, 0)])
 def test_what_processes_were_forks_of_ends_after_much_work(counted_clusters, monkeypatch, pieces, ends):
-    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     ended = []
     monkeypatch.setattr("inflight.flows.cluster._end_fork_server", lambda: ended.append(1))
     with lazy_client(2) as client:

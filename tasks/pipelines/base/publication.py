@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from inflight.calibration import CHANGE, LEARNT
+from inflight.calibration import CHANGE, LEARNT, outside_learnt
 from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import InflightError
 from inflight.mission import Mission
@@ -208,40 +208,28 @@ def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
 
 
 def table_row_hashes(table: xr.Dataset, instants: Sequence[int]) -> list[str]:
-    """Return the hash of a table's row at each instant, empty where there is none."""
-    start, end = table["start"].values, table["end"].values
-    told = [
-        name for name in ("value", "covariance", "determined", "after", *LEARNT, *CHANGE) if name in table
-    ]
-    # Values by row; what has no rows is the same for all.
-    by_row = {
-        name: np.moveaxis(table[name].values, table[name].dims.index("interval"), 0)
-        for name in told
-        if "interval" in table[name].dims
-    }
-    learnt = [by_row[name] for name in LEARNT if name in by_row]
-    known: dict[tuple[int, bool], str] = {}
-    hashes = []
-    for tt2000 in instants:
-        inside = np.flatnonzero((start <= tt2000) & (tt2000 < end))
-        if inside.size == 0:
-            hashes.append("")
-            continue
-        row = int(inside[-1])
-        outside = False
-        if len(learnt) == len(LEARNT):
-            first, last = (int(one[row]) for one in learnt)
-            outside = last > first and not first <= tt2000 < last
-        if (row, outside) not in known:
-            digest = hashlib.sha256()
-            for name in told:
-                if name in CHANGE and not outside:
-                    continue
-                of_row = by_row[name][row] if name in by_row else table[name].values
-                digest.update(np.ascontiguousarray(of_row).tobytes())
-            known[row, outside] = digest.hexdigest()
-        hashes.append(known[row, outside])
+    """Return the hash of a table's row at each instant, empty where there is none; each row is read once."""
+    start, end, times = table["start"].values, table["end"].values, np.array(instants, dtype=np.int64)
+    # The last row that holds an instant; -1 is none.
+    holds = [np.flatnonzero((start <= time) & (time < end)) for time in times]
+    place = np.array([found[-1] if found.size else -1 for found in holds], dtype=np.int64)
+    hashes = [""] * times.size
+    for index in np.unique(place[place >= 0]).tolist():
+        row, here = table.isel(interval=index), np.flatnonzero(place == index)
+        outside = outside_learnt(row, times[here])
+        known = {beyond: _row_hash(row, extrapolated=beyond) for beyond in set(outside.tolist())}
+        for at, beyond in zip(here.tolist(), outside.tolist(), strict=True):
+            hashes[at] = known[beyond]
     return hashes
+
+
+def _row_hash(row: xr.Dataset, *, extrapolated: bool) -> str:
+    names = ["value", "covariance", "determined", "after", *LEARNT, *(CHANGE if extrapolated else ())]
+    digest = hashlib.sha256()
+    for name in names:
+        if name in row:
+            digest.update(np.ascontiguousarray(row[name].values).tobytes())
+    return digest.hexdigest()
 
 
 def reuse_interrupted_days(
