@@ -66,7 +66,7 @@ def run_with_prefect(
     Parameters
     ----------
     name : str
-        One of `inflight.flows.steps.STEP_SETTINGS`.
+        One of `inflight.flows.steps.STEPS`.
     workspace : Workspace
         Where; the embedded server keeps its home there, too.
     parameters : mapping

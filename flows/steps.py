@@ -24,16 +24,18 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
 from inflight.catalog import Catalog, Workspace
+from inflight.errors import InflightError
 from inflight.flows.cluster import lazy_client
 from inflight.flows.runner import runner
 from inflight.flows.span import DateOrNone, DaySpan, month_span
-from inflight.tasks import ReprocessSettings, RunReport
+from inflight.tasks import ReprocessSettings, RunReport, problem_of
 from inflight.tasks.analysis import DiagnoseSettings
 
 if TYPE_CHECKING:
@@ -147,16 +149,30 @@ def diagnose(
     search : bool
         Search though the last verdict may stand for the days since.
     """
-    from inflight.tasks.analysis import diagnose_span
-
     place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
-
-    def find(client: Client) -> dict[str, Any]:
-        how: Any = {"save": save, "search": search, "client": client, "progress": runner().progress}
-        return diagnose_span(place, *span.as_text(), settings, **how)
-
     with lazy_client(workers) as client:
-        return runner().run("search", find, client)
+        return _diagnose_span(place, span, settings, client, save=save, search=search)
+
+
+def update(
+    workspace: Path,
+    settings: ReprocessSettings = DEFAULT_SETTINGS,
+    data: Path | None = None,
+    workers: int | None = None,
+    reason: str = "",
+) -> dict[str, Any]:
+    """Bring a mission up to date: take in what was delivered, reprocess what it changed, renew the verdict.
+
+    The days of the result are those of the products; ``ingest`` in it reports what was taken in, and
+    ``diagnosis`` is that of all days with the present model. A comparison that has no residual to search gets
+    none, and where there is none for another reason, a problem says why.
+    """
+    place, every_day = Workspace.open(workspace), DaySpan()
+    with lazy_client(workers) as client:
+        ingested = _ingest_span(place, data, None, every_day, client, reason=reason)
+        report = _reprocess_span(place, every_day, settings, client, reason)
+        report = ingested.followed_by(report, "update")
+        return _with_diagnosis(report, place, settings, client).as_json()
 
 
 def release(
@@ -193,7 +209,7 @@ def release(
 
 #: What can be run by name, plainly or as a Prefect flow.
 STEPS: dict[str, Callable[..., dict[str, Any]]] = {
-    step.__name__: step for step in (ingest, reprocess, backfill, monthly, diagnose, release)
+    step.__name__: step for step in (ingest, reprocess, backfill, monthly, diagnose, update, release)
 }
 
 
@@ -290,12 +306,35 @@ def _diagnose_if_idle(
     return None if found is None else RunReport.from_json(found)
 
 
+def _update_if_idle(
+    workspace: Path,
+    settings: ReprocessSettings = DEFAULT_SETTINGS,
+    data: Path | None = None,
+    workers: int | None = None,
+    reason: str = "",
+) -> RunReport | None:
+    del reason
+    ingested = _ingest_if_idle(workspace, data, None, workers=workers)
+    reprocessed = ingested and _reprocess_if_idle(workspace, settings=settings)
+    if ingested is None or reprocessed is None:
+        return None
+    place = Workspace.open(workspace)
+    report = ingested.followed_by(reprocessed, "update")
+    if not _is_searched(place, settings):
+        return report
+    from inflight.tasks.analysis import diagnose_if_unchanged
+
+    found = diagnose_if_unchanged(place, None, None, _to_diagnose(settings))
+    return None if found is None else replace(report, extra={**report.extra, "diagnosis": found})
+
+
 #: What tells that a step has nothing to do, by its name and with its parameters.
 _IDLE_CHECKS: dict[str, Callable[..., RunReport | None]] = {
     "ingest": _ingest_if_idle,
     "reprocess": _reprocess_if_idle,
     "backfill": _backfill_if_idle,
     "diagnose": _diagnose_if_idle,
+    "update": _update_if_idle,
 }
 
 
@@ -352,3 +391,49 @@ def _ingest_and_reprocess(
         ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
         report = _reprocess_span(place, reprocessed, settings, client, reason)
     return ingested.followed_by(report, command).as_json()
+
+
+def _diagnose_span(
+    place: Workspace,
+    span: DaySpan,
+    settings: DiagnoseSettings,
+    client: Client,
+    *,
+    save: bool = False,
+    search: bool = False,
+) -> dict[str, Any]:
+    from inflight.tasks.analysis import diagnose_span
+
+    def find(client: Client) -> dict[str, Any]:
+        how: Any = {"save": save, "search": search, "client": client, "progress": runner().progress}
+        return diagnose_span(place, *span.as_text(), settings, **how)
+
+    return runner().run("search", find, client)
+
+
+def _with_diagnosis(
+    report: RunReport, place: Workspace, settings: ReprocessSettings, client: Client
+) -> RunReport:
+    """Return a report with the diagnosis of all days, or with the problem that there is none."""
+    from inflight.tasks.analysis import diagnose_if_unchanged
+
+    if not _is_searched(place, settings):
+        return report
+    asked = _to_diagnose(settings)
+    try:
+        found = diagnose_if_unchanged(place, None, None, asked)
+        found = found or _diagnose_span(place, DaySpan(), asked, client)
+    except InflightError as error:
+        return replace(report, problems=[*report.problems, problem_of(error)])
+    return replace(report, extra={**report.extra, "diagnosis": found})
+
+
+def _is_searched(place: Workspace, settings: ReprocessSettings) -> bool:
+    """Return whether the comparison that products are made with has a residual to search."""
+    from inflight.tasks.analysis import sampled_comparisons
+
+    return settings.comparison in sampled_comparisons(place.mission())
+
+
+def _to_diagnose(settings: ReprocessSettings) -> DiagnoseSettings:
+    return DiagnoseSettings(comparison=settings.comparison)

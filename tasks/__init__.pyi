@@ -29,6 +29,7 @@ from .report import (
     in_plain_words,
     location_of,
     print_report,
+    problem_of,
     to_json,
 )
 from .run_progress import RunProgress, failure_lines, run_log, runs_progress
@@ -69,6 +70,7 @@ __all__ = [
     "plan_release",
     "preflight_model",
     "print_report",
+    "problem_of",
     "reprocess",
     "result_of",
     "run_log",

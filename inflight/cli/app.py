@@ -35,6 +35,7 @@ VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
             "inflight reprocess --start 2005-01-01 --end 2005-02-01",
             "inflight reprocess --table continuous",
         ),
+        processing.update: ("inflight update", "inflight update --data /deliveries"),
         processing.backfill: ("inflight backfill --start 2005-01-01 --end 2005-02-01 --dry-run",),
         results.chain: ("inflight chain --html chain.html",),
     },

@@ -142,10 +142,17 @@ class Command:
         else:
             show(self.console)
 
-    def finish(self, report: RunReport, remarks: Iterable[str] = (), details: bool = False) -> None:
+    def finish(
+        self,
+        report: RunReport,
+        remarks: Iterable[str] = (),
+        details: bool = False,
+        then: Callable[[Console], None] | None = None,
+    ) -> None:
         """Print a run's report, and remarks on it for a person; end the command with its exit code.
 
-        With `details` every finding is listed, those of one kind, too.
+        With `details` every finding is listed, those of one kind, too. `then` prints what else a person is
+        told.
         """
         from inflight.tasks import print_report
 
@@ -153,6 +160,8 @@ class Command:
             print_report(report, console, details)
             for remark in remarks:
                 console.print(f"  {remark}", soft_wrap=True, markup=False)
+            if then is not None:
+                then(console)
 
         self.emit(report.as_json(), show)
         if report.exit_code:

@@ -1,4 +1,4 @@
-"""Verbs that move measurements on: ``ingest``, ``reprocess`` and ``backfill``.
+"""Verbs that move measurements on: ``ingest``, ``reprocess``, ``update`` and ``backfill``.
 
 Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_URL`` names, and with
 ``--no-prefect`` the same plain functions on the same Dask processes.
@@ -79,7 +79,7 @@ def run_flow(
     command : Command
         The command.
     name : str
-        ``ingest``, ``reprocess``, ``backfill``, ``diagnose`` or ``release``.
+        ``ingest``, ``reprocess``, ``update``, ``backfill``, ``diagnose`` or ``release``.
     parameters : mapping
         Of the flow, the workspace excepted.
     workers : int or None
@@ -269,13 +269,49 @@ def reprocess(
     )
     parameters = _given(start=start, end=end, settings=settings, reason=reason or None)
     report = run_flow(command, "reprocess", parameters, workers=workers, prefect=not no_prefect)
+    there = report.days["done"] + report.days["unchanged"]
+    told = _remarks(command, place.mission(), settings, report)
+    command.finish(report, [*told, *([_NEXT_REPROCESS] if there else [])], details)
+
+
+def _remarks(
+    command: Command, mission: Mission, settings: Mapping[str, Any], report: RunReport
+) -> Sequence[str]:
+    """Return what a person is told of the products that were made, such as what is left in them."""
     from inflight.tasks.pipelines import ReprocessSettings, pipeline_of, settings_of_context
 
     checked = ReprocessSettings.model_validate(settings)
-    mission, checked = settings_of_context(command.open_catalog(), place.mission(), checked)
-    pipeline = pipeline_of(mission, checked.comparison, checked)
-    there = report.days["done"] + report.days["unchanged"]
-    command.finish(report, [*pipeline.remarks(report.extra), *([_NEXT_REPROCESS] if there else [])], details)
+    mission, checked = settings_of_context(command.open_catalog(), mission, checked)
+    return list(pipeline_of(mission, checked.comparison, checked).remarks(report.extra))
+
+
+def update(
+    command: Command,
+    *,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of delivered files (default: data in the workspace)", show_default=False),
+    ] = None,
+    comparison: ComparisonOption = "main",
+    reason: ReasonOption = "",
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+    details: DetailsOption = False,
+) -> None:
+    """Take in new files, reprocess the days they change, and renew the verdict: one run for all three."""
+    settings = {"comparison": comparison}
+    given = _given(data=data, settings=settings, reason=reason or None)
+    report = run_flow(command, "update", given, workers=workers, prefect=not no_prefect)
+    found = report.extra.get("diagnosis")
+
+    def show_verdict(console: Console) -> None:
+        from inflight.cli.diagnose import print_diagnosis
+
+        if found is not None:
+            print_diagnosis(console, found, details)
+
+    told = _remarks(command, command.open_workspace().mission(), settings, report)
+    command.finish(report, told, details, show_verdict)
 
 
 def _remake(

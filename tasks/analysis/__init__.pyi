@@ -5,7 +5,7 @@ from .gram_pass import block_grams
 from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
 from .plumbing import check_plumbing
 from .revise import Revision, Workbench, diagnose_span, open_workbench, require_change
-from .settings import DiagnoseSettings, require_sampled
+from .settings import DiagnoseSettings, require_sampled, sampled_comparisons
 
 __all__ = [
     "DiagnoseSettings",
@@ -26,4 +26,5 @@ __all__ = [
     "report",
     "require_change",
     "require_sampled",
+    "sampled_comparisons",
 ]

@@ -42,6 +42,17 @@ class DiagnoseSettings(BaseModel):
     batch_blocks: int = Field(10, ge=1)
 
 
+def sampled_comparisons(mission: Mission) -> list[str]:
+    """Return the comparisons that can be diagnosed: those whose residual is one a sample."""
+    channels = {channel.kind for _, _, channel in mission.channel_instruments()}
+    has_turns = bool({"sun_pulse", "spin_phase"} & channels)
+    return [
+        name
+        for name, entry in mission.comparisons.items()
+        if entry.kind in SAMPLED_KINDS or (has_turns and folding_of(mission, name) is not None)
+    ]
+
+
 def require_sampled(mission: Mission, comparison: str) -> None:
     """Refuse a comparison that the mission has not, or whose residual is not one a sample.
 
@@ -50,13 +61,7 @@ def require_sampled(mission: Mission, comparison: str) -> None:
     SettingsError
         Naming those that can be diagnosed.
     """
-    channels = {channel.kind for _, _, channel in mission.channel_instruments()}
-    has_turns = bool({"sun_pulse", "spin_phase"} & channels)
-    usable = [
-        name
-        for name, entry in mission.comparisons.items()
-        if entry.kind in SAMPLED_KINDS or (has_turns and folding_of(mission, name) is not None)
-    ]
+    usable = sampled_comparisons(mission)
     choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
     if comparison not in mission.comparisons:
         raise SettingsError(

@@ -80,6 +80,16 @@ def test_reprocess_again_finds_nothing_to_do_and_tells_the_residual(inflight, fi
     assert told.json["residual"]["after_nT"] < 0.1 < told.json["residual"]["before_nT"]
 
 
+def test_an_update_prints_what_was_made_and_then_the_verdict(inflight, copied):
+    deliver_tiny_day(copied / "data", "2024-03-03")
+    told = inflight("update", "--no-prefect", "-w", copied)
+    assert told.code == 0, told.err
+    assert told.out.index("update: days 3 planned") < told.out.index("residual")
+    again = inflight("update", "--json", "-w", copied).json
+    assert (again["command"], again["ingest"]["days"]["done"], again["days"]["done"]) == ("update", 0, 0)
+    assert again["diagnosis"]["unchanged"] is True
+
+
 def test_the_plan_of_a_backfill_is_printed_and_nothing_is_done(inflight, copied):
     deliver_tiny_day(copied / "data", "2024-03-03")
     assert inflight("ingest", "--no-prefect", "-w", copied).code == 0

@@ -218,7 +218,9 @@ def test_what_work_raises_here_is_raised_where_its_result_is_asked_for(counted_c
 
 
 @pytest.mark.parametrize(("pieces", "others", "ends"), [(13, 0, 1), (12, 0, 0), (13, 1, 0)])
-def test_what_processes_were_forks_of_ends_after_much_work(counted_clusters, monkeypatch, pieces, others, ends):
+def test_what_processes_were_forks_of_ends_after_much_work(
+    counted_clusters, monkeypatch, pieces, others, ends
+):
     ended = []
     # Tests before this one may have left a cluster that lives as long as theirs.
     monkeypatch.setattr("inflight.flows.cluster._living", [object()] * others)

@@ -12,8 +12,9 @@ from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.cli.diagnose import print_diagnosis
-from inflight.flows import launch, run_with_prefect
-from inflight.tasks import ingest, reprocess
+from inflight.errors import CatalogError
+from inflight.flows import launch, run_with_prefect, run_without_prefect
+from inflight.tasks import analysis, ingest, reprocess
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -203,3 +204,59 @@ def test_a_later_day_that_contradicts_the_verdict_asks_for_a_search(diagnosed, m
     assert not later["stands"]
     assert "2024-03-05" in later["reasons"][0]
     assert "nT are left of it" in later["reasons"][0]
+
+
+@pytest.fixture
+def updated(diagnosed, monkeypatch):
+    """A fifth day taken as far as the verdict, in one run, and its report."""
+    workspace, _ = diagnosed
+    run_without_prefect("reprocess", workspace, {}, workers=1)
+    monkeypatch.setattr(
+        later_days, "LATER_DAYS_SETTINGS", later_days.LaterDaysSettings(share=0.3, compared=4)
+    )
+    deliver_heated_day(workspace.data, "2024-03-05", heater_field)
+    return workspace, run_without_prefect("update", workspace, {}, workers=1)
+
+
+def test_an_update_takes_a_new_day_as_far_as_the_verdict(updated):
+    workspace, report = updated
+    assert (report.command, report.exit_code) == ("update", 0)
+    assert report.extra["ingest"]["days"]["done"] == 3
+    assert report.days["planned"] == 5
+    assert report.extra["diagnosis"]["later_days"]["days"] == 1
+    assert len(Catalog(workspace.root).days("l2/field", states=("published",))) == 5
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is not None
+
+
+def test_an_update_of_what_is_up_to_date_starts_nothing(updated, monkeypatch):
+    workspace, report = updated
+    monkeypatch.setattr(launch, "prefect_settings", lambda *given: pytest.fail("a server was asked for"))
+    again = run_with_prefect("update", workspace, {})
+    assert (again.days["done"], again.days["unchanged"]) == (0, 5)
+    assert again.extra["ingest"]["days"]["done"] == 0
+    assert again.extra["diagnosis"]["verdict"] == report.extra["diagnosis"]["verdict"]
+
+
+def test_an_update_that_cannot_be_diagnosed_says_why_and_keeps_its_products(done, monkeypatch):
+    workspace, _ = done
+
+    def refuse(*given, **named):
+        raise CatalogError("too few samples", remedy="wait for more days")
+
+    monkeypatch.setattr(analysis, "diagnose_span", refuse)
+    deliver_tiny_day(workspace.data, "2024-03-03")
+    report = run_without_prefect("update", workspace, {}, workers=1)
+    assert [(one["message"], one["remedy"]) for one in report.problems] == [
+        ("too few samples", "wait for more days")
+    ]
+    assert "diagnosis" not in report.extra
+    assert report.exit_code == 3
+    assert len(Catalog(workspace.root).days("l2/field", states=("published",))) == 3
+
+
+def test_a_comparison_without_a_residual_to_search_is_updated_without_a_verdict(done, monkeypatch):
+    workspace, _ = done
+    monkeypatch.setattr(analysis, "sampled_comparisons", lambda mission: [])
+    report = run_without_prefect("update", workspace, {}, workers=1)
+    assert report.exit_code == 0
+    assert "diagnosis" not in report.extra
