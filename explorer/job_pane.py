@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,8 +14,9 @@ from inflight.explorer.background import Background, BackgroundJob
 from inflight.figures import LazySection
 from inflight.tasks import Progress
 
-#: How often the progress of a job is polled, ms.
-_POLL_MS = 100
+#: How often the progress of a job is polled, ms, and how long a job takes before any is shown, s. A browser
+#: lays the whole page out again for each text that comes and goes: a quick job would wait for its own progress.
+_POLL_MS, _QUIET_S = 50, 0.4
 
 
 def lazy_tabs(
@@ -65,6 +67,7 @@ class JobPane:
         self._status = pn.pane.HTML("", visible=False, margin=(5, 10))
         self._content = pn.Column(sizing_mode="stretch_width")
         self._job: BackgroundJob | None = None
+        self._begun = 0.0
         self._poll_callback: Any = None
         self._show: Callable[[Any], pn.viewable.Viewable] = panes.text
         self._then: Callable[[Any], None] | None = None
@@ -110,8 +113,7 @@ class JobPane:
     ) -> None:
         """Show the progress and the result of a job that was begun, as `begin` does."""
         self._job, self._show, self._then, self._due = job, show, then, None
-        self._status.visible = True
-        self._status.object = panes.progress(self._job)
+        self._begun = time.monotonic()
         # What changes while a browser still takes the page in may never reach it: a quick job's result.
         pn.state.onload(self._begin_to_poll)
 
@@ -128,7 +130,8 @@ class JobPane:
                 due()
             return
         if not job.is_finished:
-            self._status.object = panes.progress(job)
+            if time.monotonic() - self._begun > _QUIET_S:
+                self._status.param.update(object=panes.progress(job), visible=True)
             return
         self._job, self._status.visible = None, False
         if job.error is None:

@@ -14,6 +14,8 @@ from inflight.tasks import location_of
 
 #: The page's style does not reach into panes, so each brings the style of the text.
 _STYLES = [f":host {{ font: 15px/1.5 system-ui, sans-serif; color: #222 }} {text_style()}"]
+#: How much wider than made a figure may be drawn.
+_MOST = 1.7
 _COLOURS = {"error": "#a01830", "hint": "#8a5a00"}
 
 
@@ -27,9 +29,19 @@ def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewab
     """Return the body of a section: its text, then its figures side by side."""
     parts = [text(*paragraphs)] if paragraphs else []
     if figures:
-        panes = [pn.pane.Bokeh(with_export(figure), margin=4) for figure in figures]
+        panes = [_growing(figure) for figure in figures]
         parts.append(pn.FlexBox(*panes, sizing_mode="stretch_width"))
     return pn.Column(*parts, sizing_mode="stretch_width")
+
+
+def _growing(figure: Any) -> pn.viewable.Viewable:
+    """Return a figure that takes its part of the width that a row of figures leaves."""
+    own = figure.width
+    if own is None:
+        return pn.pane.Bokeh(with_export(figure), margin=4)
+    figure.sizing_mode = "stretch_width"
+    style = {"flex": f"1 1 {own}px", "max-width": f"{round(_MOST * own)}px"}
+    return pn.pane.Bokeh(with_export(figure), sizing_mode="stretch_width", margin=4, styles=style)
 
 
 def picture(figure: Any) -> pn.viewable.Viewable:

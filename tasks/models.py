@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -369,6 +369,13 @@ def version_of(
     """Return a version of a model, made with some files' effects: those as they are now, usually."""
     text = cat.model_text(name, version)[2]
     return VersionedModel(parse_model(cat, text, mission, model_label(name, version), own), version, text)
+
+
+def as_first_saved(cat: Catalog, used: VersionedModel) -> VersionedModel:
+    """Return a model as the first version that has its text: what an undo went back to has products already."""
+    records = {one.version: one for one in cat.models() if one.name == used.model.name}
+    sha256 = records[used.version].sha256
+    return replace(used, version=min(one.version for one in records.values() if one.sha256 == sha256))
 
 
 def version_as_it_was(cat: Catalog, mission: Mission, name: str, version: int) -> VersionedModel:

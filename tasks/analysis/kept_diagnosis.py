@@ -129,7 +129,8 @@ def made_from(
         if one.name.startswith(settings.comparison)
     ]
     there = [one for one in archive if through is None or one[1] <= str(through)]
-    parts = [mission.text, used.model.name, used.version, used.text, settings.model_dump(), there, tables]
+    # Not its version: an undo makes another of an older text.
+    parts = [mission.text, used.model.name, used.text, settings.model_dump(), there, tables]
     return hashlib.sha256(json.dumps([*parts, hash_of_software()], default=str).encode()).hexdigest()
 
 

@@ -14,7 +14,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.cli.diagnose import print_diagnosis
 from inflight.errors import CatalogError
 from inflight.flows import launch, run_with_prefect, run_without_prefect
-from inflight.tasks import analysis, ingest, reprocess
+from inflight.tasks import ModelHistory, analysis, ingest, reprocess
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
@@ -166,6 +166,22 @@ def test_other_settings_another_span_and_another_model_are_work(diagnosed):
     assert diagnose_if_unchanged(workspace, "2024-03-01", None, DiagnoseSettings()) is None
     Workbench(Catalog(workspace.root), workspace.mission()).add(found["effects"][0]["name"])
     assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings()) is None
+
+
+def test_what_was_added_and_undone_leaves_verdict_and_products_as_they_are(diagnosed):
+    workspace, found = diagnosed
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    bench = Workbench(cat, mission)
+    bench.add(found["effects"][0]["name"])
+    bench.undo()
+    assert diagnose_if_unchanged(workspace, None, None, DiagnoseSettings())["unchanged"] is True
+    made = reprocess(cat, mission).days["done"]
+    bench.add(found["effects"][0]["name"])
+    assert reprocess(cat, mission, "2024-03-01", "2024-03-02").days["done"] == 1
+    bench.undo()
+    again = reprocess(cat, mission).days
+    assert (again["done"], again["unchanged"]) == (1, made - 1)
+    assert ModelHistory(cat, mission).stale_contexts(name for _, name in cat.published("l2/field")) == set()
 
 
 def with_later_day(workspace, hidden, monkeypatch):

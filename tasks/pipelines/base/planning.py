@@ -33,6 +33,7 @@ from inflight.tasks.archive import (
 )
 from inflight.tasks.models import (
     VersionedModel,
+    as_first_saved,
     current_model,
     preflight_model,
     preflight_of,
@@ -293,7 +294,8 @@ def models_to_use(
     """Return the model and the one from before flight: those in use, or those of the named context."""
     if settings.context is None:
         comparison = settings.comparison
-        return current_model(cat, mission, comparison), preflight_model(cat, mission, comparison)
+        used = as_first_saved(cat, current_model(cat, mission, comparison))
+        return used, preflight_model(cat, mission, comparison)
     pinned = cat.context(member_of_context(cat, settings).context)
     name, version = pinned.model_name, pinned.model_version
     return version_as_it_was(cat, mission, name, version), preflight_of(cat, mission, name, version)
