@@ -15,7 +15,7 @@ from inflight.figures import LazySection
 from inflight.tasks import Progress
 
 #: How often the progress of a job is polled, ms, and how long a job takes before any is shown, s. A browser
-#: lays the whole page out again for each text that comes and goes: a quick job would wait for its own progress.
+#: lays the page out again for each text that comes and goes: a quick job would wait for its own progress.
 _POLL_MS, _QUIET_S = 50, 0.4
 
 

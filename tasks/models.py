@@ -372,7 +372,7 @@ def version_of(
 
 
 def as_first_saved(cat: Catalog, used: VersionedModel) -> VersionedModel:
-    """Return a model as the first version that has its text: what an undo went back to has products already."""
+    """Return a model as the first version with its text: what an undo went back to has products already."""
     records = {one.version: one for one in cat.models() if one.name == used.model.name}
     sha256 = records[used.version].sha256
     return replace(used, version=min(one.version for one in records.values() if one.sha256 == sha256))
