@@ -29,6 +29,8 @@ _TABS = {
     "Model against measurement": "Noise floor",
     "The loop": "Where it fails",
 }
+#: Seconds after which the page says what it is doing.
+_SAID_S = 0.7
 #: Seconds that are asked for.
 _PAINT, _TAB, _TRY, _ADD = "2 s", "1 s", "0.5 s", "1 s"
 _EFFECT = "channel_field(heater_current)"
@@ -93,7 +95,9 @@ def _measured(browser: Chromium, url: str, count: int) -> Iterator[Row]:
     yield Row(what=f"{count} days: first paint", seconds=again, aim=_PAINT)
     drawn = until("Residual of products", lambda: None)
     yield Row(what=f"{count} days: then until the residual of 30 days is drawn", seconds=drawn)
-    read = until("Reads the equations", lambda: None, gone=True)
+    # The page says what it does when that takes long enough to be read.
+    time.sleep(_SAID_S)
+    read = [_SAID_S + seconds for seconds in until("Reads the equations", lambda: None, gone=True)]
     yield Row(what=f"{count} days: then until the equations are read", seconds=read)
     for _ in range(2):
         for name, text in _TABS.items():

@@ -248,6 +248,10 @@ class Catalog:
         """Return the sha256 of the manifest of a day's store, and all days in that store in order."""
         return self._database.read(stored_together, day.segment)
 
+    def dataset_names(self) -> list[str]:
+        """Return the names of all datasets in order; `inventory` describes each, which takes longer."""
+        return self._days.names()
+
     def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
         """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
         return self._days.inventory(parse_span(time))

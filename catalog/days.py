@@ -330,6 +330,10 @@ class DatabaseDays:
     def __init__(self, database: Database) -> None:
         self._database = database
 
+    def names(self) -> list[str]:
+        """Return the names of all datasets in order."""
+        return self._database.read(dataset_names, ["*"])
+
     def current(self, name: str, day: dt.date) -> Day | None:
         """Return the published revision of a day; None without one."""
         return self._database.read(current_day, name, day)

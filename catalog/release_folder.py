@@ -137,6 +137,10 @@ class ReleaseFolder:
         )
         return [record]
 
+    def names(self) -> list[str]:
+        """Return the names of all datasets in order."""
+        return list(self._listed)
+
     def inventory(self, span: Span) -> list[dict[str, Any]]:
         """Describe each dataset; see `Catalog.inventory`."""
         return [summary_of_days(name, self.days(name, span)) for name in self._listed]

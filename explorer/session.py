@@ -429,7 +429,7 @@ class ExplorerSession:
 
     def datasets(self) -> list[str]:
         """Return the datasets of products and of the archive, products first."""
-        names = [one["dataset"] for one in self.cat.inventory()]
+        names = self.cat.dataset_names()
         return [name for kind in ("l2/", "l1/") for name in names if name.startswith(kind)]
 
     def coverage(self, dataset: str, progress: Progress) -> list[CoverageDay]:

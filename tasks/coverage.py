@@ -61,8 +61,8 @@ def coverage_days(cat: Catalog, mission: Mission, dataset: str) -> list[Coverage
         When the comparison's model cannot be read.
     """
     known = {day.day: day for day in cat.days(dataset)}
-    every = [one for one in cat.inventory() if one["dataset"].startswith(("l1/", "l2/"))]
-    ends = [np.datetime64(one[end], "D") for one in every for end in ("first", "last") if one[end]]
+    every = [cat.published(name) for name in cat.dataset_names() if name.startswith(("l1/", "l2/"))]
+    ends = [np.datetime64(days[end][0], "D") for days in every if days for end in (0, -1)]
     ends += known
     if not ends:
         return []

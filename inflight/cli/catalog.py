@@ -352,7 +352,7 @@ def _require_known(catalog: Catalog, name: str) -> None:
     from inflight.errors import CatalogError
 
     tables = sorted({f"tables/{record.name}" for record in catalog.tables()})
-    known = [*(item["dataset"] for item in catalog.inventory()), *tables]
+    known = [*catalog.dataset_names(), *tables]
     if name not in known:
         raise CatalogError(
             f"there is no dataset {name!r}", remedy=f"the catalog has {', '.join(known) or 'nothing yet'}"
@@ -401,7 +401,7 @@ def gaps(
     if name is not None:
         _require_known(catalog, name)
     # What is kept of several days stands at the first of them: no other day is missing there.
-    known = [item["dataset"] for item in catalog.inventory()]
+    known = catalog.dataset_names()
     names = [name] if name else [one for one in known if not _is_own(one)]
     items = []
     for dataset in names:

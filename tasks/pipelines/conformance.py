@@ -236,7 +236,7 @@ def _runs(case: _Case) -> Iterator[str]:
     if "residual" not in report.extra:
         yield "results gives no 'residual'; give an empty one where there is none"
     known = {f"tables/{one.name}" for one in case.cat.tables()}
-    known |= {one["dataset"] for one in case.cat.inventory()}
+    known |= set(case.cat.dataset_names())
     yield from (f"outputs names {one!r}, which is not there" for one in report.outputs if one not in known)
     remarks: list[object] = list(case.pipeline.remarks(report.as_json()))
     yield from (f"remarks gives {one!r}; give sentences" for one in remarks if not isinstance(one, str))

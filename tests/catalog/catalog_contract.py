@@ -565,6 +565,7 @@ class UpkeepContract:
         with catalog.run("ingest") as run:
             run.record(NAME, DAYS[1], "failed", "repeatable", "cut")
         (item,) = catalog.inventory()
+        assert catalog.dataset_names() == [NAME]
         assert (item["dataset"], item["first"], item["last"]) == (NAME, "2005-12-30", "2006-01-02")
         assert (item["days"], item["failed"], item["gaps"]) == (2, 1, ["2005-12-31", "2006-01-01"])
         assert item["versions"] == {"v01.00": 1, "v01.01": 1}

@@ -65,7 +65,9 @@ def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
     days = cat.days(product, span, states=("published",))
     if not days:
         where = " in the span" if span.start or span.stop else ""
-        first = "'inflight reprocess'" if cat.inventory() else "'inflight ingest', then 'inflight reprocess',"
+        first = (
+            "'inflight reprocess'" if cat.dataset_names() else "'inflight ingest', then 'inflight reprocess',"
+        )
         raise CatalogError(f"'{product}' has no published days{where}", remedy=f"run {first} first")
     return days
 
