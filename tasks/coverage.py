@@ -18,7 +18,7 @@ from inflight.tasks.models import ModelHistory
 from inflight.tasks.pipelines import product_of
 from inflight.tasks.report import in_plain_words
 from inflight.tasks.run_progress import failure_lines
-from inflight.time import day_of, day_range
+from inflight.time import as_day, day_of, day_range
 
 #: What can become of a day, the worst first; the page and its figure show them in this order.
 COVERAGE: Final = (
@@ -62,7 +62,7 @@ def coverage_days(cat: Catalog, mission: Mission, dataset: str) -> list[Coverage
     """
     known = {day.day: day for day in cat.days(dataset)}
     every = [cat.published(name) for name in cat.dataset_names() if name.startswith(("l1/", "l2/"))]
-    ends = [np.datetime64(days[end][0], "D") for days in every if days for end in (0, -1)]
+    ends = [as_day(days[end][0]) for days in every if days for end in (0, -1)]
     ends += known
     if not ends:
         return []

@@ -19,7 +19,7 @@ readings, or goes with a recorded channel that fluctuates as much, is a signal a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, cast
 
@@ -66,6 +66,9 @@ class DesignRows:
         Good native samples of each over the usual number; 0 where there are none.
     row_filter : RowFilter, optional
         The filter the residual went through; columns go through it, too.
+    averaged : dict of str to ndarray, shape (time, row)
+        Columns that were made before rows became means of several: a reading times a direction is another
+        thing after it.
     """
 
     samples: xr.Dataset
@@ -74,6 +77,7 @@ class DesignRows:
     sensor_matrices: Mapping[str, Floats]
     weight: Floats
     row_filter: RowFilter | None = None
+    averaged: Mapping[str, Floats] = field(default_factory=dict)
 
     @cached_property
     def directions_of_readings(self) -> dict[str, Floats]:
@@ -92,6 +96,7 @@ class DesignRows:
             residual=self.residual[rows],
             directions={name: one[rows] for name, one in self.directions.items()},
             weight=self.weight[rows],
+            averaged={name: one[rows] for name, one in self.averaged.items()},
         )
 
 
@@ -138,6 +143,9 @@ class _Column(NamedTuple):
 
 def _columns_of(term: Term, rows: DesignRows) -> Iterator[_Column]:
     """Yield the columns of a term one by one."""
+    if term.columns and all(name in rows.averaged for name in term.columns):
+        yield from (_Column(rows.averaged[name]) for name in term.columns)
+        return
     outside = ~within_span(rows.samples["tt2000"].values, term.span) if term.span else None
     for column in _columns_in_and_out(term, rows):
         found = column if isinstance(column, _Column) else _Column(column)

@@ -25,6 +25,8 @@ from inflight.samples import Folding, PlainSamples
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")
+#: Beginning of the names of features that are columns, means of rows like everything else.
+_COLUMN = "column:"
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,13 @@ class Features:
     @property
     def channels(self) -> list[str]:
         """Names of channels and geometry."""
-        fixed = {"seconds", "residual", "weight", "field", *_ROLES}
-        return [name for name in self.names if name not in fixed and not name.startswith("direction:")]
+        fixed, made = {"seconds", "residual", "weight", "field", *_ROLES}, ("direction:", _COLUMN)
+        return [name for name in self.names if name not in fixed and not name.startswith(made)]
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns that were made before rows became means of several."""
+        return [name.removeprefix(_COLUMN) for name in self.names if name.startswith(_COLUMN)]
 
     def as_json(self) -> dict[str, object]:
         """Return what `of_json` reads."""
@@ -64,13 +71,19 @@ class Features:
 
 
 def features_of(rows: DesignRows, channels: Sequence[str]) -> Features:
-    """Return what the series of some rows holds: residual, directions, readings, field, weight, channels."""
+    """Return what the series of some rows holds: residual, directions, readings, field, weight, channels.
+
+    Columns that `rows` has made already are among it.
+    """
     count, held = rows.residual.shape[1], rows.samples.variables
     names = ["seconds", "residual", "weight", "field"]
     widths = [1, count, 1, 3]
     for sensor in rows.directions:
         names.append(f"direction:{sensor}")
         widths.append(3 * count)
+    for name in rows.averaged:
+        names.append(f"{_COLUMN}{name}")
+        widths.append(count)
     for name in (*[role for role in _ROLES if role in held], *channels):
         if name in held and name not in names:
             names.append(name)
@@ -91,6 +104,7 @@ def thin_rows(rows: DesignRows, features: Features, step: int) -> tuple[Int64, F
         "field": rows.samples["field"].values,
         "seconds": np.zeros(len(rows.weight)),
     } | {f"direction:{name}": one for name, one in rows.directions.items()}
+    parts |= {f"{_COLUMN}{name}": one for name, one in rows.averaged.items()}
     columns, channels = [], set(features.channels)
     for name, width in zip(features.names, features.widths, strict=True):
         values = parts[name] if name in parts else rows.samples.variables[name].values
@@ -236,12 +250,25 @@ class Series:
         # Effects only look variables up: no Dataset is made of them for every column that is tried.
         samples = cast("xr.Dataset", PlainSamples({**self._variables, **more}))
         return DesignRows(
-            samples, self._residual, self._directions, matrices, self["weight"], self.row_filter
+            samples,
+            self._residual,
+            self._directions,
+            matrices,
+            self["weight"],
+            self.row_filter,
+            self._averaged,
         )
 
     @cached_property
     def _residual(self) -> Floats:
-        return self["residual"].reshape(len(self.values), -1)
+        return self._of_row("residual")
+
+    @cached_property
+    def _averaged(self) -> dict[str, Floats]:
+        return {name: self._of_row(f"{_COLUMN}{name}") for name in self.features.columns}
+
+    def _of_row(self, name: str) -> Floats:
+        return self[name].reshape(len(self.values), -1)
 
     @cached_property
     def _directions(self) -> dict[str, Floats]:

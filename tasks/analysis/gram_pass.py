@@ -135,7 +135,7 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 
 #: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
-GRAM_VERSION = 24
+GRAM_VERSION = 25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -458,6 +458,9 @@ def block_grams(
         if plan.estimates:
             rows = _with_sources(mission, rows, recorded)
         rows = _with_gaps(rows, recorded)
+        if plan.series_step > 1 and rows.row_filter is None:
+            base = design_matrix(plan.library.base, rows)
+            rows = replace(rows, averaged={name: base[:, :, at] for at, name in enumerate(plan.base)})
         features = features or features_of(rows, _series_channels(plan))
         thinned.append(thin_rows(rows, features, plan.series_step))
     blocks = FactoredGrams.of(raws[0], plan.base, raws[1:], plan.fits)

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, flight_of, read
 
-from inflight.design import DesignRows
+from inflight.design import DesignRows, design_matrix
 from inflight.diagnosis import Features, Series, features_of, pack_blocks, run_search, thin_rows
 from inflight.diagnosis.residual import (
     correctable_grams,
@@ -45,6 +45,28 @@ def gappy():
     )
     hidden = read(whole, 2, whole["heater_current"][:, None] * FIELD)
     return case_of(known, [hidden], channels=CHANNELS), lost
+
+
+def test_columns_of_the_calibration_are_means_where_rows_are_means_of_several():
+    case, _ = gappy()
+    own = design_matrix(case.library.base, case.rows)
+    names = [name for term in case.library.base for name in term.columns]
+    made = replace(case.rows, averaged={name: own[:, :, at] for at, name in enumerate(names)})
+    step = 10  # a fifth of an orbit
+    weight = case.rows.weight.reshape(-1, step, 1, 1)
+    expected = (weight * own.reshape(-1, step, *own.shape[1:])).sum(axis=1) / weight.sum(axis=1)
+
+    def thinned(rows):
+        features = features_of(rows, CHANNELS)
+        stamps, values = thin_rows(rows, features, step)
+        edges = [*case.raw.start.tolist(), int(case.raw.end[-1])]
+        series = Series.of(pack_blocks(stamps, values, edges, 1000), case.raw.start, features)
+        assert set(series.channels) == set(CHANNELS)
+        return design_matrix(case.library.base, series.rows({}, {}))
+
+    assert thinned(made) == pytest.approx(expected, rel=1e-5, abs=1e-6 * np.abs(expected).max())
+    # A mean reading times a mean direction is not the mean of their product.
+    assert np.abs(thinned(case.rows) - expected).max() > 0.1 * np.abs(expected).max()
 
 
 def searched(option="channel_field(heater_current)"):
