@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -33,19 +34,30 @@ from inflight.errors import CatalogError
 _FEW_ROWS = 200
 
 
+#: Columns of a day, and those that are fields of its record under their own names.
+_COLUMNS = tuple(DayRow.__table__.columns.keys())
+_OWN = tuple({item.name for item in fields(Day)} & set(_COLUMNS) - {"id", "day", "revision"})
+
+
 def day_record(row: DayRow, dataset: str, path: str | None) -> Day:
     """Return a row of the database as the record users see."""
-    published = row.baseline is not None and row.revision is not None
-    return row.as_record(
-        Day,
+    return _record({name: getattr(row, name) for name in _COLUMNS}, dataset, path)
+
+
+def _record(values: Mapping[str, Any], dataset: str, path: str | None) -> Day:
+    """Return the values of a row's columns as the record users see."""
+    baseline, revision = values["baseline"], values["revision"]
+    published = baseline is not None and revision is not None
+    return Day(
+        **{name: values[name] for name in _OWN},
         dataset=dataset,
-        day=utc_day(row.day),
-        version=version_text(row.baseline or 0, row.revision or 0) if published else "",
-        revision=-1 if row.revision is None else row.revision,
-        run=row.run_id,
-        id=f"day:{row.id}",
+        day=utc_day(values["day"]),
+        version=version_text(baseline or 0, revision or 0) if published else "",
+        revision=-1 if revision is None else revision,
+        run=values["run_id"],
+        id=f"day:{values['id']}",
         segment=path or "",
-        rows=(row.start, row.stop),
+        rows=(values["start"], values["stop"]),
     )
 
 
@@ -113,26 +125,48 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
     if dataset is None:
         return []
     # What tells records apart is little: of those that are not chosen no more is read.
-    kinds = select(DayRow.id, DayRow.day, DayRow.state).where(DayRow.dataset_id == dataset)
+    kinds = select(DayRow.id, DayRow.run_id, DayRow.day, DayRow.state).where(DayRow.dataset_id == dataset)
     current = set(session.scalars(select(CurrentRow.day_id).where(CurrentRow.dataset_id == dataset)))
-    by_day: dict[dt.date, list[tuple[int, str]]] = defaultdict(list)
-    for number, day, state in session.execute(_in_span(kinds, span).order_by(DayRow.id)):
+    by_day: dict[dt.date, list[_Kind]] = defaultdict(list)
+    for number, run, day, state in session.execute(_in_span(kinds, span).order_by(DayRow.id)):
         if number in current:
-            by_day[day] = [(number, state)]
+            by_day[day] = [(number, state, run, name, day)]
         elif state != "published":
-            by_day[day].append((number, state))
-    chosen: list[int] = []
+            by_day[day].append((number, state, run, name, day))
+    chosen: list[_Kind] = []
     for _, found in sorted(by_day.items()):
         preferred = {"published"} if accepted is None else accepted
-        matching = [number for number, state in found if state in preferred]
-        chosen += matching[-1:] or ([found[-1][0]] if accepted is None else [])
-    if not chosen:
-        return []
-    query = _in_span(_with_store().where(DayRow.dataset_id == dataset), span)
-    if len(chosen) <= _FEW_ROWS:
-        query = query.where(DayRow.id.in_(chosen))
-    rows = {row.id: (row, path) for row, path in session.execute(query)}
-    return [day_record(rows[number][0], name, rows[number][1]) for number in chosen]
+        matching = [kind for kind in found if kind[1] in preferred]
+        chosen += matching[-1:] or (found[-1:] if accepted is None else [])
+    records = {kind: _published[kind] for kind in chosen if kind in _published}
+    if left := [kind for kind in chosen if kind not in records]:
+        made = _records_of(session, name, dataset, span, [kind[0] for kind in left])
+        records |= {kind: made[kind[0]] for kind in left}
+        _published.update((kind, records[kind]) for kind in left if kind[1] == "published")
+    return [records[kind] for kind in chosen]
+
+
+#: What tells rows of days apart in all databases: number, state, run, dataset and day.
+_Kind = tuple[int, str, str, str, dt.date]
+#: Records that this process has read: a published row changes no more, but for its state.
+_published: dict[_Kind, Day] = {}
+
+
+def _records_of(
+    session: Session, name: str, dataset: int, span: Span, numbers: Sequence[int]
+) -> dict[int, Day]:
+    """Return the records of days of a dataset by the numbers of their rows."""
+    # Columns, not objects: of thousands of days those take most of the time.
+    query = select(*DayRow.__table__.columns, StoreRow.path)
+    query = query.outerjoin_from(DayRow, StoreRow, StoreRow.id == DayRow.store_id)
+    query = _in_span(query.where(DayRow.dataset_id == dataset), span)
+    if len(numbers) <= _FEW_ROWS:
+        query = query.where(DayRow.id.in_(numbers))
+    rows = {row.id: row for row in session.execute(query)}
+    return {
+        number: _record(dict(zip(_COLUMNS, rows[number], strict=False)), name, rows[number].path)
+        for number in numbers
+    }
 
 
 def published_contexts(session: Session, name: str) -> list[tuple[dt.date, str | None]]:

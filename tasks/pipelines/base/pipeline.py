@@ -170,7 +170,8 @@ class Pipeline(ABC):
             for day in plan.unchanged
             if not self.has_products or (day in products and products[day].context == plan.context)
         ]
-        return [day for day in plan.days if day not in set(same)], same
+        known = set(same)
+        return [day for day in plan.days if day not in known], same
 
     # --- a day ------------------------------------------------------------------------------------------
 

@@ -244,7 +244,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
         if day in solved.used and day not in work.failed
     }
     unchanged = [day for day, key in keys.items() if day in current and current[day].key == key]
-    todo = [day for day in keys if day not in set(unchanged)]
+    todo = sorted(keys.keys() - set(unchanged))
     adopted = reuse_interrupted_days(work.run, plan.product, keys, todo)
     todo = [day for day in todo if day not in adopted]
     _, preflight = models_to_use(cat, work.mission, plan.settings)
