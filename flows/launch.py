@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ _IDLE_SERVICES = (
     "PAUSE_EXPIRATIONS",
     "REPOSSESSOR",
 )
+#: What flows need, imported while the embedded server starts.
+_NEEDED = ("inflight.flows.prefect_flows", "dask.array", "pint", "zarr", "numba")
 #: Set in both modes: no telemetry, no log traffic.
 _QUIET = {
     "DO_NOT_TRACK": "1",
@@ -229,6 +232,9 @@ def prefect_settings(home: Path) -> Iterator[None]:
 
     changed: dict[Any, Any] = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}
     if server is not None:
+        # It takes as long to start as the flow's own modules to import.
+        for name in _NEEDED:
+            import_module(name)
         server.wait()
         changed[PREFECT_API_URL] = server.url
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
 from collections.abc import Callable
@@ -115,6 +116,8 @@ def main(arguments: list[str] | None = None) -> None:
         What follows ``inflight``; the process's own when absent.
     """
     gc.set_threshold(_OBJECTS_TO_COLLECT)
+    # What there is at the end ends with the process: looking for cycles in it would take a second.
+    atexit.register(gc.freeze)
     given = sys.argv[1:] if arguments is None else arguments
     group = typer.main.get_command(app)
     try:
