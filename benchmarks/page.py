@@ -6,6 +6,7 @@ The archive is written directly, a sample every eight minutes: what grows with t
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tempfile
 import time
@@ -105,10 +106,15 @@ def _measured(browser: Chromium, url: str, count: int) -> Iterator[Row]:
             yield Row(what=f"{count} days: tab {name}", seconds=seconds, aim=_TAB)
     browser.wait_for("!window.allText().includes('Reads the equations')", 600)
     browser.fill_placeholder("a channel, an effect", _EFFECT)
+    # A workspace that is kept has the versions of earlier measurements.
+    found = re.findall(r"(\d+) \(in use\)", browser.text())
+    version = int(found[0]) if found else 1
     for verb, text, aim in (
         ("Try", "Tried; nothing is saved.", _TRY),
-        ("Add", "add channel_field(heater_current)", _ADD),
-        ("Undo", "undo version", _ADD),
+        ("Add", f"{version + 1} (in use)", _ADD),
+        ("Undo", f"{version + 2} (in use)", _ADD),
     ):
+        # As a person does who looks at what the last one drew.
+        browser.rest()
         seconds = until(text, lambda verb=verb: browser.press("button", verb))
         yield Row(what=f"{count} days: {verb}", seconds=seconds, aim=aim)

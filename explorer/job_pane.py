@@ -17,6 +17,8 @@ from inflight.tasks import Progress
 #: How often the progress of a job is polled, ms, and how long a job takes before any is shown, s. A browser
 #: lays the page out again for each text that comes and goes: a quick job would wait for its own progress.
 _POLL_MS, _QUIET_S = 50, 0.4
+#: How long a browser has to show a result before what follows it is drawn, s.
+_SEEN_S = 0.4
 
 
 def lazy_tabs(
@@ -67,7 +69,7 @@ class JobPane:
         self._status = pn.pane.HTML("", visible=False, margin=(5, 10))
         self._content = pn.Column(sizing_mode="stretch_width")
         self._job: BackgroundJob | None = None
-        self._begun = 0.0
+        self._begun = self._told = 0.0
         self._poll_callback: Any = None
         self._show: Callable[[Any], pn.viewable.Viewable] = panes.text
         self._then: Callable[[Any], None] | None = None
@@ -124,6 +126,8 @@ class JobPane:
     def _poll(self) -> None:
         job = self._job
         if job is None:
+            if self._due is not None and time.monotonic() - self._told < _SEEN_S:
+                return
             due, self._due = self._due, None
             self._end_polling()
             if due is not None:
@@ -136,6 +140,7 @@ class JobPane:
         self._job, self._status.visible = None, False
         if job.error is None:
             self.put(self._show(job.result))
+            self._told = time.monotonic()
             if (then := self._then) is not None:
                 self._due = lambda: then(job.result)
                 return

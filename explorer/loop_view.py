@@ -117,7 +117,10 @@ class LoopView:
         self._error, self._versions, self._numbers = (
             pn.Column(sizing_mode="stretch_width") for _ in range(3)
         )
+        # What is told of a change, and its numbers.
+        self._told_text, self._numbers_text = panes.text(), panes.text()
         # A field of many coefficients must not push away what goes on in time.
+        self._numbers.objects = [self._numbers_text]
         self._numbers.styles = {"max-height": f"{_NUMBERS}px", "overflow-y": "auto"}
         self._other = pn.widgets.TextInput(
             name="Effect",
@@ -159,8 +162,8 @@ class LoopView:
         self._other.value = self._state.candidate
         self._residual.show(overview, days)
         diagnosis = self._show_diagnosis()
-        self._model_pane.put()
-        self._numbers.objects = []
+        self._model_pane.put(panes.retell(self._told_text))
+        panes.retell(self._numbers_text)
         self._show_model()
         if diagnosis is not None:
             self._model_pane.begin(
@@ -171,7 +174,7 @@ class LoopView:
 
     def _opened(self, made: Contributions | None) -> pn.viewable.Viewable:
         self._time.show_contributions(made)
-        return panes.text()
+        return panes.retell(self._told_text)
 
     # Which effect.
 
@@ -281,9 +284,6 @@ class LoopView:
         return self._told(paragraph(f" Add keeps it.{doubt}", bold="Tried; nothing is saved."), change)
 
     def _changed(self, change: Fields) -> pn.viewable.Viewable:
-        self._notify()
-        # The diagnosis shown is of the model before.
-        self._show_diagnosis()
         self._show_model()
         return self._told(change_tables(change)[0], change)
 
@@ -294,6 +294,10 @@ class LoopView:
         """
         if trial:
             self._draw_error(change)
+        else:
+            self._notify()
+            # The diagnosis shown is of the model before.
+            self._show_diagnosis()
 
         def seen(found: tuple[BeforeAfter | None, Contributions | None]) -> pn.viewable.Viewable:
             floor = change["error"]["noise_floor_nT"]
@@ -310,9 +314,10 @@ class LoopView:
 
     def _told(self, sentence: str, change: Fields) -> pn.viewable.Viewable:
         """Return a sentence on a change; its numbers stand below the versions."""
+        told = panes.retell(self._told_text, sentence)
         _, *tables = change_tables(change)
-        self._numbers.objects = [panes.text(*tables)] if tables else []
-        return panes.text(sentence)
+        panes.retell(self._numbers_text, *tables)
+        return told
 
     def _begin_reprocessing(self) -> None:
         if self._overview is None:

@@ -19,10 +19,19 @@ _MOST = 1.7
 _COLOURS = {"error": "#a01830", "hint": "#8a5a00"}
 
 
-def text(*paragraphs: str) -> pn.viewable.Viewable:
+def text(*paragraphs: str) -> pn.pane.HTML:
     """Return paragraphs, plain text or `Markup`."""
-    inside = str(render("text.html", paragraphs=paragraphs))
-    return pn.pane.HTML(inside, stylesheets=_STYLES, sizing_mode="stretch_width", margin=(5, 10))
+    return pn.pane.HTML(_inside(paragraphs), stylesheets=_STYLES, sizing_mode="stretch_width", margin=(5, 10))
+
+
+def retell(pane: pn.pane.HTML, *paragraphs: str) -> pn.pane.HTML:
+    """Return a pane of `text` with other paragraphs: a browser shows them sooner than another pane."""
+    pane.object = _inside(paragraphs)
+    return pane
+
+
+def _inside(paragraphs: Sequence[str]) -> str:
+    return str(render("text.html", paragraphs=paragraphs))
 
 
 def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewable.Viewable:
