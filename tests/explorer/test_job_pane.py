@@ -1,5 +1,8 @@
+import threading
+
 import panel as pn
 
+from inflight.explorer import job_pane
 from inflight.explorer.background import Background
 from inflight.explorer.job_pane import JobPane
 
@@ -25,6 +28,8 @@ def test_a_result_is_shown_only_once_the_browser_has_the_page(monkeypatch):
 
 def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
     polls, followed = Polls(), []
+    clock = [100.0]
+    monkeypatch.setattr(job_pane.time, "monotonic", lambda: clock[0])
     monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
     monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
     background = Background()
@@ -34,7 +39,10 @@ def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
     assert pane._job.wait(60)
     polls.run()
     assert pane.panel[1].objects[0].object == "it is 2"
+    polls.run()
+    # The browser has not shown it yet.
     assert (followed, polls.stopped) == ([], 0)
+    clock[0] += 1.0
     polls.run()
     assert (followed, polls.stopped) == ([2], 1)
     # What fails has nothing that follows.
@@ -43,6 +51,28 @@ def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
     polls.run()
     polls.run()
     assert (followed, polls.stopped) == ([2], 2)
+    background.close()
+
+
+def test_progress_is_shown_of_what_takes_long_only(monkeypatch):
+    polls, clock, stopper = Polls(), [100.0], threading.Event()
+    monkeypatch.setattr(job_pane.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
+    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
+    background = Background()
+    pane = JobPane(background)
+    pane.begin("sum", lambda progress: stopper.wait(60), lambda result: pn.pane.HTML("done"))
+    status = pane.panel[0]
+    polls.run()
+    assert not status.visible
+    clock[0] += 1.0
+    polls.run()
+    assert status.visible
+    assert "sum" in status.object
+    stopper.set()
+    assert pane._job.wait(60)
+    polls.run()
+    assert not status.visible
     background.close()
 
 

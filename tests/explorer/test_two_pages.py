@@ -33,6 +33,8 @@ class Polls:
 @pytest.fixture
 def polls(monkeypatch):
     made = Polls()
+    # Of what takes no time nothing would be told.
+    monkeypatch.setattr("inflight.explorer.job_pane._QUIET_S", -1.0)
     monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
     monkeypatch.setattr(pn.state, "add_periodic_callback", made.add)
     return made
