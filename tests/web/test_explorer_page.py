@@ -16,6 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from inflight.catalog import Catalog, Workspace
+from inflight.tasks.analysis import diagnose_span, last_diagnosis
 from inflight.tasks.pipelines import reprocess
 
 #: What the last figure with a title like one has drawn: ys of its marks by what they are called.
@@ -68,6 +69,14 @@ def heated(tmp_path_factory):
 @pytest.fixture(scope="module")
 def address(serve, heated):
     return serve(heated).url
+
+
+@pytest.fixture
+def diagnosed(heated):
+    """The same workspace with a diagnosis: that of a test before, or one made for it."""
+    if last_diagnosis(Workspace.open(heated), "main") is None:
+        diagnose_span(Workspace.open(heated))
+    return heated
 
 
 def drawn_error(browser, change):
@@ -187,7 +196,7 @@ def focused(browser, selector):
     raise AssertionError(f"Tab does not reach {selector}")
 
 
-def test_tables_and_figures_are_used_by_the_keyboard(browser, address):
+def test_tables_and_figures_are_used_by_the_keyboard(browser, address, diagnosed):
     browser.open(f"{address}&tab=the-loop&channel=boom_temperature")
     browser.wait_for_text("Drag over the map", 240)
     browser.wait_for("pick('.tabulator-row').length > 3")
@@ -213,7 +222,7 @@ def test_tables_and_figures_are_used_by_the_keyboard(browser, address):
     browser.wait_for("location.search.includes('candidate=')")
 
 
-def test_two_browsers_do_not_disturb_each_other(browser, address, tmp_path):
+def test_two_browsers_do_not_disturb_each_other(browser, address, diagnosed, tmp_path):
     """Each tries an effect of its own at the same time, on a part of its own."""
     other = Chromium(find_chromium(), tmp_path / "profile")
     try:
