@@ -8,7 +8,7 @@ where.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, cast
@@ -256,18 +256,15 @@ class Series:
             matrices,
             self["weight"],
             self.row_filter,
-            self._averaged,
+            _Averaged(self),
         )
 
     @cached_property
     def _residual(self) -> Floats:
-        return self._of_row("residual")
+        return self.of_row("residual")
 
-    @cached_property
-    def _averaged(self) -> dict[str, Floats]:
-        return {name: self._of_row(f"{_COLUMN}{name}") for name in self.features.columns}
-
-    def _of_row(self, name: str) -> Floats:
+    def of_row(self, name: str) -> Floats:
+        """Return a feature with a value a row; (sample, row)."""
         return self[name].reshape(len(self.values), -1)
 
     @cached_property
@@ -286,3 +283,21 @@ class Series:
                 data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         return data
+
+
+class _Averaged(Mapping[str, Floats]):
+    """The columns that a series holds; each is made double when it is asked for: all are megabytes."""
+
+    def __init__(self, series: Series) -> None:
+        self._series = series
+
+    def __getitem__(self, name: str) -> Floats:
+        if name not in self._series.features.columns:
+            raise KeyError(name)
+        return self._series.of_row(f"{_COLUMN}{name}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._series.features.columns)
+
+    def __len__(self) -> int:
+        return len(self._series.features.columns)
