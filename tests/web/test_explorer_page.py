@@ -230,14 +230,14 @@ def test_two_browsers_do_not_disturb_each_other(browser, address, diagnosed, tmp
             one.open(f"{address}&tab=the-loop&candidate={effect}")
         for one in (browser, other):
             one.wait_for_text("Drag over the map", 120)
-            one.wait_for_text("noise floor 0.0")
+            one.wait_for("pick('.tabulator-row').length > 3")
         other.fill("Only where", "boom_temperature=5~9")
         for one in (browser, other):
             one.press("button", "Try")
         for one, effect in ((browser, "scale_drift"), (other, "boom_temperature")):
             one.wait_for_text("Tried; nothing is saved.", 120)
             tried = [name for name in drawn_error(one, "try:")["bars"] if name.startswith("try")]
-            assert tried == [f"try: {effect}"]
+            assert [name.startswith(f"try: {effect}") for name in tried] == [True]
         other.wait_for_text("Selected: boom_temperature 5 to 9 degC")
         assert "Selected:" not in browser.text()
         assert "select=" not in browser.evaluate("location.search")
