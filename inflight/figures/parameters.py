@@ -101,8 +101,11 @@ def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
             label = name.partition("[")[2].rstrip("]") or part.replace("_", " ")
             # The prior's width is no measurement, and would flatten what was measured.
             error_bars(plot, middle[known], value[known], sigma[known], colour, 0.4)
-            fill = np.where(known, 1.0, 0.0)
-            plot.scatter(middle, value, color=colour, fill_alpha=fill, size=5, legend_label=label)
+            # One style for many circles: a browser draws them sooner than circles that each have their own.
+            for which, fill in ((known, 1.0), (~known, 0.0)):
+                if which.any():
+                    own_days = middle[which], value[which]
+                    plot.scatter(*own_days, color=colour, fill_alpha=fill, size=5, legend_label=label)
             level = (used["value"].sel(parameter=name).values - prior) * factor
             plot.segment(start, level, end, level, color=colour, line_width=2, alpha=0.8)
         legend_below(plot)
