@@ -33,6 +33,10 @@ from inflight.errors import CatalogError
 #: So many rows are asked for by their numbers; of more, all of the span are read.
 _FEW_ROWS = 200
 
+#: What tells rows of days apart in all databases: number, state, run, dataset and day.
+_Kind = tuple[int, str, str, str, dt.date]
+#: Records that this process has read: a published row changes no more, but for its state.
+_published: dict[_Kind, Day] = {}
 
 #: Columns of a day, and those that are fields of its record under their own names.
 _COLUMNS = tuple(DayRow.__table__.columns.keys())
@@ -144,12 +148,6 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
         records |= {kind: made[kind[0]] for kind in left}
         _published.update((kind, records[kind]) for kind in left if kind[1] == "published")
     return [records[kind] for kind in chosen]
-
-
-#: What tells rows of days apart in all databases: number, state, run, dataset and day.
-_Kind = tuple[int, str, str, str, dt.date]
-#: Records that this process has read: a published row changes no more, but for its state.
-_published: dict[_Kind, Day] = {}
 
 
 def _records_of(

@@ -105,6 +105,10 @@ class JobPane:
         then : callable, optional
             Called with the result once it is shown: what takes long and need not be seen at once.
         """
+        # What follows a result that was shown is not lost, nor done after what is begun now.
+        due, self._due = self._due, None
+        if due is not None:
+            due()
         self.follow(self._background.begin(name, work), show, then)
 
     def follow(

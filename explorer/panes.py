@@ -49,8 +49,9 @@ def _growing(figure: Any) -> pn.viewable.Viewable:
     if own is None:
         return pn.pane.Bokeh(with_export(figure), margin=4)
     figure.sizing_mode = "stretch_width"
-    style = {"flex": f"1 1 {own}px", "max-width": f"{round(_MOST * own)}px"}
-    return pn.pane.Bokeh(with_export(figure), sizing_mode="stretch_width", margin=4, styles=style)
+    pane = picture(figure)
+    pane.styles = {"flex": f"1 1 {own}px", "max-width": f"{round(_MOST * own)}px"}
+    return pane
 
 
 def picture(figure: Any) -> pn.viewable.Viewable:

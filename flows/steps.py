@@ -105,9 +105,10 @@ def backfill(
     niceness : int
         How far its processes stand behind others of this machine: live days go before a backfill.
     """
-    span = DaySpan(start=start, end=end)
-    spans = span, span
-    return _ingest_and_reprocess("backfill", workspace, spans, settings, data, workers, reason, niceness)
+    place, span = Workspace.open(workspace), DaySpan(start=start, end=end)
+    with lazy_client(workers, niceness) as client:
+        report = _ingest_and_reprocess("backfill", place, (span, span), settings, data, client, reason)
+    return report.as_json()
 
 
 def monthly(
@@ -128,7 +129,9 @@ def monthly(
     """
     span = month_span(month, dt.datetime.now(dt.UTC).date())
     stated = MONTHLY_SETTINGS.model_copy(update=settings.model_dump(exclude_unset=True))
-    return _ingest_and_reprocess("monthly", workspace, (span.with_neighbours(), span), stated, data, workers)
+    place, spans = Workspace.open(workspace), (span.with_neighbours(), span)
+    with lazy_client(workers) as client:
+        return _ingest_and_reprocess("monthly", place, spans, stated, data, client).as_json()
 
 
 def diagnose(
@@ -169,9 +172,8 @@ def update(
     """
     place, every_day = Workspace.open(workspace), DaySpan()
     with lazy_client(workers) as client:
-        ingested = _ingest_span(place, data, None, every_day, client, reason=reason)
-        report = _reprocess_span(place, every_day, settings, client, reason)
-        report = ingested.followed_by(report, "update")
+        spans = every_day, every_day
+        report = _ingest_and_reprocess("update", place, spans, settings, data, client, reason)
         return _with_diagnosis(report, place, settings, client).as_json()
 
 
@@ -277,10 +279,16 @@ def _backfill_if_idle(
     reason: str = "",
     niceness: int = BACKFILL_NICENESS,
 ) -> RunReport | None:
-    del reason, niceness
-    ingested = _ingest_if_idle(workspace, data, None, start, end, workers)
-    report = ingested and _reprocess_if_idle(workspace, start, end, settings, workers)
-    return ingested.followed_by(report, "backfill") if ingested and report else None
+    del reason, niceness, workers
+    return _ingest_and_reprocess_if_idle("backfill", workspace, DaySpan(start=start, end=end), settings, data)
+
+
+def _ingest_and_reprocess_if_idle(
+    command: str, workspace: Path, span: DaySpan, settings: ReprocessSettings, data: Path | None
+) -> RunReport | None:
+    ingested = _ingest_if_idle(workspace, data, None, span.start, span.end)
+    report = ingested and _reprocess_if_idle(workspace, span.start, span.end, settings)
+    return ingested.followed_by(report, command) if ingested and report else None
 
 
 def _diagnose_if_idle(
@@ -313,14 +321,10 @@ def _update_if_idle(
     workers: int | None = None,
     reason: str = "",
 ) -> RunReport | None:
-    del reason
-    ingested = _ingest_if_idle(workspace, data, None, workers=workers)
-    reprocessed = ingested and _reprocess_if_idle(workspace, settings=settings)
-    if ingested is None or reprocessed is None:
-        return None
+    del reason, workers
+    report = _ingest_and_reprocess_if_idle("update", workspace, DaySpan(), settings, data)
     place = Workspace.open(workspace)
-    report = ingested.followed_by(reprocessed, "update")
-    if not _is_searched(place, settings):
+    if report is None or not _is_searched(place, settings):
         return report
     from inflight.tasks.analysis import diagnose_if_unchanged
 
@@ -377,20 +381,18 @@ def _reprocess_span(
 
 def _ingest_and_reprocess(
     command: str,
-    workspace: Path,
+    place: Workspace,
     spans: tuple[DaySpan, DaySpan],
     settings: ReprocessSettings,
     data: Path | None,
-    workers: int | None,
+    client: Client,
     reason: str = "",
-    niceness: int = 0,
-) -> dict[str, Any]:
+) -> RunReport:
     """Take in the first span and reprocess the second one; `command` names the report."""
-    place, (delivered, reprocessed) = Workspace.open(workspace), spans
-    with lazy_client(workers, niceness) as client:
-        ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
-        report = _reprocess_span(place, reprocessed, settings, client, reason)
-    return ingested.followed_by(report, command).as_json()
+    delivered, reprocessed = spans
+    ingested = _ingest_span(place, data, None, delivered, client, reason=reason)
+    report = _reprocess_span(place, reprocessed, settings, client, reason)
+    return ingested.followed_by(report, command)
 
 
 def _diagnose_span(

@@ -143,7 +143,7 @@ class _Column(NamedTuple):
 
 def _columns_of(term: Term, rows: DesignRows) -> Iterator[_Column]:
     """Yield the columns of a term one by one."""
-    if term.columns and set(term.columns) <= set(rows.averaged):
+    if rows.averaged and term.columns and set(term.columns) <= set(rows.averaged):
         yield from (_Column(rows.averaged[name]) for name in term.columns)
         return
     outside = ~within_span(rows.samples["tt2000"].values, term.span) if term.span else None

@@ -289,15 +289,15 @@ class _Averaged(Mapping[str, Floats]):
     """The columns that a series holds; each is made double when it is asked for: all are megabytes."""
 
     def __init__(self, series: Series) -> None:
-        self._series = series
+        self._series, self._names = series, series.features.columns
 
     def __getitem__(self, name: str) -> Floats:
-        if name not in self._series.features.columns:
+        if name not in self._names:
             raise KeyError(name)
         return self._series.of_row(f"{_COLUMN}{name}")
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._series.features.columns)
+        return iter(self._names)
 
     def __len__(self) -> int:
-        return len(self._series.features.columns)
+        return len(self._names)

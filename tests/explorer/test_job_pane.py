@@ -54,6 +54,27 @@ def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
     background.close()
 
 
+def test_what_follows_a_result_is_done_before_another_job_that_is_begun_meanwhile(monkeypatch):
+    polls, followed = Polls(), []
+    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
+    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
+    background = Background()
+    pane = JobPane(background)
+    show = lambda result: pn.pane.HTML(f"it is {result}")  # noqa: E731
+    pane.begin("sum", lambda progress: 1 + 1, show, followed.append)
+    assert pane._job.wait(60)
+    polls.run()
+    assert followed == []
+    pane.begin("product", lambda progress: [*followed, 2 * 3], show)
+    assert followed == [2]
+    assert pane._job.wait(60)
+    assert pane._job.result == [2, 6]
+    polls.run()
+    polls.run()
+    assert followed == [2]
+    background.close()
+
+
 def test_progress_is_shown_of_what_takes_long_only(monkeypatch):
     polls, clock, stopper = Polls(), [100.0], threading.Event()
     monkeypatch.setattr(job_pane.time, "monotonic", lambda: clock[0])
