@@ -260,13 +260,13 @@ class LoopView:
         if verb != "undo" and not effect:
             self._model_pane.put(panes.hint(f"Choose what to {verb} first."))
             return
-        comparison = self._overview.comparison
+        comparison, channel = self._overview.comparison, self._residual.channel
         if verb == "try":
             self._model_pane.begin(
                 f"Try {effect}",
                 lambda progress: self._session.preview(comparison, effect, progress),
                 self._tried,
-                lambda change: self._show_change(effect, change, trial=True),
+                lambda change: self._show_change(effect, change, channel, trial=True),
             )
         else:
             self._model_pane.begin(
@@ -275,7 +275,7 @@ class LoopView:
                     comparison, verb, effect, progress, empirical=empirical
                 ),
                 self._changed,
-                lambda change: self._show_change(effect, change),
+                lambda change: self._show_change(effect, change, channel),
             )
 
     def _tried(self, change: Fields) -> pn.viewable.Viewable:
@@ -287,10 +287,10 @@ class LoopView:
         self._show_model()
         return self._told(change_tables(change)[0], change)
 
-    def _show_change(self, effect: str, change: Fields, *, trial: bool = False) -> None:
+    def _show_change(self, effect: str, change: Fields, channel: str, *, trial: bool = False) -> None:
         """Draw what a change does: the error, and on the left the residual against the effect's channel.
 
-        Its numbers are there by now: what is drawn follows them.
+        Its numbers are there by now: what is drawn follows them. `channel` was drawn when it was asked for.
         """
         if trial:
             self._draw_error(change)
@@ -301,7 +301,8 @@ class LoopView:
 
         def seen(found: tuple[BeforeAfter | None, Contributions | None]) -> pn.viewable.Viewable:
             floor = change["error"]["noise_floor_nT"]
-            self._residual.show_change(found[0], effect, str(change["effect"]), floor)
+            what = str(change["effect"])
+            self._residual.show_change(found[0], effect, what, floor, earlier=channel)
             if not trial:
                 self._time.show_contributions(found[1])
             return panes.text()

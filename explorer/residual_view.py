@@ -130,7 +130,14 @@ class ResidualView:
                 self._take,
             )
 
-    def show_change(self, seen: BeforeAfter | None, effect: str, what: str, floor: float | None) -> None:
+    @property
+    def channel(self) -> str:
+        """What the residual is drawn against."""
+        return self._state.channel
+
+    def show_change(
+        self, seen: BeforeAfter | None, effect: str, what: str, floor: float | None, *, earlier: str
+    ) -> None:
         """Show the residual before and after what was tried or changed, against the channel it follows.
 
         Parameters
@@ -141,11 +148,14 @@ class ResidualView:
             What was done.
         floor : float, optional
             Noise floor, nT.
+        earlier : str
+            The channel that was drawn when the change was asked for: one chosen since then stays.
         """
         if seen is None:
             return
         rows = ResidualRows.of_change(seen)
-        self._state.channel = _channel_in(effect, rows) or self._state.channel
+        if self._state.channel == earlier:
+            self._state.channel = _channel_in(effect, rows) or earlier
         self._what = f"Residual before and after: {what}."
         self._show(rows, ("before", "after"), float("nan") if floor is None else floor)
 
