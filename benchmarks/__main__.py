@@ -30,17 +30,17 @@ def _show_each(name: str, measured: Iterable[Row]) -> None:
     _show(name, rows)
 
 
-def _show_coverage(kept: Path | None, seeds: int, only: str) -> None:
+def _show_coverage(kept: Path | None, seeds: int, searched: int | None, only: str) -> None:
     from threadpoolctl import threadpool_limits
 
     from benchmarks.archive import simulated_workspace
-    from benchmarks.coverage import Coverage, coverage, table
+    from benchmarks.coverage import Coverage, CoverageSettings, coverage, table
 
+    settings = CoverageSettings() if searched is None else CoverageSettings(searched=searched)
     counts: list[Coverage] = []
     with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
-        for one in coverage(
-            simulated_workspace((kept or Path(scratch)) / "archive-30", 30), seeds, only=only
-        ):
+        cat = simulated_workspace((kept or Path(scratch)) / "archive-30", 30)
+        for one in coverage(cat, seeds, settings, only=only):
             counts.append(one)
             print("\n".join([*table([one])[2:3], f"  first: {one.others}"]), flush=True)
     print("\n".join(table(counts)), flush=True)
@@ -106,7 +106,7 @@ def _show_answers(given: argparse.Namespace, which: Sequence[str]) -> None:
     if "coverage" in which or "spin_coverage" in which:
         _show_spin_coverage(given.seeds or 100)
     if "coverage" in which:
-        _show_coverage(given.keep, given.seeds or 200, given.only)
+        _show_coverage(given.keep, given.seeds or 200, given.searched, given.only)
     if "left_out" in which:
         _show_left_out(given.keep, given.only)
     if "real_cadence" in which:
@@ -143,6 +143,9 @@ def main() -> None:
         "--seeds",
         type=int,
         help="missions of each pipeline (12), of a spinning sensor (100), residuals of each effect (200)",
+    )
+    parser.add_argument(
+        "--searched", type=int, help="residuals of each effect in which the search looks for it (40)"
     )
     parser.add_argument(
         "--only",
