@@ -64,9 +64,20 @@ class _Shared:
         Columns in use; the arrays may have room for more.
     """
 
-    def __init__(self, rest: npt.NDArray[np.float32], given: Floats, fitted: Floats) -> None:
-        self.rest, self.given, self.fitted = rest, given, fitted
+    def __init__(self, rest: npt.NDArray[np.float32], given: Floats, fitted: Floats | None = None) -> None:
+        self.rest, self.given, self._fitted = rest, given, fitted
         self.base, self.width = given.shape[2], rest.shape[1]
+
+    @property
+    def fitted(self) -> Floats:
+        """F of each fit; made of `given` when it is asked for after `forget_fits`."""
+        if self._fitted is None:
+            self._fitted = _own_fits(self.given)
+        return self._fitted
+
+    def forget_fits(self) -> None:
+        """Let go of the fits, which are made again when they are asked for."""
+        self._fitted = None
 
     @property
     def own(self) -> Floats:
@@ -94,14 +105,15 @@ class _Shared:
 
     def _widen(self, width: int) -> None:
         used = slice(0, self.width)
-        rest = np.zeros((len(self.rest), width, width), dtype=np.float32)
-        rest[:, used, used] = self.rest[:, used, used]
-        self.rest = rest
-        for name in ("given", "fitted"):
-            old = getattr(self, name)
+
+        def wider(old: Floats) -> Floats:
             new = np.zeros((*old.shape[:3], width))
             new[..., used] = old[..., used]
-            setattr(self, name, new)
+            return new
+
+        rest = np.zeros((len(self.rest), width, width), dtype=np.float32)
+        rest[:, used, used] = self.rest[:, used, used]
+        self.rest, self.given, self._fitted = rest, wider(self.given), wider(self.fitted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +255,7 @@ class FactoredGrams:
                 whole = known.setdefault(name, np.empty((blocks, *values.shape[1:]), dtype=values.dtype))
                 whole[at : at + len(some)] = values
             at += len(some)
-        shared = _Shared(rest, known["given"], _own_fits(known["given"]))
+        shared = _Shared(rest, known["given"])
         places = np.array([order.index(name) for name in names], dtype=np.int64)
         return cls(
             tuple(names),
@@ -407,6 +419,7 @@ class FactoredGrams:
 
     def forget_products(self) -> None:
         """Let go of the products that were kept: they are made again when they are asked for."""
+        self.shared.forget_fits()
         for name in _CARRIED:
             self.__dict__.pop(name, None)
 
