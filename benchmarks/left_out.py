@@ -400,7 +400,7 @@ CELLS = {
 def cells_without(case: Case) -> Iterator[None]:
     """Leave out of the library's second tier, too, what a case leaves out of its core."""
     gone = CELLS.get(form_of(case.candidate)) if case.group.startswith("form") and case.candidate else None
-    every = forms._cells
+    every, every_channel = forms._cells, forms.driving_channels
 
     def cells(
         search: Search, data: DiagnosisData, label: str, channels: Sequence[str], held: bool = False
@@ -410,11 +410,15 @@ def cells_without(case: Case) -> Iterator[None]:
             return [one for one in found if one.channel not in case.channels]
         return [one for one in found if (label, one.how) != gone]
 
-    forms._cells = cells
+    def driving(data: DiagnosisData) -> list[str]:
+        recorded = every_channel(data)
+        return [one for one in recorded if case.group != UNRECORDED or one not in case.channels]
+
+    forms._cells, forms.driving_channels = cells, driving
     try:
         yield
     finally:
-        forms._cells = every
+        forms._cells, forms.driving_channels = every, every_channel
 
 
 def with_columns(grams: GramArrays, names: list[str]) -> GramArrays:
@@ -443,6 +447,7 @@ def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: L
     """Return how a diagnosis stands against what was hidden."""
     channels = {one.name: set(one.channels) for one in found.effects}
     families = {one.name: one.family for one in found.effects}
+    instead = {one.name: one.instead for one in found.effects}
     options = {one.mechanism: one for one in [*last.options, *last.accepted]}
     mechanism = case.candidate.mechanism if case.candidate else ""
 
@@ -470,7 +475,8 @@ def judged(case: Case, found: Diagnosis, last: Search, model: Model, settings: L
         # Of an effect without a channel its own name is what drives it.
         told_of = {one.removeprefix("model:").partition(".")[0] for one in (entry.name, *entry.rivals)}
         right |= bool(effects & told_of)
-        named |= right
+        # What a stand-in may be a part of names its cause.
+        named |= right or bool(set(instead.get(entry.name, "").split()) & case.channels)
         wrong |= entry.status == "sure" and not right
         told.append(f"{entry.status}: {entry.name} {entry.takes_off_nT:.3f}")
     left = found.remaining.get("signature")

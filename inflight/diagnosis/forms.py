@@ -37,6 +37,7 @@ from inflight.diagnosis.scoring import (
     Index,
     draw_signs,
     family_wise_p,
+    held_out_loss,
     make_folds,
     score,
     sign_flip_ratios,
@@ -311,6 +312,63 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
             for one in without:
                 out[one.name] = max(out.get(one.name, (0.0, "")), (float(found.gain[best]), name))
     return {name: cell for name, (_, cell) in out.items()}
+
+
+def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
+    """Return effects that one channel explains together, in a way of its own: effect -> what is said of it.
+
+    Effects of several channels can make up one shape that the library lacks. A field that follows one
+    channel in any way (`_in_any_way`) is held against them. They are parts of it where blocks that were left
+    out lose nothing when it takes their place, and gain nothing when they join it: a cause of its own, which
+    is no function of that channel, would be missed.
+    """
+    taken = [one for one in search.accepted if one.terms and not (one.change or one.agnostic or one.number)]
+    if len(taken) < 2 or not can_add_columns(search, data):
+        return {}
+    kept = search.with_accepted([one for one in search.accepted if one not in taken])
+    trials, folds = FormTrials(kept, data, None), make_folds(len(search.raw), interleaved=True)
+    own = [np.concatenate([trials.columns(trials.terms[key]) for key in one.terms]) for one in taken]
+    edges = np.cumsum([0, *map(len, own)]).tolist()
+    places = [np.arange(first, last) for first, last in pairwise(edges)]
+    out: dict[str, str] = {}
+    for channel in driving_channels(data):
+        any_way = _in_any_way(trials, channel)
+        grams = trials.grams([*own, any_way])
+        count = edges[-1] + len(any_way)
+        together, joined = (held_out_loss(grams, np.arange(one), folds) for one in (edges[-1], count))
+        for some in _several(taken, channel):
+            others = [at for one, at in zip(taken, places, strict=True) if one not in some]
+            alone = held_out_loss(grams, np.concatenate([*others, np.arange(edges[-1], count)]), folds)
+            if alone.sum() <= together.sum() and hac_t((alone - joined)[:, None])[0] < search.rules.t:
+                out |= {one.name: f"a field that follows {channel} in a way of its own" for one in some}
+    return out
+
+
+def _several(taken: Sequence[Option], channel: str) -> list[tuple[Option, ...]]:
+    """Return pairs of effects, and all of them, which do not follow one channel alone."""
+    sets = [*combinations(taken, 2), *([tuple(taken)] if len(taken) > 2 else [])]
+    return [some for some in sets if {base for one in some for base in _bases(one)} != {channel}]
+
+
+def _bases(option: Option) -> list[str]:
+    """Return the recorded channels that an effect follows, or its name where it follows none."""
+    return [base for name in option.channels for base in base_channels(name)] or [option.name]
+
+
+def _in_any_way(trials: FormTrials, channel: str) -> Floats:
+    """Return what calibration and model leave of a field that follows a channel in any way; (column, row)."""
+    data = trials.data
+    values = np.asarray(data.series[channel])
+    known = np.isfinite(values)
+    knots = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
+    lags = [f"{channel}@lag={lag:g}s" for lag in BANK_SETTINGS.lags if lag]
+    slow = derived_channels(data.series, set(lags))
+    ways = [*straight_pieces(values, knots).T, *(np.asarray(slow[name].values) for name in lags)]
+    entry = _entry(data, "channel_field", Followed("value", channel, channel))
+    assert entry is not None
+    acting = np.moveaxis(_acting_columns(data, entry), 2, 0) * trials.root.reshape(values.size, -1)
+    columns = np.stack([acting * np.nan_to_num(way)[:, None] for way in ways])
+    return trials.kept(columns.reshape(-1, trials.root.size))
 
 
 def alike_but_for_noise(search: Search, data: DiagnosisData) -> dict[str, tuple[str, ...]]:

@@ -672,6 +672,12 @@ class FormTrials:
         rest = self.rest - solve_scaled(columns @ columns.T, columns @ self.rest) @ columns
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
 
+    def grams(self, parts: Sequence[Floats]) -> Floats:
+        """Return the products of columns (column, row) and of the residual, which comes last, in a block."""
+        every = np.concatenate([*parts, self.rest[None]])
+        edges = np.searchsorted(self.block, np.arange(self.blocks + 1)).tolist()
+        return np.stack([every[:, first:last] @ every[:, first:last].T for first, last in pairwise(edges)])
+
     def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
         """Return the residual after the rest of the model, without and with an option; (row,) nT, weighted.
 

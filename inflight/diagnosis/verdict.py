@@ -25,6 +25,7 @@ from inflight.diagnosis.forms import (
     add_forms,
     add_interactions,
     alike_but_for_noise,
+    by_one_channel,
     instead_of_several,
     left_follows,
     left_follows_field,
@@ -288,7 +289,8 @@ def held_against_others(
     """
     left = left_follows_field(search, data) | left_follows(search, data) if remaining.is_there else {}
     shared = share_line(search, data, residual, remaining.signature)
-    instead = of_one_direction(effects) | of_one_response(effects) | instead_of_several(search, data)
+    instead = of_one_direction(effects) | of_one_response(effects) | by_one_channel(search, data)
+    instead |= instead_of_several(search, data)
     alike = alike_but_for_noise(search, data)
     out = []
     for effect in effects:

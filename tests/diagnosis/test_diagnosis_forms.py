@@ -16,6 +16,7 @@ from inflight.diagnosis.forms import (
     _entry,
     _option,
     add_forms,
+    by_one_channel,
     scalar_channels,
 )
 from inflight.diagnosis.refine import join_terms
@@ -138,3 +139,38 @@ def test_an_effect_of_the_field_of_the_right_form_leaves_no_other_function_of_it
     assert [(one.name, one.status, one.left_follows) for one in found.effects] == [
         ("heading_anisotropy", "sure", "")
     ]
+
+
+@lru_cache(maxsize=1)
+def of_one_or_of_two():
+    """Twenty days; residuals of a field that is no line of a temperature, and of two causes of their own."""
+    flight = flight_of(POLAR, 20)
+    warm = flight["boom_temperature"] - flight["boom_temperature"].mean()
+    bent = np.tanh(warm / (0.3 * warm.std()))
+    along = np.array([0.3, 0.0, 0.5])
+    current = flight["heater_current"] - flight["heater_current"].mean()
+    both = 0.4 * (warm / warm.std())[:, None] * along + 0.4 * (current / current.std())[:, None] * along[::-1]
+    hidden = [read(flight, 0, 0.6 * bent[:, None] * along), read(flight, 1, both)]
+    return case_of(flight, hidden, channels=("battery_current", "boom_temperature", "heater_current"))
+
+
+def parts_of_one(residual, *names):
+    case = of_one_or_of_two()
+    search = case.search(residual)
+    taken = [next(one for one in search.options if one.name == name) for name in names]
+    return by_one_channel(search.with_accepted(taken), case.material(residual))
+
+
+def test_effects_that_one_channel_explains_in_a_way_of_its_own_are_told_as_its_parts():
+    names = ("channel_field(boom_temperature)", "channel_field(heater_current)")
+    said = "a field that follows boom_temperature in a way of its own"
+    assert parts_of_one(0, *names) == dict.fromkeys(names, said)
+
+
+def test_causes_of_their_own_are_no_parts_of_one():
+    assert parts_of_one(1, "channel_field(boom_temperature)", "channel_field(heater_current)") == {}
+    # Nor is one effect, nor two of the channel itself.
+    assert parts_of_one(0, "channel_field(boom_temperature)") == {}
+    assert (
+        parts_of_one(0, "channel_field(boom_temperature)", "channel_field(boom_temperature)@lag=240s") == {}
+    )
