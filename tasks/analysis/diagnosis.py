@@ -33,6 +33,7 @@ from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
+    GRAM_VERSION,
     PASS_SETTINGS,
     Loaded,
     Origin,
@@ -56,6 +57,7 @@ from inflight.tasks.archive import (
     Need,
     base_role,
     channel_needs,
+    evenly_spread,
     needs_of,
     position_channel,
     require_days,
@@ -280,7 +282,7 @@ def plan_pass(
     )
     report_progress("survey", 0, 1)
     begun = Origin(
-        model=sha256(used.model.text.encode()).hexdigest(),
+        model=sha256(f"{GRAM_VERSION} {used.model.text}".encode()).hexdigest(),
         mission=sha256(mission.text.encode()).hexdigest(),
         cadence_ns=cadence,
         first=str(days[0]),
@@ -288,6 +290,7 @@ def plan_pass(
         value=(),
         channels={},
         still=(),
+        surveyed=_surveyed(index, [*needs, *channels], days),
     )
     known = _earlier_origin(cat, mission, settings.comparison, begun)
     found = survey(cat, mission, used.model, needs, index, days, reader, known)
@@ -297,9 +300,16 @@ def plan_pass(
     return PlannedPass(plan, index, base, used, found)
 
 
+def _surveyed(index: ArchiveIndex, needs: Sequence[Need], days: Sequence[np.datetime64]) -> str:
+    """Return what tells the days that a survey reads from others, and from other revisions of them."""
+    some = evenly_spread(days, PASS_SETTINGS.surveyed_days)
+    read = [record.id for need in needs for day in some if (record := index.get(need, day)) is not None]
+    return sha256(" ".join(sorted(set(map(str, read)))).encode()).hexdigest()
+
+
 def _earlier_origin(cat: Catalog, mission: Mission, comparison: str, begun: Origin) -> Origin | None:
-    """Return what an earlier survey of a record found that has grown since; None where it must be made."""
-    if mission.comparisons[comparison].kind != "scalar" or begun.days <= PASS_SETTINGS.most_blocks:
+    """Return what an earlier survey of the same record, or of one that has grown, found; None without one."""
+    if mission.comparisons[comparison].kind != "scalar":
         return None
     for day in reversed(cat.days(f"equations/{comparison}/library", states=("published",))):
         text = cat.read(day, ["count"]).attrs.get("origin")

@@ -218,14 +218,15 @@ SUMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """What the blocks of a growing record share, found when it was surveyed: days that come later join them.
+    """What the blocks of a record share, found when it was surveyed.
 
-    Only of long records is it found again: a short one is made anew in less time than its search takes.
+    A record that is still the same is not surveyed again, nor is a long one that has grown: days that come
+    later join its blocks.
 
     Attributes
     ----------
     model, mission : str
-        sha256 of the model's and the mission's text.
+        sha256 of the model's text, with the version of the blocks, and of the mission's.
     cadence_ns : int
         The library's.
     first, days : str, int
@@ -235,6 +236,8 @@ class Origin:
     channels : mapping of str to ChannelSummary
         As of `Survey`.
     still : tuple of str
+    surveyed : str
+        sha256 of the revisions of the days that were read.
     """
 
     model: str
@@ -245,6 +248,7 @@ class Origin:
     value: tuple[float, ...]
     channels: Mapping[str, ChannelSummary]
     still: tuple[str, ...]
+    surveyed: str = ""
 
     def as_json(self) -> str:
         """Return the text that `of_json` reads."""
@@ -263,7 +267,9 @@ class Origin:
 
     def holds_for(self, other: Origin) -> bool:
         """Return True when a record that is as `other` says before its survey may go on from here."""
-        same = ("model", "mission", "cadence_ns", "first")
+        same = ["model", "mission", "cadence_ns", "first"]
+        if self.days <= PASS_SETTINGS.most_blocks:
+            same += ["days", "surveyed"]
         return all(getattr(self, name) == getattr(other, name) for name in same) and (
             self.days <= other.days <= self.days * PASS_SETTINGS.grown
         )
@@ -397,7 +403,8 @@ class PassPlan:
             "memory": self.correlation_time_s,
             # A short record ends with its samples; a day of a longer one is the same whatever follows.
             "span": self.span if len(self.days) <= PASS_SETTINGS.short_days else self.series_step,
-            "origin": self.origin.as_json(),
+            # Days that are delivered again, the same, change no other day's blocks.
+            "origin": replace(self.origin, surveyed="").as_json(),
             "keep_bursts": self.keep_bursts,
             "estimates": [self.keeps_series, *self.channel_summaries] if self.estimates else False,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,

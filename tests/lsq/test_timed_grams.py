@@ -137,6 +137,6 @@ def test_a_form_of_the_same_columns_takes_over_all_and_one_that_was_never_asked_
 def test_products_that_were_let_go_of_are_made_again():
     found, _ = joined(asked=True)
     columns = found.index(["residual", "n", "m", "t", "u"])
-    rows, squares = found.rows(columns), found.squares
+    rows = found.rows(columns)
     found.forget_products()
     np.testing.assert_allclose(found.rows(columns), rows, rtol=1e-12, atol=1e-9)

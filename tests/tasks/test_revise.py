@@ -18,7 +18,8 @@ from tiny_mission import TINY_START, tiny_readings
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import ModelError, SettingsError
 from inflight.tasks import current_model
-from inflight.tasks.analysis import Workbench, compare
+from inflight.tasks.analysis import DiagnoseSettings, Workbench, compare, diagnosis, gram_pass
+from inflight.tasks.analysis.diagnosis import plan_pass
 from inflight.tasks.pipelines import reprocess
 
 #: What both instruments of the tiny mission read at random, as the residual shows it, nT.
@@ -334,6 +335,20 @@ def test_a_new_session_goes_on_where_the_last_one_was(workspace, bench):
     bench.add("heater_current")
     bench.add("boom_temperature")
     assert alone.current.text == bench.current.text
+
+
+def test_a_record_that_is_the_same_is_not_surveyed_again(workspace, bench, monkeypatch):
+    read = []
+    fitted = gram_pass._fitted_value
+    monkeypatch.setattr(gram_pass, "_fitted_value", lambda *given: read.append(given) or fitted(*given))
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    first = plan_pass(cat, mission, DiagnoseSettings())
+    assert not read
+    # Days that were delivered again are.
+    monkeypatch.setattr(diagnosis, "_surveyed", lambda *given: "other revisions")
+    again = plan_pass(cat, mission, DiagnoseSettings())
+    assert len(read) == 1
+    assert (again.plan.key, again.plan.model.text) == (first.plan.key, first.plan.model.text)
 
 
 def test_an_effect_of_ones_own_is_added_by_a_pass_of_its_columns(workspace):
