@@ -737,7 +737,7 @@ def _effect_text(effect: FoundEffect) -> str:
     if effect.left_follows:
         text += f"; what is left follows {effect.left_follows}, so that it may stand in for another form"
     if effect.instead:
-        text += f"; {effect.instead} alone does as well as this and others, which may be parts of it"
+        text += f"; this and others may be parts of one cause: {effect.instead} does as well alone"
     if effect.turned_over_by:
         text += f"; fragile: {effect.turned_over_by[0].words}"
     return text + _stamp_text(effect) + _rivals_text(effect.rivals)

@@ -228,7 +228,7 @@ def test_an_effect_says_what_is_left_follows():
     assert "what is left follows channel_scale(heater), so that it may stand in for another form" in said
     one = effect(0.1, instead="channel_field(heater@width=2)")
     said = sentence(told("NOTHING_LEFT", effects=(one,), residual=SIZES))
-    assert "channel_field(heater@width=2) alone does as well as this and others" in said
+    assert "may be parts of one cause: channel_field(heater@width=2) does as well alone" in said
 
 
 def test_the_verdict_of_an_entry_is_that_of_how_sure_it_is():
