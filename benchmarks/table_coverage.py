@@ -28,12 +28,16 @@ from benchmarks.coverage import intervals
 from inflight.arrays import Floats
 from inflight.calibration import mounting
 from inflight.catalog import Catalog, Workspace, shipped_missions
+from inflight.mission_fit import day_statistics, fit_spread_law, instrument_spectra, torquer_lines
 from inflight.simulate import MissionSettings, SimulationSettings, simulate_day
 from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.simulate.grid import Sampling
 from inflight.simulate.stray import coefficients
+from inflight.simulate.torquers import torquer_currents
 from inflight.tasks.archive import ingest, simulate
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.base import newest_table
+from inflight.time import SECOND, day_bounds
 
 #: Days of a mission, s between samples, and moments of a day at which its product is looked at.
 _DAYS, _CADENCE, _MOMENTS = 3, 10, 5
@@ -248,12 +252,75 @@ def mission_tables(seed: int, folder: Path) -> dict[str, Pulls]:
     # A model of the panels has one to three of them.
     panels = _table_pulls(cat, "main-panels", truth["current-steps"])
     pulls["panels table"] = np.pad(panels, (0, 9 - panels.size), constant_values=np.nan)
+    days = {day: simulate_day(settings, day).truth for day in settings.day_list}
+    pulls |= _daily_pulls(cat, days, parameters.time_shift)
+    pulls["torquer-lines table"] = _line_pulls(cat, settings, days, -torquer)
+    pulls["z-offset law"] = _law_pulls(days, generator)
     lag = newest_table(cat, "main-coil-temperature")
     at = {} if lag is None else {name: float(lag[name].values[-1]) for name in ("value", "sigma")}
     pulls["coil-temperature table, lag"] = np.array(
         [(at["value"] - parameters.temperature_lag) / at["sigma"] if at else np.nan]
     )
     return {"tables": pulls}
+
+
+def _daily_pulls(cat: Catalog, days: Mapping[np.datetime64, xr.Dataset], shift: float) -> dict[str, Floats]:
+    """Return the errors of each day's nine parameters, time shift (s) and mean temperature of the coil."""
+    nine = np.concatenate(list(json.loads(next(iter(days.values())).attrs["nine_parameters"]).values()))
+    known = {
+        "own-fit": nine,
+        "daily-after": np.append(nine, shift),
+        "day-night-daily": np.append(nine, shift),
+    }
+    pulls = {f"{name} table": _table_pulls(cat, f"main-{name}", one) for name, one in known.items()}
+    means = newest_table(cat, "main-daily-temperature")
+    assert means is not None
+    warm = means.sel(channel="coil_temperature")
+    # The coil follows its sensor by the lag, which a day's mean hardly shows.
+    off = warm["value"].values - [float(one["T_EFF"].mean()) for one in days.values()]
+    return {**pulls, "daily-temperature table": off / warm["sigma"].values}
+
+
+def _line_pulls(
+    cat: Catalog, settings: SimulationSettings, days: Mapping[np.datetime64, xr.Dataset], lacks: Floats
+) -> Floats:
+    """Return the errors of the lines' squares in the vector sensor, which has none, and in the scalar one.
+
+    Parameters
+    ----------
+    lacks : ndarray, shape (3, 3)
+        Matrix of the scalar sensor less that of the model, nT/A.
+    """
+    spectra = []
+    for day, one in days.items():
+        times = Sampling.of_span(*day_bounds(day), settings.cadence * SECOND)
+        current = torquer_currents(times, settings.parameters, settings.seed, int(day.astype(np.int64)))
+        along = one["FIELD"].values / one["STRENGTH"].values[:, None]
+        line = np.einsum("ti,ij,tj->t", along, lacks, current)
+        spectra.append(instrument_spectra(times.tt2000, line, line))
+    true = [0.0, float(torquer_lines(spectra)["excess"].values[1])]
+    found = newest_table(cat, "main-torquer-lines")
+    assert found is not None
+    return np.asarray((found["excess"].values - true) / found["excess_sigma"].values)
+
+
+def _law_pulls(days: Mapping[np.datetime64, xr.Dataset], generator: np.random.Generator) -> Floats:
+    """Return the errors of factor and noise of the law of the spread.
+
+    No offset of the missions changes from day to day: some of 0.5 nT, known to 0.02 nT, are put into white
+    noise of 0.06 nT on the orbit of their days.
+    """
+    offset, sigma, noise = generator.normal(0.0, 0.5, len(days)), 0.02, 0.06
+    statistics = []
+    for own, (day, one) in zip(offset, days.items(), strict=True):
+        along = one["FIELD"].values / one["STRENGTH"].values[:, None]
+        residual = own * along[:, 2] + noise * generator.normal(size=len(along))
+        statistics.append(day_statistics(residual, along, *day_bounds(day)))
+    joined = xr.concat(statistics, "interval")
+    known = offset + sigma * generator.normal(size=offset.size)
+    law = fit_spread_law(joined, known, np.full(offset.size, sigma)).table()
+    true = [float(joined["geometry"].mean()), noise**2]
+    return np.asarray((law["value"].values - true) / law["sigma"].values)
 
 
 #: Pipelines by what makes their missions.

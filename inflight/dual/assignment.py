@@ -58,8 +58,9 @@ class AssignmentSettings:
         Where an unknown state lies: the covariance of all points times this, and that of a sample times this.
         Derived: two and three sigmas.
     drift_share : float
-        Part of the drift that the outboard sensor may share, which the correction does not follow and its
-        error holds. Assumed: the ratio of a stray field at both sensors; an offset has none.
+        Part of the drift, and of the scatter of a state's segments, that the outboard sensor may share: the
+        correction does not follow it and its error holds it. Assumed: the ratio of a stray field at both
+        sensors; an offset has none.
     compared_rows : int
         Rows at which a fallback is compared with the states' corrections, at most. Assumed, for speed.
     """
@@ -318,7 +319,9 @@ def _correction_of_segments(segments: Segments, training: Training, assigned: As
     weight = training.confidence * share / total + (1.0 - training.confidence) * by_time
     covariance = np.einsum("sk,kij->sij", weight, training.covariance)
     covariance += np.einsum("sk,ski,skj->sij", weight, apart, apart)
-    covariance[:, range(3), range(3)] += (ASSIGNMENT_SETTINGS.drift_share * assigned.drift) ** 2
+    # A state's field is not quite the same each time: the scatter of its segments beyond noise, as trained.
+    beyond = assigned.drift**2 + training.scatter**2
+    covariance[:, range(3), range(3)] += ASSIGNMENT_SETTINGS.drift_share**2 * beyond
     best = assigned.best
     probability = assigned.probability[np.arange(count), best] * training.confidence
     unknown = best == known

@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.dual.correction import Correction
-from inflight.dual.readings import Readings, white_covariance
+from inflight.dual.gradiometer import GRADIOMETER_SETTINGS
+from inflight.dual.mixing import difference_noise
+from inflight.dual.readings import Readings, cells_of, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.model import Model, at_all_sensors
@@ -68,6 +71,19 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
     return readings, flag
 
 
+def outboard_noise(readings: Readings) -> Floats:
+    """Return the variance of the outboard sensor's white noise; (axis,), nT^2.
+
+    The ambient field changes from sample to sample, too, but is in both sensors: the noise is the outboard
+    sensor's share of that of the difference, a half where the two cannot be told apart. It is at most what is
+    white in the outboard reading.
+    """
+    outboard, difference = readings.outboard[readings.good], readings.difference[readings.good]
+    shortest = cells_of(outboard, difference, longest=len(outboard))
+    noise = difference_noise(shortest, readings.noise, GRADIOMETER_SETTINGS.leak_sigma)
+    return np.minimum(noise.share * np.diag(noise.covariance), np.diag(white_covariance(outboard)))
+
+
 def dual_level2(
     readings: Readings, correction: Correction, flag: npt.NDArray[np.uint32], comparison: str
 ) -> xr.Dataset:
@@ -88,13 +104,14 @@ def dual_level2(
         `inboard`, `outboard`, `correction`, `field_spacecraft` (time, axis) nT, spacecraft axes, with
         ``field = outboard - correction`` where attribute `applied` is ``yes`` and the correction is known;
         `uncertainty` (time, axis) nT, 1 sigma of the part of `field_spacecraft` that changes: white noise of
-        the outboard sensor and the correction's error, NaN where the stray field is not known;
+        the outboard sensor (`outboard_noise`) and the correction's error, NaN where the stray field is not
+        known;
         `state`, `probability`, `flag`, `tt2000` (time). Attributes `method`, `applied`, `reason` and
         `constant_known`: two sensors alone do not show the stray field that never changes.
     """
     field = correction.corrected(readings.outboard)
     good = np.isfinite(readings.outboard).all(axis=1)
-    noise = np.diag(white_covariance(readings.outboard[good]))
+    noise = outboard_noise(readings)
     sigma = np.sqrt(noise + correction.sigma**2)
     if not correction.applied:
         sigma = np.full(field.shape, np.nan)

@@ -49,6 +49,9 @@ class TrainingSettings:
         Prior standard deviation of a unit's field at the outboard sensor over the size of its difference.
         Derived: a dipole whose distance from the inboard sensor is 0.8 of that from the outboard one has
         just that.
+    blurred_sigmas : float
+        Beyond this many standard deviations the usual sample beside a jump is not on its level. Level of
+        significance: three sigmas.
     """
 
     local_steps: int = 24
@@ -56,6 +59,7 @@ class TrainingSettings:
     huber_limit: float = 3.4
     rounds: int = 5
     prior_size: float = 1.0
+    blurred_sigmas: float = 3.0
 
 
 TRAINING_SETTINGS = TrainingSettings()
@@ -295,15 +299,20 @@ def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
     best = int(np.argmin(np.einsum("sii->s", noise.covariance)))
     steady = np.flatnonzero(~segments.transient)
     before, after = steady[:-1], steady[1:]
+    d = readings.difference[rows]
+    early = _is_blurred(d[last[before] - 1] - segments.tail.mean[before], segments, before, after)
+    late = _is_blurred(d[first[after]] - segments.head.mean[after], segments, before, after)
+    first, last = first + late, last - early
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(field - field.mean(axis=0), axis=0)])
     # The longest of the lengths that fits into both segments, up to the best one.
-    fits = np.searchsorted(noise.length, np.minimum(segments.count[before], segments.count[after]), "right")
+    count = last - first
+    fits = np.searchsorted(noise.length, np.minimum(count[before], count[after]), "right")
     scale = np.clip(fits - 1, 0, best)
     width = noise.length[scale]
     step = _mean(sums, first[after], first[after] + width) - _mean(sums, last[before] - width, last[before])
     gap = (segments.start[after] - segments.end[before]) / SECOND
     usual = readings.step / SECOND
-    stretch = (1.0 + np.maximum(gap - usual, 0.0) / (width * usual)) ** 2
+    stretch = (1.0 + (np.maximum(gap / usual - 1.0, 0.0) + early + late) / width) ** 2
     variance = np.array(
         [
             _local_variance(sums, first, last, noise, int(k), (int(b), int(a)))
@@ -312,6 +321,25 @@ def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
     )
     covariance = noise.covariance[scale] * (stretch * variance)[:, None, None]
     return OutboardSteps(before, after, step, covariance)
+
+
+def _is_blurred(beside: Floats, segments: Segments, before: Rows, after: Rows) -> bool:
+    """Return whether samples beside jumps are usually on the way from one level to the other.
+
+    Resampled to the other sensor's stamps, a jump takes two samples, and a step of these is half of it.
+
+    Parameters
+    ----------
+    beside : ndarray, shape (jump, axis)
+        Difference in the last sample before each jump, or in the first one after it, less the mean of that
+        end of its segment, nT.
+    """
+    jump = segments.head.mean[after] - segments.tail.mean[before]
+    along = np.einsum("ji,ji->j", beside, jump)
+    sigma = np.sqrt(np.einsum("ji,ik,jk->j", jump, segments.noise.of_mean(1), jump))
+    # The deviation of a median of so many is 1.25 times that of a mean.
+    usual = abs(float(np.median(along / sigma))) if len(along) else 0.0
+    return usual > TRAINING_SETTINGS.blurred_sigmas * 1.25 / float(np.sqrt(max(len(along), 1)))
 
 
 def _mean(sums: Floats, first: Rows, last: Rows) -> Floats:

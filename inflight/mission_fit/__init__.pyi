@@ -22,7 +22,14 @@ from .day_night import (
     sunlit_duty,
     switched_columns,
 )
-from .held_numbers import held_numbers_of, held_products, held_shifts, held_terms, with_held_numbers
+from .held_numbers import (
+    held_numbers_of,
+    held_products,
+    held_shifts,
+    held_terms,
+    held_variance,
+    with_held_numbers,
+)
 from .joint_effects import (
     JointDayNight,
     compare_temperatures_jointly,
@@ -169,6 +176,7 @@ __all__ = [
     "held_products",
     "held_shifts",
     "held_terms",
+    "held_variance",
     "hysteresis_loop",
     "instrument_spectra",
     "joint_cross_talk",

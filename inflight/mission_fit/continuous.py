@@ -33,6 +33,7 @@ from inflight.mission_fit.daily_equations import (
     prior_sigma_of,
     scale_factor_rates,
 )
+from inflight.mission_fit.held_numbers import held_variance
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
 from inflight.mission_fit.trends import TrendFit, check_names, fit_trends, make_trend
 from inflight.model import Model
@@ -300,9 +301,10 @@ def shift_columns(model: Model) -> list[str]:
 def daily_parameters(equations: NormalEquations, found: MissionFit, names: Sequence[str] = ()) -> xr.Dataset:
     """Solve each day for the nine and for named parameters, everything else at the continuous fit.
 
-    The errors are those of what the day's own bins leave. What is correlated for longer than a bin makes
+    A day's own errors are those of what its bins leave. What is correlated for longer than a bin makes
     neighbouring days differ by more than that: a parameter's errors are widened by as much, where there are
-    days enough. The own fit's inflation would be too much: it holds what the continuous fit removed.
+    days enough. The own fit's inflation would be too much: it holds what the continuous fit removed. Errors
+    of all else at the continuous fit come on top (`held_variance`): they are much the same on all days.
 
     Parameters
     ----------
@@ -316,8 +318,9 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
     Returns
     -------
     xarray.Dataset
-        dims interval, parameter: `value`, `sigma`, `continuous` (what the fit of all days has for the day),
-        in `units` (parameter); `determined`; `inflation` (parameter), by which errors were widened;
+        dims interval, parameter: `value`, `sigma`, `own_sigma` (of the day alone, as it differs from others),
+        `continuous` (what the fit of all days has for the day), in `units` (parameter); `determined`;
+        `inflation` (parameter), by which errors were widened;
         `start`, `end` TT2000 (interval). NaN where a day does not determine it. No prior enters.
 
     Raises
@@ -342,11 +345,15 @@ def daily_parameters(equations: NormalEquations, found: MissionFit, names: Seque
         if steps.size >= CONTINUOUS_SETTINGS.fewest:
             inflation[index] = max(MAD_TO_SIGMA * float(np.median(steps)), 1.0)
     sigma = sigma * inflation
+    others = [name for name in equations.columns if name not in columns]
+    slope = fit.slopes(equations.middle, others)
+    held = held_variance(equations, columns, others, slope @ fit.full_covariance @ np.swapaxes(slope, 1, 2))
     each = ("interval", "parameter")
     return xr.Dataset(
         {
             "value": (each, common[:, places] + change),
-            "sigma": (each, sigma),
+            "sigma": (each, np.sqrt(sigma**2 + np.einsum("tpp->tp", held))),
+            "own_sigma": (each, sigma),
             "continuous": (each, common[:, places]),
             "determined": (each, np.isfinite(sigma)),
             "inflation": ("parameter", inflation),

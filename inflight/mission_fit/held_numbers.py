@@ -25,7 +25,7 @@ from inflight.arrays import Floats
 from inflight.calibration import PARAMETER_SCALE, NormalEquations, vector_sensor_of
 from inflight.design import DesignRows, Term, design_matrix, sensor_matrices
 from inflight.frames import direction_of
-from inflight.lsq import solve_scaled
+from inflight.lsq import regression_coefficients, solve_scaled
 from inflight.mission_fit.daily_equations import free_terms, with_nine_parameters
 from inflight.model import Model, delay_number, rows_of
 from inflight.time import SECOND
@@ -150,6 +150,32 @@ def held_shifts(equations: NormalEquations, products: Floats, prior_sigma: Float
         precision = (noise * PARAMETER_SCALE / np.asarray(prior_sigma)) ** 2
     found = solve_scaled(equations.total[:-1, :-1], products.sum(axis=0).T, cut=0.0, precision=precision)
     return np.asarray(found.T * PARAMETER_SCALE)
+
+
+def held_variance(
+    equations: NormalEquations, fitted: Sequence[str], held: Sequence[str], covariance: Floats
+) -> Floats:
+    """Return what errors of held numbers add to the covariance of each block's own fit.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of blocks (days).
+    fitted, held : sequence of str
+        Columns that each block is solved for, and columns that it takes as given.
+    covariance : ndarray, shape (held, held) or (block, held, held)
+        Of the numbers held, physical units.
+
+    Returns
+    -------
+    ndarray, shape (block, fitted, fitted)
+        Physical units: ``S C S^T`` with the shifts S of `inflight.mission_fit.crosstalk`.
+    """
+    wide, count = [*fitted, *held], len(fitted)
+    places, scale = np.arange(len(wide)), equations.scale[equations.index(wide)]
+    shift = regression_coefficients(equations.rows(wide, wide), places[:count], places[count:])
+    shift = shift * scale[:count, None] / scale[count:]
+    return np.asarray(shift @ covariance @ np.swapaxes(shift, 1, 2))
 
 
 def with_held_numbers(

@@ -520,7 +520,8 @@ def instrument_spectra(stamps: Int64, vector: Floats, scalar: Floats) -> xr.Data
 def torquer_lines(days: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return what each instrument holds in the torquers' band above the spectrum beside it.
 
-    The neighbours' course is a power of the frequency, fitted in the flanks.
+    The neighbours' course, a power of the frequency above white noise, is bent in a diagram of logarithms: a
+    parabola is fitted in the flanks.
 
     Parameters
     ----------
@@ -551,15 +552,20 @@ def torquer_lines(days: Sequence[xr.Dataset]) -> xr.Dataset:
     low, high = TORQUER_BAND_HZ
     band = (frequency >= low) & (frequency <= high)
     flank = np.any([(frequency >= first) & (frequency <= last) for first, last in settings.flanks], axis=0)
-    columns = np.stack([np.ones_like(frequency), np.log(frequency)], axis=1)
-    course, *_ = np.linalg.lstsq(columns[flank], np.log(power[:, flank]).T, rcond=None)
+    away = np.log(frequency / np.mean(TORQUER_BAND_HZ))
+    columns = np.vander(away, 3)
+    inverse = np.linalg.inv(columns[flank].T @ columns[flank])
+    course = inverse @ columns[flank].T @ np.log(power[:, flank]).T
     beside = np.exp(columns @ course).T
-    misfit = np.std(np.log(power / beside)[:, flank], axis=1) / np.sqrt(flank.sum())
+    misfit = (np.log(power / beside)[:, flank] ** 2).sum(axis=1) / (flank.sum() - columns.shape[1])
     step = float(frequency[1] - frequency[0])
     excess = ((power - beside)[:, band]).sum(axis=1) * step
     # Hann windows that overlap by half: 1.056 of independent ones (Welch 1967), and neighbours share 4/9.
-    chance = (power[:, band] ** 2).sum(axis=1) * (1.0 + 8.0 / 9.0) * 1.056 / weight.sum()
-    sigma = np.sqrt(chance * step**2 + (misfit * beside[:, band].sum(axis=1) * step) ** 2)
+    shared = 1.0 + 8.0 / 9.0
+    chance = (power[:, band] ** 2).sum(axis=1) * shared * 1.056 / weight.sum()
+    moved = beside[:, band] @ columns[band]
+    of_course = misfit * shared * np.einsum("si,ij,sj->s", moved, inverse, moved)
+    sigma = np.sqrt(chance + of_course) * step
     value = np.sqrt(np.maximum(excess, 0.0))
     each = ("sensor", "frequency")
     return xr.Dataset(

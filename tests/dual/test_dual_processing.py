@@ -19,6 +19,7 @@ from inflight.dual import (
 from inflight.dual.segments import segments_of
 from inflight.errors import CalibrationError
 from inflight.flags import Flag
+from inflight.time import SECOND
 
 UNKNOWN, AMBIGUOUS, TRANSIENT = (
     np.uint32(one) for one in (Flag.UNKNOWN_STATE, Flag.AMBIGUOUS_STATE, Flag.TRANSIENT)
@@ -318,3 +319,33 @@ def test_one_state_alone_that_moved_far_is_not_taken_for_any():
     half = continue_training(first, later(0.45))
     assert not len(half.matched)
     assert half.training.number.min() >= first.next_number
+
+
+def one_unit(ambient, noise, strength=np.ones):
+    """Return the stray field at the outboard sensor, and readings, of a unit that switches often."""
+    random, time = np.random.default_rng(6), np.arange(20_000)
+    number = np.searchsorted(np.cumsum(random.exponential(200.0, 200)), time)
+    on = (number % 2) * strength(int(number[-1]) + 1)[number]
+    walk = np.cumsum(ambient * random.normal(size=(time.size, 3)), axis=0)
+    stray = on[:, None] * [2.0, -1.0, 1.5]
+    outboard = walk + stray + noise * random.normal(size=walk.shape)
+    inboard = walk + stray + on[:, None] * [6.0, 3.0, -4.0] + noise * random.normal(size=walk.shape)
+    return stray, Readings(time * SECOND, inboard, outboard)
+
+
+def test_a_unit_has_its_whole_field_where_resampling_blurs_its_jumps():
+    _, sharp = one_unit(0.3, 0.02)
+    between = 0.5 * (sharp.outboard[:-1] + sharp.outboard[1:])
+    training = train(Readings(sharp.stamps[:-1], sharp.inboard[:-1], between))
+    size = np.linalg.norm(training.unit_correction, axis=1)
+    strongest = int(np.argmax(size))
+    assert size[strongest] == pytest.approx(np.linalg.norm([2.0, -1.0, 1.5]), rel=0.1)
+
+
+def test_a_field_that_is_not_the_same_each_time_has_the_error_of_one_time():
+    random = np.random.default_rng(9)
+    stray, readings = one_unit(0.002, 0.1, lambda count: 1.0 + 0.03 * random.normal(size=count))
+    found = correction_by_states(readings, train(readings))
+    error = found.field - stray - np.median((found.field - stray)[stray[:, 0] == 0.0], axis=0)
+    on = stray[:, 0] > 0.0
+    assert np.mean(np.abs(error[on]) < 2.0 * found.sigma[on]) > 0.9

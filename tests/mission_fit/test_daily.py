@@ -28,17 +28,23 @@ class Truth:
     equations: NormalEquations
 
 
-def mission(seed: int = 0, own: np.ndarray | None = None, memory: int = 1) -> Truth:
-    """Make days whose noise is white for `memory` rows; `own` (day, column) is added to common values."""
+def mission(seed: int = 0, own: np.ndarray | None = None, memory: int = 1, alike: bool = False) -> Truth:
+    """Make days whose noise is white for `memory` rows; `own` (day, column) is added to common values.
+
+    With `alike`, the last column is hardly told from the first, and what is known of it is off by 0.05."""
     random = np.random.default_rng(seed)
     common = random.standard_normal(len(COLUMNS))
     value = np.broadcast_to(common, (DAYS, len(COLUMNS))).copy()
     value += 0.0 if own is None else own
+    if alike:
+        value[:, -1] = 0.05 * random.standard_normal()
     grams = []
     for row in value:
         x = random.standard_normal((ROWS, len(COLUMNS)))
         if memory > 1:
             x = np.repeat(x[::memory], memory, axis=0)[:ROWS]
+        if alike:
+            x[:, -1] = x[:, 0] + 1e-3 * x[:, -1]
         noise = np.repeat(random.standard_normal(ROWS // memory + 1), memory)[:ROWS]
         rows = np.column_stack([x, NOISE * noise - x @ row])
         grams.append(rows.T @ rows)
@@ -59,11 +65,11 @@ def mission(seed: int = 0, own: np.ndarray | None = None, memory: int = 1) -> Tr
     return Truth(value, NormalEquations(dataset))
 
 
-def daily(truth: Truth, names: list[str]) -> xr.Dataset:
+def daily(truth: Truth, names: list[str], last: float = 10.0) -> xr.Dataset:
     fit = fit_trends(
         truth.equations,
         dict.fromkeys(NINE[:3], make_trend("linear", truth.equations.middle)),
-        np.full(len(COLUMNS), 10.0),
+        np.append(np.full(len(COLUMNS) - 1, 10.0), last),
         units=dict.fromkeys(COLUMNS, "s"),
     )
     return daily_parameters(truth.equations, SimpleNamespace(fit=fit, kind="linear"), names)
@@ -79,6 +85,17 @@ def test_a_shift_of_one_day_is_found_on_that_day_alone(sign):
     assert away[7] == pytest.approx(sign * 0.2, abs=5 * sigma[7])
     assert np.abs(np.delete(away / sigma, 7)).max() < 5
     assert list(table["parameter"].values) == [*NINE, SHIFT]
+
+
+def test_errors_of_what_days_take_from_the_fit_of_all_days_are_in_theirs():
+    pulls = []
+    for seed in range(12):
+        truth = mission(seed, alike=True)
+        table = daily(truth, [SHIFT], last=0.05).isel(parameter=0)
+        pulls.append((table["value"].values - truth.value[:, 0]) / table["sigma"].values)
+        # Days differ by less than that.
+        assert (table["own_sigma"] < 0.3 * table["sigma"]).all()
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
 
 
 @pytest.mark.parametrize("memory", [1, 6])

@@ -211,6 +211,19 @@ def test_the_line_is_seen_in_the_instrument_whose_matrix_is_wrong(wrong, told):
     assert (np.abs(found["excess"].sel(sensor=right)) < 4 * found["excess_sigma"].sel(sensor=right)).all()
 
 
+def test_without_a_line_its_size_lies_within_its_errors():
+    """Noise that falls with frequency and white noise: the spectrum beside the band is bent."""
+    random, far = np.random.default_rng(7), []
+    for _ in range(12):
+        slow, white = 0.02 * random.normal(size=(2, 40_000)).cumsum(axis=1), random.normal(size=(2, 40_000))
+        stamps = np.arange(40_000, dtype=np.int64) * 5 * SECOND
+        found = torquer_lines([instrument_spectra(stamps, *(slow + [[0.02], [0.05]] * white))])
+        far += (found["excess"] / found["excess_sigma"]).values.tolist()
+    # A mean of so many, and their rms, by three of their sigmas.
+    assert abs(np.mean(far)) < 3.0 / np.sqrt(len(far))
+    assert np.sqrt(np.mean(np.square(far))) < 1.0 + 3.0 / np.sqrt(2.0 * len(far))
+
+
 def test_readings_too_slow_for_the_band_are_refused():
     stamps, residual, *_ = make_day(hours=2)
     with pytest.raises(SamplesError, match="do not hold"):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from scipy.ndimage import uniform_filter1d
 
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings, simulate_dual_day
@@ -76,12 +77,38 @@ def product(made: Workspace, day: np.datetime64 = BAD) -> xr.Dataset:
     return cat.read(found, with_time=False)
 
 
-def errors(data: xr.Dataset, day: np.datetime64 = BAD, between: bool = False) -> dict[str, np.ndarray]:
+def reference_stray(made: Workspace, data: xr.Dataset) -> np.ndarray | None:
+    """Return the true stray field, (axis,) nT, of the state a product is relative to, or None."""
+    words = data.attrs["constant"]
+    if not words.startswith("relative to state "):
+        return None
+    for day in (BAD, GOOD):
+        truth, there = simulated(day).truth, product(made, day)
+        stamps = truth["Epoch"].values.astype(np.int64)
+        at = there["tt2000"].values[there["state"].values == int(words.split()[-1])]
+        if at.size:
+            rows = np.minimum(np.searchsorted(stamps, at), stamps.size - 1)
+            return np.median(truth["STRAY_OUT"].values[rows], axis=0)
+    return None
+
+
+def errors(
+    data: xr.Dataset,
+    day: np.datetime64 = BAD,
+    between: bool = False,
+    constant: np.ndarray | None = None,
+    mean_of: int = 1,
+) -> dict[str, np.ndarray]:
     """Return errors of the outboard reading and of the field, without constants; (time, axis) nT, NaN
-    where the product is missing. The truth is interpolated where the product has stamps between its own."""
+    where the product is missing. The truth is interpolated where the product has stamps between its own, and
+    averaged over so many of its samples where the product has means.
+
+    ``relative`` is the error of the field less a known constant (axis,), or less its median: its sigma is
+    that of the difference to the state which the field is relative to."""
     truth = simulated(day).truth
     stamps = truth["Epoch"].values.astype(np.int64)
     known = truth["FIELD"].values + truth["OFFSET_OUT"].values
+    known = uniform_filter1d(known, mean_of, axis=0)
     if between:
         inside = (data["tt2000"].values > stamps[0]) & (data["tt2000"].values < stamps[-1])
         data = data.isel(time=np.flatnonzero(inside))
@@ -94,4 +121,5 @@ def errors(data: xr.Dataset, day: np.datetime64 = BAD, between: bool = False) ->
     for name in ("outboard", "field_spacecraft"):
         left = data[name].values[rows[there]] - known[there]
         out[name] = left - np.nanmedian(left, axis=0)
+    out["relative"] = out["field_spacecraft"] if constant is None else left - constant
     return out

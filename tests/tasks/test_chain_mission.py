@@ -232,6 +232,18 @@ def test_daily_fits_wander_by_what_they_do_not_know(chain):
     own, common = newest(cat, "own-fit"), newest(cat, "continuous")
     apart = (own["value"].values - common["value"].values)[:, 6:]
     assert np.abs(apart).max() < 2.0
+    # That of what the model holds is in their errors, and the days' own is far smaller.
+    assert np.mean(np.abs(apart) < 2.0 * own["sigma"].values[:, 6:]) > 0.9
+    assert np.mean(np.abs(apart) < 2.0 * own["own_sigma"].values[:, 6:]) < 0.5
+
+
+def test_mean_temperatures_of_whole_days_are_known_by_their_readings(chain):
+    cat, _ = chain
+    table = newest(cat, "daily-temperature").sel(channel="coil_temperature")
+    truth = [simulate_day(SETTINGS, SETTINGS.start + dt.timedelta(days=day)).truth for day in range(3)]
+    off = table["value"].values[:3] - [float(day["T_EFF"].mean()) for day in truth]
+    assert (np.abs(off) < 3.0 * table["sigma"].values[:3]).all()
+    assert (table["sigma"].values[:3] < 0.1 * table["spread"].values[:3]).all()
 
 
 def test_a_day_without_housekeeping_gets_a_product_with_a_wider_uncertainty(chain, tmp_path):

@@ -155,7 +155,7 @@ def fit_mission_tables(
     equations = drift.remove_drift(equations, scale_factor_rates(found.fit, equations))
     fitted_days = [read[place] for place in places]
     out = MissionTables(found)
-    own = own_fits(fitted_days, found)
+    own = own_fits(fitted_days, found, model)
     table = continuous_table(equations, found, model, noise)
     table = table.assign_attrs({MODEL: model.sha, FITTED: named_fit(model, found).sha})
     # All fitted days taught every row: between them the trend interpolates.

@@ -54,6 +54,7 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     TABLE_SETTINGS,
     faults_of,
     middles,
+    of_days_alone,
     spectra_of,
     stated_periods,
     time_shifts,
@@ -92,7 +93,7 @@ def display_units(daily: xr.Dataset) -> dict[str, tuple[float, str]]:
 
 def deviations(daily: xr.Dataset) -> list[Deviation]:
     """Return the deviation of every daily parameter."""
-    out = []
+    out, daily = [], of_days_alone(daily)
     for name, (factor, unit) in display_units(daily).items():
         one = daily.sel(parameter=name)
         value = factor * (one["value"].values - one["continuous"].values)
@@ -388,7 +389,8 @@ def day_night(found: MissionFitResults) -> Part:
             if name == "day-night-series":
                 part.plots.append(day_night_figure(DayNightField.of_table(table)))
     with part.optional("Wander of the angles"):
-        _add_angles(part, found, found.table("daily-after"), found.table("day-night-daily"))
+        both = (of_days_alone(found.table(name)) for name in ("daily-after", "day-night-daily"))
+        _add_angles(part, found, *both)
     return part
 
 

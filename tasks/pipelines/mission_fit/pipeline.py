@@ -49,7 +49,7 @@ class MissionPipeline(Pipeline):
     """
 
     tag = "mission"
-    versions = Versions(statistics=5, tables=10, products=9)
+    versions = Versions(statistics=5, tables=11, products=9)
     statistics = ALL_DAYS_STATISTICS
     #: Four periods of the filter of `inflight.calibration.product.distribute_residual`: beyond, its response
     #: is below 1e-5.

@@ -53,7 +53,7 @@ from inflight.mission_fit import (
 from inflight.model import Model, component_names
 from inflight.tasks.pipelines.base import Part, with_unit
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
-from inflight.tasks.pipelines.mission_fit.tables import node_times, torquer_band
+from inflight.tasks.pipelines.mission_fit.tables import node_times, of_days_alone, torquer_band
 from inflight.tasks.pipelines.scalar import z_offsets_of
 from inflight.time import Int64, to_utc
 from inflight.units import with_error
@@ -215,7 +215,7 @@ def trend(found: MissionFitResults) -> Part:
     )
     daily = table
     with part.optional("Parameters of each day"):
-        daily = found.table("daily-after")
+        daily = of_days_alone(found.table("daily-after"))
     names = [str(name) for name in table["parameter"].values]
     for group, title, factor, unit in NINE_SHOWN:
         own = [name for name in names if f".{group}[" in name]

@@ -37,6 +37,8 @@ from inflight.mission_fit import (
     find_clock_faults,
     fit_coil_lag,
     fit_day_night_jointly,
+    free_terms,
+    held_variance,
     joint_cross_talk,
     nine_parameter_cross_talk,
     node_local_time,
@@ -97,32 +99,44 @@ TABLE_SETTINGS = TableSettings()
 # --- from the parts of days -----------------------------------------------------------------------------
 
 
-def own_fits(read: Sequence[xr.Dataset], found: MissionFit) -> xr.Dataset:
+def own_fits(read: Sequence[xr.Dataset], found: MissionFit, model: Model) -> xr.Dataset:
     """Return each day's own nine parameters: what they do from day to day, nothing held at the common fit.
+
+    Everything else is held at the model: its errors, as the model states them, are in those of the nine.
 
     Parameters
     ----------
     read : sequence of Dataset
         Statistics of days that were fitted.
     found : MissionFit
+    model : Model
+        The one that the days' own fits held the rest at.
 
     Returns
     -------
     xarray.Dataset
-        dims interval, parameter: `value`, `sigma`, `covariance` (interval, parameter, other), `after`
-        (interval), nT; `units` (parameter); `start`, `end` (interval), TT2000.
+        dims interval, parameter: `value`, `sigma`, `own_sigma` (of the day alone), `covariance` (interval,
+        parameter, other), `after` (interval), nT; `units` (parameter); `start`, `end` (interval), TT2000.
     """
     joined = {
         name: np.concatenate([day[name].values for day in read])
         for name in ("fit", "fit_covariance", "after", "start", "end")
     }
     each, names = ("interval", "parameter"), list(found.fit.trends)[:9]
-    sigma = np.sqrt(np.diagonal(joined["fit_covariance"], axis1=1, axis2=2))
+    others = {
+        name: sigma
+        for term in free_terms(model)
+        for name, sigma in zip(term.columns, term.sigma, strict=True)
+        if name in found.equations.columns and name not in names and np.isfinite(sigma)
+    }
+    prior = np.diag(np.square(list(others.values())))
+    covariance = joined["fit_covariance"] + held_variance(found.equations, names, list(others), prior)
     table = xr.Dataset(
         {
             "value": (each, joined["fit"]),
-            "sigma": (each, sigma),
-            "covariance": ((*each, "other"), joined["fit_covariance"]),
+            "sigma": (each, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
+            "own_sigma": (each, np.sqrt(np.diagonal(joined["fit_covariance"], axis1=1, axis2=2))),
+            "covariance": ((*each, "other"), covariance),
             "after": ("interval", joined["after"]),
             "units": ("parameter", np.array([found.fit.units[name] for name in names], dtype="U8")),
             "start": ("interval", joined["start"]),
@@ -189,14 +203,18 @@ def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset
     Returns
     -------
     xarray.Dataset
-        dims interval, channel: `value`, `spread` within the day, `sigma` (that of a mean whose spread is one
-        slow wave: the spread over the root of the turns, at most the spread), degC; `start`, `end`. NaN on
-        days without readings.
+        dims interval, channel: `value`, `spread` within the day, `sigma`, degC; `start`, `end`. NaN on days
+        without readings.
 
     Raises
     ------
     SamplesError
         When the mission has no temperature, or none was archived.
+
+    Notes
+    -----
+    The spread is one slow wave, which repeats with each turn: of a day that is read in part, a mean errs as
+    one of some turns out of all (finite population). Readings themselves scatter by no more than the spread.
     """
     used = {name for entry in model.effects for name in entry.effect.channels}
     means = means_of_channels(read)
@@ -209,14 +227,18 @@ def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset
             remedy="state a channel of kind 'temperature' in the mission's file",
         )
     mean, spread, count = np.stack([means[name] for name in known], axis=1).transpose(2, 0, 1)
+    start, end = (np.concatenate([day[name].values for day in read]) for name in ("start", "end"))
+    cadence = [mission.instruments[channels_by_name(mission)[name][0]].cadence for name in known]
+    missing = np.clip(1.0 - count * cadence / (end - start)[:, None], 0.0, 1.0)
+    turns, number = np.clip(count, 1, TABLE_SETTINGS.most_turns), np.maximum(count, 1)
     each, units = ("interval", "channel"), {"units": "degC"}
     return xr.Dataset(
         {
             "value": (each, mean, units),
             "spread": (each, spread, units),
-            "sigma": (each, spread / np.sqrt(np.clip(count, 1, TABLE_SETTINGS.most_turns)), units),
-            "start": ("interval", np.concatenate([day["start"].values for day in read]), {"scale": "TT2000"}),
-            "end": ("interval", np.concatenate([day["end"].values for day in read]), {"scale": "TT2000"}),
+            "sigma": (each, spread * np.sqrt(missing / turns + 1.0 / number), units),
+            "start": ("interval", start, {"scale": "TT2000"}),
+            "end": ("interval", end, {"scale": "TT2000"}),
         },
         coords={"channel": known},
     )
@@ -362,6 +384,11 @@ def daily_after(equations: NormalEquations, found: MissionFit) -> xr.Dataset:
     return daily_parameters(equations, found, shift_columns(found.model))
 
 
+def of_days_alone(table: xr.Dataset) -> xr.Dataset:
+    """Return a table of days with the errors in which days differ, for what happens from day to day."""
+    return table.assign(sigma=table["own_sigma"]) if "own_sigma" in table else table
+
+
 def middles(table: xr.Dataset) -> Floats:
     """Return the middles of a table's intervals as days since 2000-01-01; (interval,)."""
     return mjd2000(table["start"].values // 2 + table["end"].values // 2)
@@ -381,7 +408,7 @@ def time_shifts(daily: xr.Dataset) -> tuple[Floats, Floats]:
             "the model has no time shift that data may move",
             remedy="give the model an effect 'time_shift' with a sigma",
         )
-    own = daily.sel(parameter=names[0])
+    own = of_days_alone(daily).sel(parameter=names[0])
     return own["value"].values, own["sigma"].values
 
 
@@ -460,7 +487,7 @@ def spectra_of(
     units : mapping of str to (float, str)
         Factor and unit of parameters; as they are where absent.
     """
-    found, why, mjd = {}, {}, middles(daily)
+    found, why, mjd, daily = {}, {}, middles(daily), of_days_alone(daily)
     for name in map(str, daily["parameter"].values):
         one = daily.sel(parameter=name)
         factor, unit = units.get(name, (1.0, str(one["units"].item())))
