@@ -333,6 +333,8 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     out: dict[str, str] = {}
     for channel in driving_channels(data):
         any_way = _in_any_way(trials, channel)
+        if any_way is None:
+            continue
         grams = trials.grams([*own, any_way])
         count = edges[-1] + len(any_way)
         together, joined = (held_out_loss(grams, np.arange(one), folds) for one in (edges[-1], count))
@@ -355,17 +357,21 @@ def _bases(option: Option) -> list[str]:
     return [base for name in option.channels for base in base_channels(name)] or [option.name]
 
 
-def _in_any_way(trials: FormTrials, channel: str) -> Floats:
-    """Return what calibration and model leave of a field that follows a channel in any way; (column, row)."""
+def _in_any_way(trials: FormTrials, channel: str) -> Floats | None:
+    """Return what calibration and model leave of a field that follows a channel in any way; (column, row).
+
+    None where the comparison has no sensor that would read it.
+    """
     data = trials.data
+    entry = _entry(data, "channel_field", Followed("value", channel, channel))
+    if entry is None:
+        return None
     values = np.asarray(data.series[channel])
     known = np.isfinite(values)
     knots = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
     lags = [f"{channel}@lag={lag:g}s" for lag in BANK_SETTINGS.lags if lag]
     slow = derived_channels(data.series, set(lags))
     ways = [*straight_pieces(values, knots).T, *(np.asarray(slow[name].values) for name in lags)]
-    entry = _entry(data, "channel_field", Followed("value", channel, channel))
-    assert entry is not None
     acting = np.moveaxis(_acting_columns(data, entry), 2, 0) * trials.root.reshape(values.size, -1)
     columns = np.stack([acting * np.nan_to_num(way)[:, None] for way in ways])
     return trials.kept(columns.reshape(-1, trials.root.size))
