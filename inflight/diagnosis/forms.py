@@ -332,7 +332,7 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     places = [np.arange(first, last) for first, last in pairwise(edges)]
     out: dict[str, str] = {}
     for channel in driving_channels(data):
-        any_way = _in_any_way(trials, channel)
+        any_way = _in_any_way(search, trials, channel)
         if any_way is None:
             continue
         grams = trials.grams([*own, any_way])
@@ -357,7 +357,7 @@ def _bases(option: Option) -> list[str]:
     return [base for name in option.channels for base in base_channels(name)] or [option.name]
 
 
-def _in_any_way(trials: FormTrials, channel: str) -> Floats | None:
+def _in_any_way(search: Search, trials: FormTrials, channel: str) -> Floats | None:
     """Return what calibration and model leave of a field that follows a channel in any way; (column, row).
 
     None where the comparison has no sensor that would read it.
@@ -369,7 +369,7 @@ def _in_any_way(trials: FormTrials, channel: str) -> Floats | None:
     values = np.asarray(data.series[channel])
     known = np.isfinite(values)
     knots = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
-    lags = [f"{channel}@lag={lag:g}s" for lag in BANK_SETTINGS.lags if lag]
+    lags = [f"{channel}@lag={lag:g}s" for lag in BANK_SETTINGS.lags if lag and _has_history(search, channel)]
     slow = derived_channels(data.series, set(lags))
     ways = [*straight_pieces(values, knots).T, *(np.asarray(slow[name].values) for name in lags)]
     acting = np.moveaxis(_acting_columns(data, entry), 2, 0) * trials.root.reshape(values.size, -1)
@@ -536,17 +536,18 @@ def _cells(
     for channel in channels:
         values = data.series[channel]
         low, high = np.nanquantile(values, WIDTH_SETTINGS.quantiles)
-        slow = channel not in search.library.unlagged and (
-            channel not in GEOMETRY or channel in SLOW_GEOMETRY
-        )
-        found = follows(
-            channel, float(np.nanmean(values)), float(high - low), slow, label not in _HAS_CONSTANT
-        )
+        slow, about_mean = _has_history(search, channel), label not in _HAS_CONSTANT
+        found = follows(channel, float(np.nanmean(values)), float(high - low), slow, about_mean)
         if _is_own_square(values):
             # A channel with two levels.
             found = [one for one in found if one.how != "square"]
         out += [one for one in found if (label, one.name) not in known and (one.how, channel) not in same]
     return out
+
+
+def _has_history(search: Search, channel: str) -> bool:
+    """Return whether slow responses to a channel make sense."""
+    return channel not in search.library.unlagged and (channel not in GEOMETRY or channel in SLOW_GEOMETRY)
 
 
 def _is_own_square(values: Floats) -> bool:
