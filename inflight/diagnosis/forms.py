@@ -319,7 +319,7 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
 
     Effects of several channels can make up one shape that the library lacks. A field that follows one
     channel in any way (`_in_any_way`) is held against them. They are parts of it where blocks that were left
-    out lose nothing when it takes their place, and gain nothing when they join it: a cause of its own, which
+    out do not clearly lose when it takes their place, nor gain when they join it: a cause of its own, which
     is no function of that channel, would be missed.
     """
     taken = [one for one in search.accepted if one.terms and not (one.change or one.agnostic or one.number)]
@@ -330,7 +330,7 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     own = [np.concatenate([trials.columns(trials.terms[key]) for key in one.terms]) for one in taken]
     edges = np.cumsum([0, *map(len, own)]).tolist()
     places = [np.arange(first, last) for first, last in pairwise(edges)]
-    out: dict[str, str] = {}
+    out: dict[str, tuple[float, str]] = {}
     for channel in driving_channels(data):
         any_way = _in_any_way(search, trials, channel)
         if any_way is None:
@@ -341,9 +341,12 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
         for some in _several(taken, channel):
             others = [at for one, at in zip(taken, places, strict=True) if one not in some]
             alone = held_out_loss(grams, np.concatenate([*others, np.arange(edges[-1], count)]), folds)
-            if alone.sum() <= together.sum() and hac_t((alone - joined)[:, None])[0] < search.rules.t:
-                out |= {one.name: f"a field that follows {channel} in a way of its own" for one in some}
-    return out
+            missed = np.stack([alone - together, alone - joined], axis=1)
+            is_small = missed.sum(axis=0) < search.rules.gain * together.sum()
+            if np.all(is_small & (hac_t(missed) < search.rules.rival_t)):
+                lost = float((alone - together).sum())
+                out |= {one.name: min(out.get(one.name, (lost, channel)), (lost, channel)) for one in some}
+    return {name: f"a field that follows {channel} in a way of its own" for name, (_, channel) in out.items()}
 
 
 def _several(taken: Sequence[Option], channel: str) -> list[tuple[Option, ...]]:
