@@ -591,6 +591,13 @@ def only_moves_with(found: Fields, coordinates: Sequence[str]) -> str:
     )
 
 
+#: Why the first effect may be another one, by how sure it is.
+_DOUBTS = {
+    "rivals": "causes look alike: it may be another of them",
+    "stand-in": "it may be a part of another cause, as told above",
+}
+
+
 def _next_step(fields: Fields) -> str:
     """Return what a person may type next."""
     if fields.get("plumbing"):
@@ -607,7 +614,7 @@ def _next_step(fields: Fields) -> str:
         what = first
     elif effects:
         best = effects[0]
-        doubt = "causes look alike: it may be another of them" if best["status"] == "rivals" else ""
+        doubt = _DOUBTS.get(best["status"], "")
         # The numbers are those of all of them together: one alone has others.
         numbers = ", with the numbers above" if len(effects) > 1 else ""
         every = f"all of them{numbers}: inflight auto"
