@@ -105,6 +105,7 @@ class LoopView:
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._diagnose.on_click(lambda event: self._begin_diagnosis())
         self._card = pn.Column(sizing_mode="stretch_width")
+        self._card_shown: SignatureCard | None = None
         self._middle = (
             _heading("Which effect is missing"),
             self._diagnose,
@@ -200,7 +201,7 @@ class LoopView:
         instead = self._session.instead_of_diagnosis(self._overview.comparison)
         self._diagnose.disabled = bool(instead)
         if fields is None:
-            self._card.objects = []
+            self._show_card(None)
             told = (
                 f"Nothing is ranked here: {instead}"
                 if instead
@@ -220,14 +221,19 @@ class LoopView:
         named = [one["name"] for one in fields["entries"] if one["name"] in names]
         if not self._other.value or self._other.value in dead:
             self._other.value = named[0] if named else ""
-        card = signature_card(fields, effects)
-        self._card.objects = [] if card is None else self._signature_parts(card)
+        self._show_card(signature_card(fields, effects))
         table = candidate_widget(self._rows)
         if self._other.value in names:
             table.selection = [names.index(self._other.value)]
         table.param.watch(lambda event: self._chosen(event.new), "selection")
         parts = [] if not fields.get("stale") else [panes.hint(_of_another_model(fields))]
         return pn.Column(*parts, table, sizing_mode="stretch_width")
+
+    def _show_card(self, card: SignatureCard | None) -> None:
+        """Show what is left without a name; what is shown already stays, buttons and all."""
+        if card != self._card_shown:
+            self._card.objects = [] if card is None else self._signature_parts(card)
+            self._card_shown = card
 
     def _signature_parts(self, card: SignatureCard) -> list[pn.viewable.Viewable]:
         """Return what is known of what has no name, with what puts it into the model."""

@@ -111,11 +111,16 @@ def test_the_missing_effect_is_found_tried_added_and_taken_back_by_clicks(browse
     curves = browser.wait_for(f"((found) => 'after' in found && found)({drawn})")
     assert np.ptp(curves["all"][1]) == pytest.approx(1.0, abs=0.05)
     assert np.ptp(curves["after"][1]) < 0.02
+    button = "window.pick('button').find((one) => one.textContent.trim() === 'Add as an empirical term')"
+    assert browser.wait_for(f"(window.held = {button}) !== undefined")
     browser.press("button", "Add")
     browser.wait_for_text("from version 1: add channel_field(heater_current)", 240)
     added = drawn_error(browser, "2: heater_current")
     assert added["bars"]["2: heater_current"] == pytest.approx(tried["bars"]["try: heater_current"])
     assert added["bars"]["2: heater_current"] > 2 * added["floor"]
+    # What follows an addition leaves a button alone that may be pressed meanwhile.
+    browser.wait_for_text("Residual before and after: add channel_field(heater_current).")
+    assert browser.evaluate("window.held.isConnected")
     browser.press("button", "Add as an empirical term")
     browser.wait_for_text("from version 2: add tone", 240)
     added = drawn_error(browser, "3: tone")
