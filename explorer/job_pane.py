@@ -106,9 +106,7 @@ class JobPane:
             Called with the result once it is shown: what takes long and need not be seen at once.
         """
         # What follows a result that was shown is not lost, nor done after what is begun now.
-        due, self._due = self._due, None
-        if due is not None:
-            due()
+        self._do_what_is_due()
         self.follow(self._background.begin(name, work), show, then)
 
     def follow(
@@ -132,10 +130,8 @@ class JobPane:
         if job is None:
             if self._due is not None and time.monotonic() - self._told < _SEEN_S:
                 return
-            due, self._due = self._due, None
             self._end_polling()
-            if due is not None:
-                due()
+            self._do_what_is_due()
             return
         if not job.is_finished:
             if time.monotonic() - self._begun > _QUIET_S:
@@ -154,6 +150,11 @@ class JobPane:
             if job.error["message"].startswith("unexpected"):
                 print(job.trace, file=sys.stderr)
             self.put(panes.error(job.error))
+
+    def _do_what_is_due(self) -> None:
+        due, self._due = self._due, None
+        if due is not None:
+            due()
 
     def _end_polling(self) -> None:
         if self._poll_callback is not None:

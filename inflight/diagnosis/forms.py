@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -35,19 +35,23 @@ from inflight.diagnosis.refine import (
 from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
 from inflight.diagnosis.scoring import (
     Index,
+    ModelColumns,
     draw_signs,
     family_wise_p,
-    held_out_loss,
     make_folds,
     score,
     sign_flip_ratios,
 )
 from inflight.diagnosis.search import VISIBILITY_SETTINGS, Option, ScoreTable, Search
+from inflight.diagnosis.stepwise import channels_under
 from inflight.effects import family_of, known_effects
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import hac_t, inverse_square_root, solve_scaled
+from inflight.lsq import GramArrays, hac_t, inverse_square_root, solve_scaled
 from inflight.model import ModelEffect
 from inflight.samples import base_channels, slow_response
+
+#: An effect that was taken, or its place.
+Taken = TypeVar("Taken")
 
 #: What a channel may act on, and the effect that does it: ``effect(channel)``.
 ACTS_ON: Mapping[str, str] = {
@@ -255,10 +259,9 @@ def left_follows_field(search: Search, data: DiagnosisData) -> dict[str, str]:
     there = series["weight"] > 0
     flat = []
     for axis in range(3):
-        knots = np.unique(np.quantile(reading[there, axis], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
         flat += [
             (piece[:, None] * direction[:, :, axis]).reshape(-1) * trials.root
-            for piece in straight_pieces(reading[:, axis], knots).T
+            for piece in _by_level(reading[:, axis], there)
         ]
     columns = trials.kept(np.nan_to_num(np.array(flat)))
     half = inverse_square_root(columns @ columns.T)
@@ -281,7 +284,6 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
     if len(taken) < 2 or not can_add_columns(search, data):
         return {}
     options = {one.name for one in search.options}
-    sets = [*combinations(taken, 2), *([tuple(taken)] if len(taken) > 2 else [])]
     channels, folds, rows = driving_channels(data), make_folds(len(search.raw)), None
     out: dict[str, tuple[float, str]] = {}
     for label in ACTS_ON.values():
@@ -300,7 +302,7 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
         products, every = row.products, row.places
         residual = products.residuals[0]
         together = score(products, search.present_in(products), [], residual, folds).loss0
-        for without in sets:
+        for without in _several(taken):
             kept = search.with_accepted([one for one in search.accepted if one not in without])
             found = score(products, kept.present_in(products), every, residual, folds)
             as_well = (found.t > search.rules.t) & (found.gain > search.rules.gain)
@@ -312,6 +314,11 @@ def instead_of_several(search: Search, data: DiagnosisData) -> dict[str, str]:
             for one in without:
                 out[one.name] = max(out.get(one.name, (0.0, "")), (float(found.gain[best]), name))
     return {name: cell for name, (_, cell) in out.items()}
+
+
+def _several(taken: Sequence[Taken]) -> list[tuple[Taken, ...]]:
+    """Return all pairs of what was taken, and all of it together."""
+    return [*combinations(taken, 2), *([tuple(taken)] if len(taken) > 2 else [])]
 
 
 def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
@@ -330,54 +337,66 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     own = [np.concatenate([trials.columns(trials.terms[key]) for key in one.terms]) for one in taken]
     edges = np.cumsum([0, *map(len, own)]).tolist()
     places = [np.arange(first, last) for first, last in pairwise(edges)]
+    # An effect that follows no channel is something of its own.
+    follow = [channels_under(one.channels) or {one.name} for one in taken]
+    fields = {
+        channel: entry
+        for channel in driving_channels(data)
+        if (entry := _entry(data, "channel_field", Followed("value", channel, channel))) is not None
+    }
+    if not fields:
+        return {}
+    # Along which directions a channel acts is the same for all.
+    acting = _acting_columns(data, next(iter(fields.values())))
     out: dict[str, tuple[float, str]] = {}
-    for channel in driving_channels(data):
-        any_way = _in_any_way(search, trials, channel)
-        if any_way is None:
-            continue
-        grams = trials.grams([*own, any_way])
-        count = edges[-1] + len(any_way)
-        together, joined = (held_out_loss(grams, np.arange(one), folds) for one in (edges[-1], count))
-        for some in _several(taken, channel):
-            others = [at for one, at in zip(taken, places, strict=True) if one not in some]
-            alone = held_out_loss(grams, np.concatenate([*others, np.arange(edges[-1], count)]), folds)
+    for channel in fields:
+        grams = trials.grams(search.raw, [*own, _in_any_way(search, trials, channel, acting)])
+        any_way = np.arange(edges[-1], len(grams.columns))
+        together, joined = (
+            _left_out_loss(grams, np.arange(count), folds) for count in (edges[-1], len(grams.columns))
+        )
+        for some in _several(range(len(taken))):
+            if set().union(*(follow[at] for at in some)) == {channel}:
+                continue
+            others = [place for at, place in enumerate(places) if at not in some]
+            alone = _left_out_loss(grams, np.concatenate([*others, any_way]), folds)
             missed = np.stack([alone - together, alone - joined], axis=1)
             is_small = missed.sum(axis=0) < search.rules.gain * together.sum()
             if np.all(is_small & (hac_t(missed) < search.rules.rival_t)):
                 lost = float((alone - together).sum())
-                out |= {one.name: min(out.get(one.name, (lost, channel)), (lost, channel)) for one in some}
+                for name in (taken[at].name for at in some):
+                    out[name] = min(out.get(name, (lost, channel)), (lost, channel))
     return {name: f"a field that follows {channel} in a way of its own" for name, (_, channel) in out.items()}
 
 
-def _several(taken: Sequence[Option], channel: str) -> list[tuple[Option, ...]]:
-    """Return pairs of effects, and all of them, which do not follow one channel alone."""
-    sets = [*combinations(taken, 2), *([tuple(taken)] if len(taken) > 2 else [])]
-    return [some for some in sets if {base for one in some for base in _bases(one)} != {channel}]
+def _left_out_loss(grams: GramArrays, columns: Index, folds: Sequence[Index]) -> Floats:
+    """Return what columns, fitted to the other folds, leave in each block; (block,)."""
+    model = ModelColumns(columns, np.zeros(columns.size))
+    return score(grams, model, [], grams.residuals[0], folds).loss0
 
 
-def _bases(option: Option) -> list[str]:
-    """Return the recorded channels that an effect follows, or its name where it follows none."""
-    return [base for name in option.channels for base in base_channels(name)] or [option.name]
-
-
-def _in_any_way(search: Search, trials: FormTrials, channel: str) -> Floats | None:
+def _in_any_way(search: Search, trials: FormTrials, channel: str, acting: Floats) -> Floats:
     """Return what calibration and model leave of a field that follows a channel in any way; (column, row).
 
-    None where the comparison has no sensor that would read it.
+    Parameters
+    ----------
+    acting : ndarray, shape (sample, row, k)
+        Columns of a field whose channel is 1.
     """
-    data = trials.data
-    entry = _entry(data, "channel_field", Followed("value", channel, channel))
-    if entry is None:
-        return None
-    values = np.asarray(data.series[channel])
-    known = np.isfinite(values)
-    knots = np.unique(np.quantile(values[known], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
+    series = trials.data.series
+    values = np.asarray(series[channel])
     lags = [f"{channel}@lag={lag:g}s" for lag in BANK_SETTINGS.lags if lag and _has_history(search, channel)]
-    slow = derived_channels(data.series, set(lags))
-    ways = [*straight_pieces(values, knots).T, *(np.asarray(slow[name].values) for name in lags)]
-    acting = np.moveaxis(_acting_columns(data, entry), 2, 0) * trials.root.reshape(values.size, -1)
-    columns = np.stack([acting * np.nan_to_num(way)[:, None] for way in ways])
+    slow = derived_channels(series, set(lags))
+    ways = [*_by_level(values, np.isfinite(values)), *(np.asarray(slow[name].values) for name in lags)]
+    along = np.moveaxis(acting, 2, 0) * trials.root.reshape(values.size, -1)
+    columns = np.stack([along * np.nan_to_num(way)[:, None] for way in ways])
     return trials.kept(columns.reshape(-1, trials.root.size))
+
+
+def _by_level(values: Floats, there: np.ndarray) -> Floats:
+    """Return functions of the level of a series, straight between its quantiles; (level, sample)."""
+    knots = np.unique(np.quantile(values[there], np.linspace(0.0, 1.0, FORM_SETTINGS.levels)))
+    return straight_pieces(values, knots).T
 
 
 def alike_but_for_noise(search: Search, data: DiagnosisData) -> dict[str, tuple[str, ...]]:

@@ -46,6 +46,7 @@ from inflight.diagnosis.time_changes import Change, time_text
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import (
     LEAST_KEPT,
+    GramArrays,
     GramBlocks,
     hac_t,
     inverse_square_root,
@@ -672,11 +673,13 @@ class FormTrials:
         rest = self.rest - solve_scaled(columns @ columns.T, columns @ self.rest) @ columns
         return np.asarray(np.bincount(self.block, weights=rest**2, minlength=self.blocks), dtype=np.float64)
 
-    def grams(self, parts: Sequence[Floats]) -> Floats:
-        """Return the products of columns (column, row) and of the residual, which comes last, in a block."""
+    def grams(self, like: GramBlocks, parts: Sequence[Floats]) -> GramArrays:
+        """Return the Gram blocks of columns (column, row) and of the residual, in blocks like others."""
         every = np.concatenate([*parts, self.rest[None]])
         edges = np.searchsorted(self.block, np.arange(self.blocks + 1)).tolist()
-        return np.stack([every[:, first:last] @ every[:, first:last].T for first, last in pairwise(edges)])
+        gram = np.stack([every[:, first:last] @ every[:, first:last].T for first, last in pairwise(edges)])
+        names = (*map(str, range(len(every) - 1)), "residual")
+        return GramArrays(names, gram, like.start, like.end, like.count, np.ones(len(every)))
 
     def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
         """Return the residual after the rest of the model, without and with an option; (row,) nT, weighted.

@@ -483,26 +483,6 @@ def score(
     )
 
 
-def held_out_loss(grams: Floats, columns: Index, folds: Sequence[Index]) -> Floats:
-    """Return the sum of squares that columns, fitted to all other folds, leave in each block; (block,).
-
-    Parameters
-    ----------
-    grams : ndarray, shape (block, column + 1, column + 1)
-        Products of all columns and of the residual, which comes last.
-    columns : ndarray of int
-        Those that are fitted together.
-    """
-    own = grams[:, columns[:, None], columns]
-    right, square = grams[:, columns, -1], grams[:, -1, -1]
-    out = np.empty(len(grams))
-    train = zip(*(_left_out([one[fold].sum(axis=0) for fold in folds]) for one in (own, right)), strict=True)
-    for fold, (inner, y) in zip(folds, train, strict=False):
-        values = solve_scaled(inner, y)
-        out[fold] = square[fold] + (own[fold] @ values - 2.0 * right[fold]) @ values
-    return out
-
-
 def _as_slice(fold: Index) -> slice | Index:
     """Return the blocks of a fold as a slice when they are evenly spaced: it copies nothing."""
     step = int(fold[1] - fold[0]) if len(fold) > 1 else 1

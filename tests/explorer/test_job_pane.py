@@ -1,20 +1,38 @@
 import threading
 
 import panel as pn
+import pytest
 
 from inflight.explorer import job_pane
 from inflight.explorer.background import Background
 from inflight.explorer.job_pane import JobPane
 
 
-def test_a_result_is_shown_only_once_the_browser_has_the_page(monkeypatch):
+@pytest.fixture
+def pane():
+    background = Background()
+    yield JobPane(background)
+    background.close()
+
+
+@pytest.fixture
+def clock(monkeypatch) -> list[float]:
+    """Seconds that a pane reads, to be moved on."""
+    seconds = [100.0]
+    monkeypatch.setattr(job_pane.time, "monotonic", lambda: seconds[0])
+    return seconds
+
+
+def show(result):
+    return pn.pane.HTML(f"it is {result}")
+
+
+def test_a_result_is_shown_only_once_the_browser_has_the_page(pane, monkeypatch):
     """What changes while a browser takes the page in may be lost on the way."""
     loaded, polls = [], []
     monkeypatch.setattr(pn.state, "onload", loaded.append)
     monkeypatch.setattr(pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll))
-    background = Background()
-    pane = JobPane(background)
-    pane.begin("sum", lambda progress: 1 + 1, lambda result: pn.pane.HTML(f"it is {result}"))
+    pane.begin("sum", lambda progress: 1 + 1, show)
     assert len(loaded) == 1
     assert polls == []
     job = pane._job
@@ -23,18 +41,10 @@ def test_a_result_is_shown_only_once_the_browser_has_the_page(monkeypatch):
     (poll,) = polls
     poll()
     assert pane.panel[1].objects[0].object == "it is 2"
-    background.close()
 
 
-def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
-    polls, followed = Polls(), []
-    clock = [100.0]
-    monkeypatch.setattr(job_pane.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
-    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
-    background = Background()
-    pane = JobPane(background)
-    show = lambda result: pn.pane.HTML(f"it is {result}")  # noqa: E731
+def test_what_takes_long_follows_a_result_that_was_shown(pane, polls, clock):
+    followed = []
     pane.begin("sum", lambda progress: 1 + 1, show, followed.append)
     assert pane._job.wait(60)
     polls.run()
@@ -51,16 +61,10 @@ def test_what_takes_long_follows_a_result_that_was_shown(monkeypatch):
     polls.run()
     polls.run()
     assert (followed, polls.stopped) == ([2], 2)
-    background.close()
 
 
-def test_what_follows_a_result_is_done_before_another_job_that_is_begun_meanwhile(monkeypatch):
-    polls, followed = Polls(), []
-    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
-    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
-    background = Background()
-    pane = JobPane(background)
-    show = lambda result: pn.pane.HTML(f"it is {result}")  # noqa: E731
+def test_what_follows_a_result_is_done_before_another_job_that_is_begun_meanwhile(pane, polls):
+    followed = []
     pane.begin("sum", lambda progress: 1 + 1, show, followed.append)
     assert pane._job.wait(60)
     polls.run()
@@ -72,16 +76,10 @@ def test_what_follows_a_result_is_done_before_another_job_that_is_begun_meanwhil
     polls.run()
     polls.run()
     assert followed == [2]
-    background.close()
 
 
-def test_progress_is_shown_of_what_takes_long_only(monkeypatch):
-    polls, clock, stopper = Polls(), [100.0], threading.Event()
-    monkeypatch.setattr(job_pane.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
-    monkeypatch.setattr(pn.state, "add_periodic_callback", polls.add)
-    background = Background()
-    pane = JobPane(background)
+def test_progress_is_shown_of_what_takes_long_only(pane, polls, clock):
+    stopper = threading.Event()
     pane.begin("sum", lambda progress: stopper.wait(60), lambda result: pn.pane.HTML("done"))
     status = pane.panel[0]
     polls.run()
@@ -94,22 +92,3 @@ def test_progress_is_shown_of_what_takes_long_only(monkeypatch):
     assert pane._job.wait(60)
     polls.run()
     assert not status.visible
-    background.close()
-
-
-class Polls:
-    """The newest callback of a pane; `run` calls it unless it was stopped."""
-
-    def __init__(self):
-        self.callback, self.stopped = None, 0
-
-    def add(self, callback, period):
-        self.callback = callback
-        return self
-
-    def stop(self):
-        self.callback, self.stopped = None, self.stopped + 1
-
-    def run(self):
-        if self.callback is not None:
-            self.callback()

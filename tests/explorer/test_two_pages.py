@@ -12,39 +12,13 @@ from inflight.explorer.session import ExplorerSession
 pytestmark = pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
 
 
-class Polls:
-    """What pages want to be called for now and then; `run` calls all of it once."""
-
-    def __init__(self) -> None:
-        self.callbacks = []
-
-    def add(self, callback, period):
-        self.callbacks.append(callback)
-        return self
-
-    def stop(self):
-        """Nothing runs by itself here."""
-
-    def run(self):
-        for one in list(self.callbacks):
-            one()
-
-
-@pytest.fixture
-def polls(monkeypatch):
-    made = Polls()
-    # Of what takes no time nothing would be told.
-    monkeypatch.setattr("inflight.explorer.job_pane._QUIET_S", -1.0)
-    monkeypatch.setattr(pn.state, "onload", lambda callback: callback())
-    monkeypatch.setattr(pn.state, "add_periodic_callback", made.add)
-    return made
-
-
 def text_of(view) -> str:
     return " ".join(str(one.object) for one in view.panel.select(pn.pane.HTML))
 
 
 def test_pages_have_their_own_days_and_share_what_is_done(workspace, polls, monkeypatch):
+    # Of what takes no time nothing would be told.
+    monkeypatch.setattr("inflight.explorer.job_pane._QUIET_S", -1.0)
     session, stopper = ExplorerSession(workspace, workers=1), threading.Event()
     report = {"run": "", "days": {"done": 4, "unchanged": 0, "failed": 0}, "problems": [], "outputs": []}
     monkeypatch.setattr("inflight.explorer.work.InOwnProcess.__call__", lambda work, progress: report)
