@@ -42,6 +42,7 @@ from inflight.lsq import (
     larger_scatter,
     robust_sigma,
     solve,
+    solve_each,
     solve_scaled,
 )
 from inflight.time import Int64
@@ -204,6 +205,24 @@ class NormalEquations(GramArrays):
         scores = self.gram[:, :-1, -1] + self.gram[:, :-1, :-1] @ first.value
         between = scores.T @ scores * len(self) / (len(self) - 1)
         return solve(total, larger_scatter(total[:-1, :-1], within, between, sigma), count, centre, sigma)
+
+    def solve_each(self, prior_sigma: Floats, prior: Floats) -> list[Solution]:
+        """Solve every block for itself, as `solve` does the blocks of one.
+
+        Parameters
+        ----------
+        prior_sigma, prior : ndarray, shape (block, column)
+            What is known beforehand of each, physical units.
+
+        Returns
+        -------
+        list of Solution
+            Scaled, relative to each block's own reference.
+        """
+        scale = self.scale[:-1]
+        reference = 0.0 if self.reference is None else self.reference[:, :-1]
+        scatter = self._scatter[:, :-1, :-1]
+        return solve_each(self.gram, scatter, self.count, (prior - reference) / scale, prior_sigma / scale)
 
     def physical(self, solution: Solution) -> tuple[Floats, Floats]:
         """Return values (column,) and covariance (column, column) of a solution in physical units."""

@@ -50,6 +50,7 @@ from .solver import (
     residual_sum,
     retained_fraction,
     solve,
+    solve_each,
     solve_scaled,
 )
 from .timed_grams import CalibratedBlocks, TimedGrams
@@ -114,6 +115,7 @@ __all__ = [
     "sigma_of_mean",
     "solve",
     "solve_clusters",
+    "solve_each",
     "solve_scaled",
     "student_sigma",
     "to_amperes",

@@ -6,15 +6,16 @@ Takes Gram matrices of [columns | residual]; makes values, covariances and what 
   a cut of its eigenvalues; `inverse_square_root`, `gram_inverse`, `regression` and `marginalise` (the
   Schur complement; Frisch, Waugh and Lovell) are the same solver asked for other things.
 - `posterior_covariance` is the covariance of a Gaussian prior updated by a Gram matrix.
-- `posterior` and `solve` fit a calibration. In coordinates z = (parameter - prior) / prior sigma the
-  data's information has the eigenvalues mu: a direction with mu < 1 is known better beforehand than
-  from the data, and stays at its prior exactly; the others take the maximum of the posterior. A single
-  parameter counts as determined when the data alone, everything else being free, know it to half its
-  prior's sigma.
+- `posterior`, `solve` and, for many at once, `solve_each` fit a calibration. In coordinates
+  z = (parameter - prior) / prior sigma the data's information has the eigenvalues mu: a direction with
+  mu < 1 is known better beforehand than from the data, and stays at its prior exactly; the others take
+  the maximum of the posterior. A single parameter counts as determined when the data alone, everything
+  else being free, know it to half its prior's sigma.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -291,12 +292,27 @@ def posterior_covariance(matrix: Floats, prior_sigma: Floats, variance: float = 
 
 
 def retained_fraction(matrix: Floats) -> Floats:
-    """Return, a column, the part of its square that the others cannot explain; (column,) in [0, 1]."""
-    diagonal = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
+    """Return, a column, the part of its square that the others cannot explain; (..., column) in [0, 1]."""
+    diagonal = np.sqrt(np.clip(_diagonal(matrix), 0.0, None))
     safe = np.where(diagonal > 0, diagonal, 1.0)
-    mu, vectors = eigen_of_symmetric(matrix / safe[:, None] / safe[None, :])
-    inflation = (vectors**2 / np.maximum(mu, 1e-14)).sum(axis=1)
+    mu, vectors = eigen_of_symmetric(matrix / safe[..., :, None] / safe[..., None, :])
+    inflation = (vectors**2 / np.maximum(mu, 1e-14)[..., None, :]).sum(axis=-1)
     return np.where(diagonal > 0, np.minimum(1.0 / inflation, 1.0), 0.0)
+
+
+def _diagonal(matrices: Floats) -> Floats:
+    """Return the diagonals (..., k) of matrices (..., k, k)."""
+    return np.diagonal(matrices, axis1=-2, axis2=-1)
+
+
+def _times(matrices: Floats, vectors: Floats) -> Floats:
+    """Return the products (..., m) of matrices (..., m, k) with vectors (..., k)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def _outer(vectors: Floats) -> Floats:
+    """Return the products of vectors (..., k) with themselves; (..., k, k)."""
+    return np.asarray(vectors[..., :, None] * vectors[..., None, :])
 
 
 def correlation_of(covariance: Floats) -> Floats:
@@ -347,8 +363,13 @@ class Solution:
 
 def residual_sum(gram: Floats, change: Floats) -> float:
     """Return the weighted sum of squared residuals, nT^2, after a scaled change (parameter,)."""
-    matrix, cross, own = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
-    return float(max(own + 2.0 * cross @ change + change @ matrix @ change, 0.0))
+    return float(_residual_sums(gram, change))
+
+
+def _residual_sums(gram: Floats, change: Floats) -> Floats:
+    """Return `residual_sum` of matrices (..., parameter + 1, parameter + 1); (...)."""
+    slope = 2.0 * gram[..., :-1, -1] + _times(gram[..., :-1, :-1], change)
+    return np.asarray(np.maximum(gram[..., -1, -1] + (slope * change).sum(axis=-1), 0.0))
 
 
 def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) -> tuple[Floats, Floats, float]:
@@ -365,7 +386,7 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
     own, vectors = _information(matrix, prior_sigma)
     seen = np.where(own > 0, vectors.T @ score, 0.0)
     for _ in range(2):
-        variance = _variance(gram, value, count)
+        variance = float(_variance(gram, value, count))
         shrink = 1.0 / (1.0 + own / variance)
         value = prior - prior_sigma * (vectors @ (shrink * seen)) / variance
     inverse = (vectors * shrink) @ vectors.T
@@ -404,13 +425,15 @@ def fit_white(gram: Floats, count: float, prior_sigma: Floats) -> tuple[Floats, 
 
 
 def _information(matrix: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Return information (nT^2, ascending) and its directions in units of prior sigma.
+    """Return information (..., k) (nT^2, ascending) and its directions in units of prior sigma (..., k, k).
 
     The rounding of sums of squares must not pass for information.
     """
-    own, vectors = eigen_of_symmetric(matrix * np.outer(prior_sigma, prior_sigma))
-    parts = np.abs(vectors).T @ (prior_sigma * np.sqrt(np.clip(np.diag(matrix), 0.0, None)))
-    rounding = SOLVER_SETTINGS.rounding * np.maximum(parts**2, 0.125 * max(own[-1], 0.0))
+    own, vectors = eigen_of_symmetric(matrix * _outer(prior_sigma))
+    sizes = prior_sigma * np.sqrt(np.clip(_diagonal(matrix), 0.0, None))
+    parts = _times(np.abs(vectors).swapaxes(-1, -2), sizes)
+    largest = 0.125 * np.maximum(own[..., -1:], 0.0)
+    rounding = SOLVER_SETTINGS.rounding * np.maximum(parts**2, largest)
     return np.where(own > rounding, own, 0.0), vectors
 
 
@@ -441,46 +464,81 @@ def solve(
     -------
     Solution
     """
-    matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    value, variance, information = prior, _variance(gram, prior, count), _information(matrix, prior_sigma)
+    counts = np.array([count], dtype=np.float64)
+    return solve_each(gram[None], scatter[None], counts, prior[None], prior_sigma[None], least)[0]
+
+
+def solve_each(
+    grams: Floats,
+    scatters: Floats,
+    counts: Floats,
+    priors: Floats,
+    prior_sigmas: Floats,
+    least: float = SOLVER_SETTINGS.min_information,
+) -> list[Solution]:
+    """Solve many equations, each for itself, together: a quarter of the time of one by one.
+
+    Parameters
+    ----------
+    grams, scatters, counts, priors, prior_sigmas : ndarray, shape (equations, ...)
+        As in `solve`.
+
+    Returns
+    -------
+    list of Solution
+        None depends on the others.
+    """
+    matrices, crosses = grams[:, :-1, :-1], grams[:, :-1, -1]
+    values, variances = priors.copy(), _variance(grams, priors, counts)
+    information = _information(matrices, prior_sigmas)
+    slopes = _times(matrices, priors) + crosses
+    found: dict[int, _Directions] = {}
+    left = np.arange(len(grams))
     for _ in range(SOLVER_SETTINGS.variance_passes):
-        found = _directions(information, scatter, variance, prior_sigma, least)
-        value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
-        before, variance = variance, _variance(gram, value, count)
+        known = (information[0][left], information[1][left])
+        now = _directions(known, scatters[left], variances[left], prior_sigmas[left], least)
+        values[left] = _posterior(now, priors[left], slopes[left], prior_sigmas[left])
+        found |= zip(left.tolist(), now.each(), strict=True)
+        before, after = variances[left], _variance(grams[left], values[left], counts[left])
+        variances[left] = after
         # A prior that is far off makes the residual look noisy and hides directions; less at each pass.
-        if abs(before - variance) <= 1e-6 * variance:
+        left = left[np.abs(before - after) > 1e-6 * after]
+        if not left.size:
             break
-    wide = prior_sigma * SOLVER_SETTINGS.wide
-    alone = _directions(_information(matrix, wide), scatter, variance, wide, least)
-    return Solution(
-        value,
-        found.covariance(prior_sigma),
-        determined=(
-            np.sqrt(np.clip(np.diag(alone.covariance(wide)), 0, None))
-            <= SOLVER_SETTINGS.determined * prior_sigma
+    wide = prior_sigmas * SOLVER_SETTINGS.wide
+    alone = _directions(_information(matrices, wide), scatters, variances, wide, least).covariance(wide)
+    sigmas = np.sqrt(np.clip(_diagonal(alone), 0.0, None))
+    determined = (sigmas <= SOLVER_SETTINGS.determined * prior_sigmas) & (prior_sigmas > 0)
+    retained = retained_fraction(matrices)
+    moved = np.abs(values - priors) > 1e-9 * np.maximum(prior_sigmas, 1e-300)
+    return [
+        Solution(
+            values[place],
+            one.covariance(prior_sigmas[place]),
+            determined=determined[place],
+            retained=retained[place],
+            moved=moved[place],
+            directions=one.vectors[:, one.known].T[::-1],
+            variance=float(variances[place]),
+            inflation=float(np.median(one.inflation[one.known])) if one.known.any() else 1.0,
         )
-        & (prior_sigma > 0),
-        retained=retained_fraction(matrix),
-        moved=np.abs(value - prior) > 1e-9 * np.maximum(prior_sigma, 1e-300),
-        directions=found.vectors[:, found.known].T[::-1],
-        variance=variance,
-        inflation=float(np.median(found.inflation[found.known])) if found.known.any() else 1.0,
-    )
+        for place, one in sorted(found.items())
+    ]
 
 
 @dataclass(frozen=True)
 class _Directions:
-    """Independent directions of the data's information, in units of prior sigma.
+    """Independent directions of the data's information, in units of prior sigma; of one or many equations.
 
-    `white` is the information for uncorrelated residuals, `inflation` how many times less there
-    is along each direction: a drift spoils the mean of a day more than its slopes.
+    `white` (..., k) is the information for uncorrelated residuals, `inflation` (..., k) how many times less
+    there is along each direction: a drift spoils the mean of a day more than its slopes.
     """
 
     vectors: Floats
     white: Floats
     inflation: Floats
     noise: Floats
-    variance: float
+    variance: Floats
     least: float
 
     @property
@@ -491,42 +549,51 @@ class _Directions:
     def known(self) -> npt.NDArray[np.bool_]:
         return self.information >= self.least
 
+    def each(self) -> Iterator[_Directions]:
+        """Yield the directions of each of many equations."""
+        arrays = (self.vectors, self.white, self.inflation, self.noise, self.variance)
+        for one in zip(*arrays, strict=True):
+            yield _Directions(*one, least=self.least)
+
     def covariance(self, prior_sigma: Floats) -> Floats:
         """Covariance of the posterior's maximum, sandwiched; scaled."""
         shrink = 1.0 / (1.0 + self.information)
         of_prior, of_noise = np.where(self.known, shrink, 1.0), np.where(self.known, shrink, 0.0)
         gain = of_noise / self.inflation
-        spread = np.diag(of_prior**2) + gain[:, None] * self.noise * gain[None, :]
-        return np.asarray(
-            prior_sigma[:, None] * (self.vectors @ spread @ self.vectors.T) * prior_sigma[None, :]
-        )
+        spread = gain[..., :, None] * self.noise * gain[..., None, :]
+        places = np.arange(shrink.shape[-1])
+        spread[..., places, places] += of_prior**2
+        turned = self.vectors @ spread @ self.vectors.swapaxes(-1, -2)
+        return np.asarray(prior_sigma[..., :, None] * turned * prior_sigma[..., None, :])
 
 
 def _directions(
-    information: tuple[Floats, Floats], scatter: Floats, variance: float, prior_sigma: Floats, least: float
+    information: tuple[Floats, Floats], scatter: Floats, variance: Floats, prior_sigma: Floats, least: float
 ) -> _Directions:
     """Return the directions of `_information`, with the noise of the scores' scatter along them."""
-    unit = np.outer(prior_sigma, prior_sigma)
     white, vectors = information
-    white = white / variance
-    noise = vectors.T @ (scatter * unit) @ vectors / variance**2
+    white = white / variance[..., None]
+    noise = vectors.swapaxes(-1, -2) @ (scatter * _outer(prior_sigma)) @ vectors
+    noise /= variance[..., None, None] ** 2
     # Few sub-blocks can show less scatter than uncorrelated residuals have; that is chance.
-    own = np.clip(np.diag(noise), 0.0, None)
+    own = np.clip(_diagonal(noise), 0.0, None)
     short = own < white
-    noise[short, :] = 0.0
-    noise[:, short] = 0.0
-    noise[short, short] = white[short]
+    noise[short[..., :, None] | short[..., None, :]] = 0.0
+    places = np.arange(white.shape[-1])
+    noise[..., places, places] += np.where(short, white, 0.0)
     inflation = np.divide(own, white, out=np.ones_like(white), where=white > 0)
     return _Directions(vectors, white, np.maximum(inflation, 1.0), noise, variance, least)
 
 
 def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
     """Return the maximum of the posterior; directions that the prior determines better stay."""
-    score = -(found.vectors.T @ (prior_sigma * slope))
-    step = np.where(found.known, score / found.variance / found.inflation / (1.0 + found.information), 0.0)
-    return np.asarray(prior + prior_sigma * (found.vectors @ step))
+    score = -_times(found.vectors.swapaxes(-1, -2), prior_sigma * slope)
+    part = score / found.variance[..., None] / found.inflation / (1.0 + found.information)
+    step = np.where(found.known, part, 0.0)
+    return np.asarray(prior + prior_sigma * _times(found.vectors, step))
 
 
-def _variance(gram: Floats, change: Floats, count: float) -> float:
+def _variance(gram: Floats, change: Floats, count: Floats | float) -> Floats:
     """Return the variance of the residual after a scaled change, nT^2."""
-    return max(residual_sum(gram, change) / max(count - change.size, 1.0), SOLVER_SETTINGS.smallest_variance)
+    free = np.maximum(count - change.shape[-1], 1.0)
+    return np.asarray(np.maximum(_residual_sums(gram, change) / free, SOLVER_SETTINGS.smallest_variance))

@@ -508,9 +508,11 @@ class ArchiveIndex:
     def sources(self, needs: Sequence[Need], day: np.datetime64, base: Need) -> list[Day]:
         """Return the archive days one day's samples are made from, in a fixed order."""
         found = []
-        for need in needs:
-            steps = range(1) if self.shares_stamps(need, base, day) else range(-need.days_before, 2)
-            found += [self.get(need, day + step * _DAY) for step in steps]
+        before = [need.days_before for need in needs]
+        near = {step: day + step * _DAY for step in range(-max(before, default=0), 2)}
+        for need, earliest in zip(needs, before, strict=True):
+            steps = range(1) if self.shares_stamps(need, base, day) else range(-earliest, 2)
+            found += [self.get(need, near[step]) for step in steps]
             if need.replaceable:
                 found += self.typical_days(need, day)
         unique = {source.id: source for source in found if source is not None}

@@ -68,50 +68,65 @@ def faults_seen(catalog):
     return +found
 
 
+class Killer:
+    """Runs verbs on a workspace, and kills them at random moments of the time that each took last."""
+
+    #: In the order in which each has something to do.
+    verbs = ("ingest", "reprocess", "release", "gc")
+
+    def __init__(self, stage, workspace, random):
+        self.stage, self.workspace, self.random = stage, workspace, random
+        self.numbers, self.seeds = itertools.count(1), itertools.count(2)
+        self.lasts = {}
+
+    def options(self, verb):
+        batches = {"batch_days": BATCH} if verb in ("ingest", "reprocess") else {}
+        return batches | ({"version": f"{next(self.numbers)}.0"} if verb == "release" else {})
+
+    def prepare(self, verb, again):
+        """Give a verb something to do, which what runs before it does not."""
+        if verb == "ingest" or (verb == "reprocess" and again):
+            deliver(self.workspace, next(self.seeds))
+        if verb == "reprocess" and again:
+            self.complete("ingest")
+
+    def complete(self, verb):
+        begun = time.monotonic()
+        done = self.stage.run(verb, self.workspace, **self.options(verb))
+        assert done.code == 0, done.error
+        self.lasts[verb] = time.monotonic() - begun
+
+    def strikes(self, verb):
+        """Begin a verb, kill it, and return whether it had not ended before."""
+        pid = self.stage.begin(verb, self.workspace, **self.options(verb))
+        waited = self.random.uniform(0, self.lasts[verb])
+        time.sleep(waited)
+        if self.stage.kill(pid).code == -signal.SIGKILL:
+            return True
+        self.lasts[verb] = waited  # it takes less than that by now: the machine has less to do
+        return False
+
+
 @pytest.mark.slow
 def test_kills_at_random_moments_lose_double_and_mix_no_day(stage, workspace):
-    random = np.random.default_rng([21, MOMENTS])
-    options = {"ingest": {"batch_days": BATCH}, "reprocess": {"batch_days": BATCH}, "gc": {}, "release": {}}
-    numbers, seeds, counts, faults = itertools.count(1), itertools.count(2), Counter(), Counter()
-    lasts = {}
-
-    def more(verb):
-        return {**options[verb], **({"version": f"{next(numbers)}.0"} if verb == "release" else {})}
-
-    def complete(verb):
-        begun = time.monotonic()
-        done = stage.run(verb, workspace, **more(verb))
-        assert done.code == 0, done.error
-        lasts[verb] = time.monotonic() - begun
-
-    def strike(verb):
-        """Kill a verb at a random moment of the time it took last; return whether it had not ended before."""
-        before = [day.id for name in NAMES for day in Catalog(workspace).days(name)]
-        pid = stage.begin(verb, workspace, **more(verb))
-        waited = random.uniform(0, lasts[verb])
-        time.sleep(waited)
-        killed = stage.kill(pid).code == -signal.SIGKILL
-        catalog = reopened(workspace)
-        after = [day.id for name in NAMES for day in catalog.days(name)]
-        counts[verb, "killed" if killed else "ended before", "new" if after != before else "as before"] += 1
-        faults.update(faults_seen(catalog))
-        if not killed:  # it takes less than that by now: the machine has less to do
-            lasts[verb] = waited
-        return killed
-
-    order = ["ingest", "reprocess", "release", "gc"]
-    for verb in order:  # once undisturbed, to know how long each takes
-        complete(verb)
+    killer = Killer(stage, workspace, np.random.default_rng([21, MOMENTS]))
+    counts, faults = Counter(), Counter()
+    for verb in killer.verbs:  # once undisturbed, to know how long each takes
+        killer.complete(verb)
     for number in range(MOMENTS):
-        verb = order[number % len(order)]
+        verb = killer.verbs[number % len(killer.verbs)]
         for attempt in range(ATTEMPTS):
-            if verb == "ingest" or (verb == "reprocess" and attempt):  # there is something to do
-                deliver(workspace, next(seeds))
-            if verb == "reprocess" and attempt:
-                complete("ingest")
-            if strike(verb):
+            killer.prepare(verb, again=attempt > 0)
+            before = [day.id for name in NAMES for day in Catalog(workspace).days(name)]
+            killed = killer.strikes(verb)
+            catalog = reopened(workspace)
+            after = [day.id for name in NAMES for day in catalog.days(name)]
+            how, what = "killed" if killed else "ended before", "new" if after != before else "as before"
+            counts[verb, how, what] += 1
+            faults.update(faults_seen(catalog))
+            if killed:
                 break
-        complete(verb)
+        killer.complete(verb)
         faults.update(faults_seen(reopened(workspace)))
     for (verb, how, what), count in sorted(counts.items()):
         print(f"{verb:<10} {how:<13} readers see {what:<10} {count}")

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from inflight.lsq.solver import eigen_of_symmetric, gram_inverse, inverse_square_root, solve_scaled
+from inflight.lsq.solver import (
+    eigen_of_symmetric,
+    gram_inverse,
+    inverse_square_root,
+    solve,
+    solve_each,
+    solve_scaled,
+)
 
 
 def refuse(matrix):
@@ -59,3 +66,28 @@ def test_the_inverse_leaves_out_what_a_matrix_does_not_determine(size):
     rows[:, -1] = rows[:, 0]
     gram = rows.T @ rows
     np.testing.assert_allclose(gram @ gram_inverse(gram) @ gram, gram, atol=1e-8 * gram.max())
+
+
+def test_equations_that_are_solved_together_have_the_solutions_that_each_has_alone():
+    random = np.random.default_rng(5)
+    rows = random.normal(size=(40, 300, 4))
+    rows[::3, :, 1] = rows[::3, :, 0]  # some determine only a combination
+    read = rows.sum(axis=-1, keepdims=True) * 0.01 + random.normal(size=(40, 300, 1))
+    rows = np.concatenate([rows, read], axis=-1)
+    grams = rows.swapaxes(-1, -2) @ rows
+    scores = rows[..., :-1] * rows[..., -1:]
+    scatters = scores.swapaxes(-1, -2) @ scores * random.uniform(0.5, 3.0, (40, 1, 1))
+    priors, sigmas = random.normal(size=(40, 4)), 10.0 ** random.uniform(-3, 1, (40, 4))
+    sigmas[1::4, 2] = 0.0  # and some hold one
+    counts = np.full(40, 300.0)
+    together = solve_each(grams, scatters, counts, priors, sigmas)
+    assert len({len(one.directions) for one in together}) > 1
+    for place, one in enumerate(together):
+        alone = solve(grams[place], scatters[place], 300.0, priors[place], sigmas[place])
+        for name, value in vars(alone).items():
+            np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
+
+
+def test_no_equations_have_no_solutions():
+    none = np.zeros((0, 4))
+    assert solve_each(np.zeros((0, 5, 5)), np.zeros((0, 4, 4)), np.zeros(0), none, none) == []

@@ -360,10 +360,10 @@ def plan_archive_days(
     has_play = any(need.part is not None and need.part.width for need in needs)
     by_itself = [replace(need, around_ns=0) for need in needs]
     sources = {day: index.sources(by_itself, day, base) for day in complete}
-    neighbours = {}
+    reaching, neighbours = [need for need in needs if need.around_ns], {}
     for day, own in sources.items():
         known = {one.id for one in own}
-        neighbours[day] = [one for one in index.sources(needs, day, base) if one.id not in known]
+        neighbours[day] = [one for one in index.sources(reaching, day, base) if one.id not in known]
     planned = plan_days(
         cat,
         mission,

@@ -136,15 +136,20 @@ def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -
     fit, covariance = data["fit"].values[:, :-1], data["fit_covariance"].values[:, :-1, :-1]
     used, before, after = (data[name].values for name in ("used", "before", "after"))
     held = _held_products(equations)
+    spans = list(zip(equations.start.tolist(), equations.end.tolist(), strict=True))
+    priors = [reference_of(model, (start + end) // 2) for start, end in spans]
+    filled = np.flatnonzero(bare.count > 0)
+    solved = bare.of_blocks(filled).solve_each(
+        np.array([priors[index].sigma for index in filled]).reshape(filled.size, -1),
+        np.array([priors[index].value for index in filled]).reshape(filled.size, -1),
+    )
+    solutions = dict(zip(filled.tolist(), solved, strict=True))
     rows = []
-    for index in range(len(equations)):
+    for index, (start, end) in enumerate(spans):
         one = bare.of_blocks(slice(index, index + 1))
-        start, end = int(equations.start[index]), int(equations.end[index])
-        prior = reference_of(model, (start + end) // 2)
-        if not len(one.filled):
+        if index not in solutions:
             rows.append(_prior_interval(one, model, start, end))
             continue
-        solution = one.solve(prior.sigma, prior.value)
         rows.append(
             Interval(
                 start,
@@ -152,11 +157,11 @@ def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -
                 (start, end),
                 fit[index],
                 covariance[index],
-                solution,
+                solutions[index],
                 float(used[index]),
                 float(before[index]),
                 float(after[index]),
-                held=held_shifts(one, held[index : index + 1], prior.sigma, float(after[index])),
+                held=held_shifts(one, held[index : index + 1], priors[index].sigma, float(after[index])),
             )
         )
     if form != "exact":
