@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
 from fnmatch import fnmatchcase
 from typing import Any
@@ -129,10 +129,31 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
     if dataset is None:
         return []
     # What tells records apart is little: of those that are not chosen no more is read.
-    kinds = select(DayRow.id, DayRow.run_id, DayRow.day, DayRow.state).where(DayRow.dataset_id == dataset)
-    current = set(session.scalars(select(CurrentRow.day_id).where(CurrentRow.dataset_id == dataset)))
+    kinds = _in_span(select(DayRow.id, DayRow.state, DayRow.run_id, DayRow.day), span)
+    present = CurrentRow.dataset_id == dataset
+    if accepted == {"published"}:
+        found = kinds.join(CurrentRow, CurrentRow.day_id == DayRow.id)
+        found = found.where(present, DayRow.state == "published").order_by(DayRow.day)
+        rows = session.execute(found).all()
+        chosen = [(number, state, run, name, day) for number, state, run, day in rows]
+    else:
+        kinds = kinds.where(DayRow.dataset_id == dataset).order_by(DayRow.id)
+        current = set(session.scalars(select(CurrentRow.day_id).where(present)))
+        chosen = _chosen_of(session.execute(kinds), current, name, accepted)
+    records = {kind: _published[kind] for kind in chosen if kind in _published}
+    if left := [kind for kind in chosen if kind not in records]:
+        made = _records_of(session, name, dataset, span, [kind[0] for kind in left])
+        records |= {kind: made[kind[0]] for kind in left}
+        _published.update((kind, records[kind]) for kind in left if kind[1] == "published")
+    return [records[kind] for kind in chosen]
+
+
+def _chosen_of(
+    rows: Iterable[Any], current: Collection[int], name: str, accepted: Collection[str] | None
+) -> list[_Kind]:
+    """Return one of the records of each day, in order of time; rows are in that of their numbers."""
     by_day: dict[dt.date, list[_Kind]] = defaultdict(list)
-    for number, run, day, state in session.execute(_in_span(kinds, span).order_by(DayRow.id)):
+    for number, state, run, day in rows:
         if number in current:
             by_day[day] = [(number, state, run, name, day)]
         elif state != "published":
@@ -142,12 +163,7 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
         preferred = {"published"} if accepted is None else accepted
         matching = [kind for kind in found if kind[1] in preferred]
         chosen += matching[-1:] or (found[-1:] if accepted is None else [])
-    records = {kind: _published[kind] for kind in chosen if kind in _published}
-    if left := [kind for kind in chosen if kind not in records]:
-        made = _records_of(session, name, dataset, span, [kind[0] for kind in left])
-        records |= {kind: made[kind[0]] for kind in left}
-        _published.update((kind, records[kind]) for kind in left if kind[1] == "published")
-    return [records[kind] for kind in chosen]
+    return chosen
 
 
 def _records_of(

@@ -54,6 +54,7 @@ from inflight.dual.readings import (
     contrasts,
     running_sums,
     scales_of,
+    weighted_contrasts,
 )
 from inflight.time import SECOND
 
@@ -64,7 +65,7 @@ class HeldOutSettings:
 
     What they make of corrections is measured by `python -m tests.dual_cases --cases 300 --first-seed 160000`
     (none of 300 random cases made worse) and `python -m tests.dual.hard_table --first-seed 400 --seeds 6`
-    (one of 132 made worse by more than 2 %); docs/science/two-sensors.md.
+    (none of 132 made worse by more than 2 %); docs/science/two-sensors.md.
 
     Attributes
     ----------
@@ -359,26 +360,31 @@ class SlopeObservation:
     ambient : ndarray, shape (scale, axis, axis)
         How much the slope changes with ambient field in the correction, a part of each axis of the field (the
         second axis here) in each of the correction (the first).
+    coherent : ndarray, shape (scale,)
+        Error of the slope, the same on all scales but for its size, that cells do not show because all tell
+        of the same few oscillations.
     """
 
     scale: npt.NDArray[np.int64]
     slope: Floats
     variance: Floats
     ambient: Floats
+    coherent: Floats
 
     @classmethod
     def none(cls) -> SlopeObservation:
         """Return the observation of no scale."""
-        return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)))
+        return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0))
 
 
 def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, SlopeObservation]:
     """Return the slope of held-out outboard readings on a correction, its sigma, and that on each scale."""
-    cells_of_folds, blocks = [], []
+    cells_of_folds, blocks, folds = [], [], []
     for number, (rows, correction) in enumerate(parts):
         # Where a correction is not known nothing is taken off.
         known = readings.good[rows]
-        fold = cells_of(readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0))
+        folds.append((readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0)))
+        fold = cells_of(*folds[-1])
         cells_of_folds.append(fold)
         start = number * HELD_OUT_SETTINGS.blocks
         blocks.append(start + fold.row * HELD_OUT_SETTINGS.blocks // max(int(known.sum()), 1))
@@ -409,8 +415,47 @@ def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, Slop
         slope=np.bincount(place, of_cross) / own,
         variance=wider / own,
         ambient=ambient / own[:, None, None],
+        coherent=np.sqrt(
+            np.maximum(_variance_by_lines(folds, cells_of_folds, weight, scales) - wider / own, 0.0)
+        ),
     )
     return slope, float(np.sqrt(wider / total)), observation
+
+
+def _variance_by_lines(
+    folds: Sequence[tuple[Floats, Floats]],
+    cells: Sequence[Cells],
+    weight: Floats,
+    scales: npt.NDArray[np.int64],
+) -> Floats:
+    """Return the variance of the slope on each scale if phases agreed by chance alone; (scale,).
+
+    Of one oscillation all cells tell the same: where currents and ambient field both go with the orbit, or
+    torquers answer to the field, scatter between cells does not show how far a slope is off. Over frequencies
+    f it is ``sum |c_f|^2 |B_f|^2 / 2 (sum |c_f|^2)^2``. A correction c of many frequencies, as units make
+    that are switched, has hardly more of it than cells show.
+
+    Parameters
+    ----------
+    folds : sequence of (ndarray, ndarray)
+        Outboard reading B and correction c of each, one after the other in time; (time, axis).
+    cells : sequence of Cells
+        Of each fold.
+    weight : ndarray, shape (cell, axis)
+        Of the cells of all folds.
+    """
+    starts = np.cumsum([0, *map(len, cells)])
+    found = np.zeros(scales.size)
+    for place, scale in enumerate(scales.tolist()):
+        series: tuple[list[Floats], list[Floats]] = ([], [])
+        for start, own, fold in zip(starts, cells, folds, strict=False):
+            here = weight[start + np.flatnonzero(own.scale == scale)]
+            if len(here):
+                for values, one in zip(fold, series, strict=True):
+                    one.append(weighted_contrasts(values, scale, here))
+        reading, taken = (np.abs(np.fft.rfft(np.concatenate(one), axis=0)) ** 2 for one in series)
+        found[place] = 0.5 * np.sum(taken * reading) / max(float(np.sum(taken)) ** 2, 1e-300)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -475,6 +520,10 @@ class SlopePosterior:
             # The outboard reading is correlated with its own ambient field, as it is with stray field.
             ambient = observation.ambient[other].reshape(-1, 9)
             observed = observed - signal * (ambient @ prior.leak.reshape(-1, 9).T)
+        if observation.coherent.any():
+            # In phase or against it on all scales alike.
+            sign = np.random.default_rng(8).normal(size=slope.shape[1])
+            observed = observed - observation.coherent[other, None] * sign
         # What was taken for noise may be stray field: the correction is then too small by so much.
         most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT_SETTINGS.least_signal))
         away = observed - np.clip(observed, np.minimum(slope, most), np.maximum(slope, most))

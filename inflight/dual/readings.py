@@ -312,19 +312,38 @@ def cells_of(*series: Floats, longest: int = CELL_SETTINGS.longest) -> Cells:
     parts = []
     for block in scales_of(count, longest):
         values, middle, share = contrasts(sums, block)
-        first = np.arange(0, max(len(values) - CELL_SETTINGS.contrasts // 2, 1), CELL_SETTINGS.contrasts)
-        number = np.diff(np.append(first, len(values)))
+        first, number = _runs_of(len(values))
         # All runs but the last, which takes the rest, are of one length.
         runs = values[: first[-1]].reshape(first.size - 1, CELL_SETTINGS.contrasts, columns)
         rest = values[first[-1] :]
         products = np.concatenate([np.swapaxes(runs, 1, 2) @ runs, (rest.T @ rest)[None]])
         covariance = products / number[:, None, None]
         rows = np.asarray(middle[first + number // 2], dtype=np.int64)
-        parts.append(Cells(covariance, share * number, np.full(first.size, block, dtype=np.int64), rows))
+        worth = np.asarray(share * number, dtype=np.float64)
+        parts.append(Cells(covariance, worth, np.full(first.size, block, dtype=np.int64), rows))
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Cells(np.zeros((0, columns, columns)), np.zeros(0), none, none)
     return concatenate_cells(parts)
+
+
+def _runs_of(contrasts: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the first of the contrasts of each cell, and their number."""
+    first = np.arange(0, max(contrasts - CELL_SETTINGS.contrasts // 2, 1), CELL_SETTINGS.contrasts)
+    return first, np.diff(np.append(first, contrasts))
+
+
+def weighted_contrasts(series: Floats, block: int, weight: Floats) -> Floats:
+    """Return contrasts of a series (time, axis) over blocks, by the roots of their weights; (contrast, axis).
+
+    Parameters
+    ----------
+    weight : ndarray, shape (cell, axis)
+        Of all contrasts of each cell together, as `cells_of` makes cells of that scale.
+    """
+    values, _, _ = contrasts(running_sums(series), block)
+    _, number = _runs_of(len(values))
+    return values * np.sqrt(np.repeat(weight / number[:, None], number, axis=0))
 
 
 def scales_of(count: int, longest: int = CELL_SETTINGS.longest) -> list[int]:

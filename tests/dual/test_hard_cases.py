@@ -13,7 +13,7 @@ from inflight.dual.readings import contrasts, running_sums
 from tests.dual.hard_cases import WORSE, body, case, inside, make, outcome, units
 
 #: Not among them, since two sensors cannot tell: an offset that jumps like a unit, one that follows the day
-#: farther than sensors wander, moments commanded by the field, sensors whose axes are exchanged.
+#: farther than sensors wander, sensors whose axes are exchanged.
 TROUBLE = ["gain", "crosstalk", "half a sample late", "storm", "turning", "walking offsets", "ten minutes"]
 
 
@@ -44,6 +44,12 @@ def test_two_sensors_that_read_the_same_are_left_alone():
 @pytest.mark.parametrize("name", TROUBLE)
 def test_trouble_makes_no_case_worse(name):
     assert max(outcome(make(name, seed)).ratio for seed in (300, 301)) < WORSE
+
+
+@pytest.mark.parametrize("seed", [1027, 1062, 1082])
+def test_moments_that_the_field_commands_are_not_taken_for_more_than_geometry_says(seed):
+    # Their one oscillation, the ambient field's own, has a slope that all parts of the record agree on.
+    assert outcome(make("torquers follow the field", seed)).ratio < WORSE
 
 
 def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the_sigma_knows():

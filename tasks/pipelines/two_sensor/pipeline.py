@@ -46,7 +46,7 @@ class StatesPipeline(Pipeline):
     """
 
     tag = "states"
-    versions = Versions(statistics=3, tables=9, products=4)
+    versions = Versions(statistics=3, tables=10, products=4)
     statistics = ""
     #: A switching is seen in what both sensors read before and after it: a record that was cut some samples
     #: from one had the wrong state there, by up to 2.5 nT in simulated ones.
