@@ -19,8 +19,8 @@ export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 # Arrays are made and dropped by the thousand: the tests' processes keep the memory, as flows' workers do.
-test test-slow: export MALLOC_TRIM_THRESHOLD_ := 67108864
-test test-slow: export MALLOC_MMAP_THRESHOLD_ := 33554432
+test test-slow: export MALLOC_TRIM_THRESHOLD_ := 1073741824
+test test-slow: export MALLOC_MMAP_THRESHOLD_ := 1073741824
 # What is imported is compiled once, not by every process that the tests start.
 export PYTHONDONTWRITEBYTECODE :=
 

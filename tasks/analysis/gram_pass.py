@@ -489,9 +489,9 @@ def _with_gaps(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
     known = {
         name: held[name].copy(deep=False, data=values)
         for name, values in recorded.items()
-        if name in held and held[name].shape == values.shape
+        if name in held and held[name].shape == values.shape and not np.isfinite(values).all()
     }
-    return replace(rows, samples=rows.samples.assign(known))
+    return replace(rows, samples=rows.samples.assign(known)) if known else rows
 
 
 def _with_sources(mission: Mission, rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
