@@ -360,9 +360,9 @@ class SlopeObservation:
     ambient : ndarray, shape (scale, axis, axis)
         How much the slope changes with ambient field in the correction, a part of each axis of the field (the
         second axis here) in each of the correction (the first).
-    coherent : ndarray, shape (scale,)
-        Error of the slope, the same on all scales but for its size, that cells do not show because all tell
-        of the same few oscillations.
+    coherent : ndarray, shape (scale, scale)
+        Covariance of errors of the slopes that cells do not show, because all tell of the same few
+        oscillations.
     """
 
     scale: npt.NDArray[np.int64]
@@ -374,7 +374,9 @@ class SlopeObservation:
     @classmethod
     def none(cls) -> SlopeObservation:
         """Return the observation of no scale."""
-        return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0))
+        return cls(
+            np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)), np.zeros((0, 0))
+        )
 
 
 def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, SlopeObservation]:
@@ -415,25 +417,25 @@ def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, Slop
         slope=np.bincount(place, of_cross) / own,
         variance=wider / own,
         ambient=ambient / own[:, None, None],
-        coherent=np.sqrt(
-            np.maximum(_variance_by_lines(folds, cells_of_folds, weight, scales) - wider / own, 0.0)
-        ),
+        coherent=_coherent_covariance(folds, cells_of_folds, weight, scales, wider / own),
     )
     return slope, float(np.sqrt(wider / total)), observation
 
 
-def _variance_by_lines(
+def _coherent_covariance(
     folds: Sequence[tuple[Floats, Floats]],
     cells: Sequence[Cells],
     weight: Floats,
     scales: npt.NDArray[np.int64],
+    variance: Floats,
 ) -> Floats:
-    """Return the variance of the slope on each scale if phases agreed by chance alone; (scale,).
+    """Return the covariance of the slopes' errors that scatter between cells does not show; (scale, scale).
 
     Of one oscillation all cells tell the same: where currents and ambient field both go with the orbit, or
-    torquers answer to the field, scatter between cells does not show how far a slope is off. Over frequencies
-    f it is ``sum |c_f|^2 |B_f|^2 / 2 (sum |c_f|^2)^2``. A correction c of many frequencies, as units make
-    that are switched, has hardly more of it than cells show.
+    torquers answer to the field, their phases agree for a cause. Were it chance, slopes on the scales s and t
+    had, over frequencies f, the covariance ``sum a_sf a_tf / 2 C_s C_t`` with ``a = |c| |B|`` summed over
+    axes, which have one cause, and ``C = sum |c|^2``. Of that is taken what cells show; a correction c of
+    many frequencies, as units make that are switched, leaves hardly any of it.
 
     Parameters
     ----------
@@ -443,19 +445,34 @@ def _variance_by_lines(
         Of each fold.
     weight : ndarray, shape (cell, axis)
         Of the cells of all folds.
+    variance : ndarray, shape (scale,)
+        What cells show.
     """
     starts = np.cumsum([0, *map(len, cells)])
-    found = np.zeros(scales.size)
+    # Records of contrasts on all scales are as long as that of samples: bins are the same frequencies.
+    amplitude = np.zeros((scales.size, sum(len(fold[0]) for fold in folds) + 1))
+    power, expected = np.ones(scales.size), np.ones(scales.size)
     for place, scale in enumerate(scales.tolist()):
+        # From the last contrast of a fold to the first of the next one are two blocks.
+        between = np.zeros((2 * scale // max(scale // 2, 1) - 1, 3))
         series: tuple[list[Floats], list[Floats]] = ([], [])
         for start, own, fold in zip(starts, cells, folds, strict=False):
             here = weight[start + np.flatnonzero(own.scale == scale)]
             if len(here):
                 for values, one in zip(fold, series, strict=True):
-                    one.append(weighted_contrasts(values, scale, here))
-        reading, taken = (np.abs(np.fft.rfft(np.concatenate(one), axis=0)) ** 2 for one in series)
-        found[place] = 0.5 * np.sum(taken * reading) / max(float(np.sum(taken)) ** 2, 1e-300)
-    return found
+                    one += [weighted_contrasts(values, scale, here), between]
+        reading, taken = (np.abs(np.fft.rfft(np.concatenate(one), axis=0)) for one in series)
+        product = reading * taken
+        amplitude[place, : len(product)] = product.sum(axis=1)
+        power[place] = max(float(np.sum(taken**2)), 1e-300)
+        # Independent axes with Rayleigh's amplitudes: the mean of the squared sum over that of the squares.
+        sizes = np.sqrt(np.mean(product**2, axis=0))
+        squares = max(float(np.sum(sizes**2)), 1e-300)
+        expected[place] = 1.0 + (np.pi / 4.0) ** 2 * (float(np.sum(sizes)) ** 2 / squares - 1.0)
+    scaled = amplitude / power[:, None]
+    found = 0.5 * scaled @ scaled.T
+    known = expected * variance / np.maximum(np.diag(found), 1e-300)
+    return np.asarray(found * np.outer(*2 * [np.sqrt(np.maximum(1.0 - known, 0.0))]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -520,10 +537,12 @@ class SlopePosterior:
             # The outboard reading is correlated with its own ambient field, as it is with stray field.
             ambient = observation.ambient[other].reshape(-1, 9)
             observed = observed - signal * (ambient @ prior.leak.reshape(-1, 9).T)
-        if observation.coherent.any():
-            # In phase or against it on all scales alike.
-            sign = np.random.default_rng(8).normal(size=slope.shape[1])
-            observed = observed - observation.coherent[other, None] * sign
+        coherent = observation.coherent[np.ix_(other, other)]
+        if coherent.any():
+            random, nothing = np.random.default_rng(8), np.zeros(other.size)
+            observed = (
+                observed - random.multivariate_normal(nothing, coherent, slope.shape[1], method="eigh").T
+            )
         # What was taken for noise may be stray field: the correction is then too small by so much.
         most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT_SETTINGS.least_signal))
         away = observed - np.clip(observed, np.minimum(slope, most), np.maximum(slope, most))

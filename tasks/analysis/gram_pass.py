@@ -489,7 +489,7 @@ def _with_gaps(rows: DesignRows, recorded: Mapping[str, Floats]) -> DesignRows:
     known = {
         name: held[name].copy(deep=False, data=values)
         for name, values in recorded.items()
-        if name in held and held[name].shape == values.shape and not np.isfinite(values).all()
+        if name in held and held[name].shape == values.shape and not np.array_equal(held[name].values, values)
     }
     return replace(rows, samples=rows.samples.assign(known)) if known else rows
 

@@ -140,8 +140,8 @@ def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -
     priors = [reference_of(model, (start + end) // 2) for start, end in spans]
     filled = np.flatnonzero(bare.count > 0)
     solved = bare.of_blocks(filled).solve_each(
-        np.array([priors[index].sigma for index in filled]).reshape(filled.size, -1),
-        np.array([priors[index].value for index in filled]).reshape(filled.size, -1),
+        np.array([prior.sigma for prior in priors])[filled],
+        np.array([prior.value for prior in priors])[filled],
     )
     solutions = dict(zip(filled.tolist(), solved, strict=True))
     rows = []
