@@ -52,9 +52,9 @@ from inflight.dual.readings import (
     cells_of,
     concatenate_cells,
     contrasts,
+    joined_contrasts,
     running_sums,
     scales_of,
-    weighted_contrasts,
 )
 from inflight.time import SECOND
 
@@ -448,23 +448,19 @@ def _coherent_covariance(
     variance : ndarray, shape (scale,)
         What cells show.
     """
-    starts = np.cumsum([0, *map(len, cells)])
+    reading, taken = zip(*folds, strict=True)
+    weights = np.split(weight, np.cumsum([len(one) for one in cells])[:-1])
     # Records of contrasts on all scales are as long as that of samples: bins are the same frequencies.
-    amplitude = np.zeros((scales.size, sum(len(fold[0]) for fold in folds) + 1))
+    amplitude = np.zeros((scales.size, sum(map(len, reading)) + 1))
     power, expected = np.ones(scales.size), np.ones(scales.size)
     for place, scale in enumerate(scales.tolist()):
-        # From the last contrast of a fold to the first of the next one are two blocks.
-        between = np.zeros((2 * scale // max(scale // 2, 1) - 1, 3))
-        series: tuple[list[Floats], list[Floats]] = ([], [])
-        for start, own, fold in zip(starts, cells, folds, strict=False):
-            here = weight[start + np.flatnonzero(own.scale == scale)]
-            if len(here):
-                for values, one in zip(fold, series, strict=True):
-                    one += [weighted_contrasts(values, scale, here), between]
-        reading, taken = (np.abs(np.fft.rfft(np.concatenate(one), axis=0)) for one in series)
-        product = reading * taken
+        here = [one[own.scale == scale] for own, one in zip(cells, weights, strict=True)]
+        outboard, correction = (
+            np.abs(np.fft.rfft(joined_contrasts(series, scale, here), axis=0)) for series in (reading, taken)
+        )
+        product = outboard * correction
         amplitude[place, : len(product)] = product.sum(axis=1)
-        power[place] = max(float(np.sum(taken**2)), 1e-300)
+        power[place] = max(float(np.sum(correction**2)), 1e-300)
         # Independent axes with Rayleigh's amplitudes: the mean of the squared sum over that of the squares.
         sizes = np.sqrt(np.mean(product**2, axis=0))
         squares = max(float(np.sum(sizes**2)), 1e-300)
@@ -472,7 +468,8 @@ def _coherent_covariance(
     scaled = amplitude / power[:, None]
     found = 0.5 * scaled @ scaled.T
     known = expected * variance / np.maximum(np.diag(found), 1e-300)
-    return np.asarray(found * np.outer(*2 * [np.sqrt(np.maximum(1.0 - known, 0.0))]))
+    hidden = np.sqrt(np.maximum(1.0 - known, 0.0))
+    return np.asarray(found * np.outer(hidden, hidden))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -333,17 +333,28 @@ def _runs_of(contrasts: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int6
     return first, np.diff(np.append(first, contrasts))
 
 
-def weighted_contrasts(series: Floats, block: int, weight: Floats) -> Floats:
-    """Return contrasts of a series (time, axis) over blocks, by the roots of their weights; (contrast, axis).
+def joined_contrasts(stretches: Sequence[Floats], block: int, weights: Sequence[Floats]) -> Floats:
+    """Return contrasts of stretches, one after the other in time, by the roots of weights; (contrast, axis).
+
+    Between two stretches are zeros for the contrasts that would reach from one into the next.
 
     Parameters
     ----------
-    weight : ndarray, shape (cell, axis)
-        Of all contrasts of each cell together, as `cells_of` makes cells of that scale.
+    stretches : sequence of ndarray, shape (time, axis)
+    block : int
+        Samples of a block, as of `contrasts`.
+    weights : sequence of ndarray, shape (cell, axis)
+        Of all contrasts of each cell together, as `cells_of` makes cells of that scale; none of a stretch
+        that is too short for one.
     """
-    values, _, _ = contrasts(running_sums(series), block)
-    _, number = _runs_of(len(values))
-    return values * np.sqrt(np.repeat(weight / number[:, None], number, axis=0))
+    parts = []
+    for series, weight in zip(stretches, weights, strict=True):
+        if len(weight):
+            values, _, share = contrasts(running_sums(series), block)
+            _, number = _runs_of(len(values))
+            parts.append(values * np.sqrt(np.repeat(weight / number[:, None], number, axis=0)))
+            parts.append(np.zeros((round(1.0 / share) - 1, series.shape[1])))
+    return np.concatenate(parts)
 
 
 def scales_of(count: int, longest: int = CELL_SETTINGS.longest) -> list[int]:
