@@ -18,7 +18,9 @@ RECORD ?= golden-record
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
-# Arrays are made and dropped by the thousand: the tests' processes keep the memory, as flows' workers do.
+# Arrays are made and dropped by the thousand: the tests' processes keep the memory, as flows' workers do. Pages
+# of two megabytes have to be put together first, which costs more than they save.
+test test-slow: export NUMPY_MADVISE_HUGEPAGE := 0
 test test-slow: export MALLOC_TRIM_THRESHOLD_ := 1073741824
 test test-slow: export MALLOC_MMAP_THRESHOLD_ := 1073741824
 # What is imported is compiled once, not by every process that the tests start.

@@ -157,9 +157,7 @@ class FactoredGrams:
     dead: npt.NDArray[np.bool_] | None = None
 
     @classmethod
-    def of(
-        cls, grams: GramBlocks, base: Sequence[str], merged: Sequence[GramBlocks] = (), fits: int = 0
-    ) -> Self:
+    def of(cls, grams: GramBlocks, base: Sequence[str]) -> Self:
         """Return the factored form of Gram blocks.
 
         Parameters
@@ -167,35 +165,133 @@ class FactoredGrams:
         grams : GramBlocks
         base : sequence of str
             Columns of the calibration.
-        merged : sequence of GramBlocks
-            Of the same columns, later, and as many blocks: each adds to the one block, with a fit of the
-            calibration of its own.
-        fits : int
-            Fits that there is room for in a block, at least.
         """
-        every = [grams, *merged]
         order = _stored_order(grams.names, base)
         places, k = grams.index(order), len(base)
-        given = np.zeros((len(grams), max(len(every), fits), k, places.size))
-        begins = np.full(given.shape[:2], NO_FIT)
-        for part, one in enumerate(every):
-            given[:, part], begins[:, part] = one.rows(places[:k], places), one.start
+        given = grams.rows(places[:k], places)[:, None]
         fitted = _own_fits(given)
         rest = np.zeros((len(grams), places.size, places.size), dtype=np.float32)
         for block in range(len(grams)):
-            total: Floats | float = 0.0
-            for part, one in enumerate(every):
-                b, f = given[block, part], fitted[block, part][:, k:]
-                cross = f.T @ (b[:, k:] - 0.5 * b[:, :k] @ f)
-                left = one.rows(places[k:], places[k:], np.array([block]))[0]
-                left -= cross
-                left -= cross.T
-                total = left if part == 0 else np.add(total, left, out=left)
-            rest[block, k:, k:] = total
-        count = np.sum([one.count for one in every], axis=0)
-        shared = _Shared(rest, given, fitted)
-        at = np.argsort(places)
-        return cls(grams.names, at, grams.start, every[-1].end, count, grams.scale, begins, shared)
+            b, f = given[block, 0], fitted[block, 0][:, k:]
+            cross = f.T @ (b[:, k:] - 0.5 * b[:, :k] @ f)
+            left = grams.rows(places[k:], places[k:], np.array([block]))[0]
+            left -= cross
+            left -= cross.T
+            rest[block, k:, k:] = left
+        return cls._stored(grams.names, places, grams.start, grams.end, grams.count, grams.scale, rest, given)
+
+    @classmethod
+    def of_rows(
+        cls,
+        names: Sequence[str],
+        columns: Floats,
+        residuals: Floats,
+        weight: Floats,
+        parts: Sequence[slice],
+        span: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
+        scale: Floats,
+        base: Sequence[str],
+    ) -> Self:
+        """Return the blocks of consecutive parts of some rows.
+
+        What the calibration leaves of the rows is multiplied: single precision loses nothing then, and takes
+        half the time; see `inflight.lsq.gram_of` for the same in double precision.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Columns, then residuals.
+        columns : ndarray, shape (time, row, column)
+        residuals : ndarray, shape (time, row, residual)
+        weight : ndarray, shape (time,)
+            Every good sample counts once.
+        parts : sequence of slice
+            Of the time.
+        span : pair of ndarray of int64, shape (part,)
+            First instant and end of each part, TT2000.
+        scale : ndarray, shape (column + residual,)
+        base : sequence of str
+            Columns of the calibration.
+        """
+        k, rows, count = len(base), columns.shape[1], columns.shape[2]
+        places = places_of(_stored_order(names, base), {name: place for place, name in enumerate(names)})
+        # Columns lie one after another, those of the calibration first.
+        values, residual = columns.transpose(2, 1, 0), residuals.transpose(2, 1, 0)
+        if not np.array_equal(places, np.arange(places.size)):
+            values = values[places[:count]]
+        given = np.zeros((len(parts), 1, k, places.size))
+        pieces = [
+            (at, row, some) for at, part in enumerate(parts) for row in range(rows) for some in _turns(part)
+        ]
+        for at, row, some in pieces:
+            weighted = values[:k, row, some] * weight[some]
+            given[at, 0, :, :count] += weighted @ values[:, row, some].T
+            given[at, 0, :, count:] += weighted @ residual[:, row, some].T
+        fitted, root = _own_fits(given), np.sqrt(np.clip(weight, 0.0, None)).astype(np.float32)
+        rest = np.zeros((len(parts), places.size, places.size), dtype=np.float32)
+        for at, row, some in pieces:
+            left = np.empty((places.size - k, some.stop - some.start), dtype=np.float32)
+            fit, own = fitted[at, 0].T, values[:k, row, some]
+            np.subtract(values[k:, row, some], fit[k:count] @ own, out=left[: count - k], casting="same_kind")
+            np.subtract(residual[:, row, some], fit[count:] @ own, out=left[count - k :], casting="same_kind")
+            if not np.all(root[some] == 1.0):
+                left *= root[some]
+            rest[at, k:, k:] += left @ left.T
+        good = np.array([weight[part].sum() * rows for part in parts])
+        return cls._stored(tuple(names), places, *span, good, scale, rest, given, fitted)
+
+    @classmethod
+    def _stored(
+        cls,
+        names: tuple[str, ...],
+        places: Indices,
+        start: npt.NDArray[np.int64],
+        end: npt.NDArray[np.int64],
+        count: Floats,
+        scale: Floats,
+        rest: npt.NDArray[np.float32],
+        given: Floats,
+        fitted: Floats | None = None,
+    ) -> Self:
+        """Return blocks of one fit each; `places` are those in `names` of the columns as they are stored."""
+        return cls(
+            names, np.argsort(places), start, end, count, scale, start[:, None], _Shared(rest, given, fitted)
+        )
+
+    def merged(self, others: Sequence[Self], fits: int = 0) -> Self:
+        """Return blocks to each of which one of each of some others, later and of the same columns, is added.
+
+        Parameters
+        ----------
+        others : sequence of FactoredGrams
+            As many blocks; every one keeps its own fits of the calibration.
+        fits : int
+            Fits that there is room for in a block, at least.
+        """
+        every = [self, *others]
+        rest = self.shared.rest if not others else np.sum([one.shared.rest for one in every], axis=0)
+        given = np.concatenate([one.shared.given for one in every], axis=1)
+        begins = np.concatenate([one.begins for one in every], axis=1)
+        room = max(fits - begins.shape[1], 0)
+        given = np.pad(given, ((0, 0), (0, room), (0, 0), (0, 0)))
+        begins = np.pad(begins, ((0, 0), (0, room)), constant_values=NO_FIT)
+        return replace(
+            self,
+            end=every[-1].end,
+            count=np.sum([one.count for one in every], axis=0),
+            begins=begins,
+            shared=_Shared(rest, given),
+        )
+
+    def in_one_fit(self) -> Self:
+        """Return the blocks with one fit of the calibration each, of all that is in them."""
+        given = self.shared.given.sum(axis=1, keepdims=True)
+        fitted, stored = _own_fits(given), np.argsort(self.places)
+        left = replace(self, taken=fitted[:, 0][..., self.places], interval=np.arange(len(self)))
+        rest = left.rows(stored, stored).astype(np.float32)
+        k = self.shared.base
+        rest[:, :k] = rest[:, :, :k] = 0.0
+        return replace(self, begins=self.begins[:, :1], shared=_Shared(rest, given, fitted))
 
     # In a store.
 
@@ -807,6 +903,8 @@ _KEPT_FACTORS = 25_000_000
 _CARRIED = ("_kept_factors", "_kept_rows", "_kept_within")
 #: Columns from which on whole rows are read and the others left out.
 _FEW = 100
+#: Rows that are multiplied at a time.
+_ROWS = 4_320
 #: Numbers that are made at once.
 _AT_ONCE = 1_000_000
 
@@ -824,6 +922,11 @@ def _in_parts(blocks: int, size: int) -> Iterator[slice]:
     """Yield the blocks some at a time, so that what is made of them, `size` numbers each, fits into it."""
     count = max(1, _AT_ONCE // max(size, 1))
     return (slice(at, min(at + count, blocks)) for at in range(0, blocks, count))
+
+
+def _turns(part: slice) -> Iterator[slice]:
+    """Yield rows of a part so few at a time that what is made of them fits a cache."""
+    return (slice(at, min(at + _ROWS, part.stop)) for at in range(part.start, part.stop, _ROWS))
 
 
 def _stored_order(names: Sequence[str], base: Sequence[str]) -> list[str]:

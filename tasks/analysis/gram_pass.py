@@ -53,7 +53,7 @@ from inflight.dual import JumpAttribution, attribute_jumps
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, gram_of, parts_of, prewhiten
+from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, parts_of, prewhiten
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
@@ -450,8 +450,7 @@ def block_grams(
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return the Gram blocks of some days (or of the blocks of a day), and sums over its samples."""
     # A day's rows are dropped before the next is read: at the native cadence they are large.
-    raws: list[GramArrays] = []
-    white, sums, features, thinned = None, dict[str, Any](), None, []
+    raws, whites, sums, features, thinned = [], [], dict[str, Any](), None, []
     for day in days:
         raw, day_white, rows, more = day_grams(cat, mission, plan, index, derived, day)
         raws.append(raw)
@@ -460,7 +459,7 @@ def block_grams(
             del rows
             continue
         if day_white is not None:
-            white = day_white if white is None else _sum_blocks(white, day_white)
+            whites.append(day_white)
         recorded = derived.reader.day(day)
         if plan.estimates:
             rows = _with_sources(mission, rows, recorded)
@@ -470,10 +469,11 @@ def block_grams(
             rows = replace(rows, averaged={name: base[:, :, at] for at, name in enumerate(plan.base)})
         features = features or features_of(rows, _series_channels(plan))
         thinned.append(thin_rows(rows, features, plan.series_step))
-    blocks = FactoredGrams.of(raws[0], plan.base, raws[1:], plan.fits)
+    blocks = raws[0].merged(raws[1:], plan.fits)
     dataset = blocks.as_dataset().assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json())
-    if white is not None:
-        own = FactoredGrams.of(white, plan.base).as_dataset().rename(fit="white_fit")
+    if whites:
+        white = whites[0].merged(whites[1:]).in_one_fit() if len(whites) > 1 else whites[0]
+        own = white.as_dataset().rename(fit="white_fit")
         dataset = dataset.assign({f"white_{name}": own[name] for name in ("rest", "given") if name in own})
     if features is None:
         return dataset, sums
@@ -519,10 +519,6 @@ def _packed_series(
     return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples))
 
 
-def _sum_blocks(one: GramArrays, other: GramArrays) -> GramArrays:
-    return one.join([other]).merge([min(one.start[0], other.start[0]), max(one.end[-1], other.end[-1])])
-
-
 def day_grams(
     cat: Catalog,
     mission: Mission,
@@ -530,7 +526,7 @@ def day_grams(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[GramArrays, GramArrays | None, DesignRows, dict[str, Any]]:
+) -> tuple[FactoredGrams, FactoredGrams | None, DesignRows, dict[str, Any]]:
     """Return a day's blocks, raw and prewhitened (None of estimates), its rows, and sums over its samples."""
     rows, sums = day_rows(cat, mission, plan, index, derived, day)
     stamps = rows.samples["tt2000"].values
@@ -539,23 +535,23 @@ def day_grams(
     # The last bin of a day with a leap second reaches into the next day, which is a block's of its own.
     bounds[-1] = min(bounds[-1], day_bounds(day)[1])
     parts = parts_of(stamps, bounds)
-    count = np.array([rows.weight[part].sum() * rows.residual.shape[1] for part in parts])
-    names = (*plan.library.columns, "residual")
-    common = (
-        np.array(bounds[:-1], dtype=np.int64),
-        np.array(bounds[1:], dtype=np.int64),
-        count,
-        np.array([*plan.scale, 1.0]),
-    )
+    names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
+    span = np.array(bounds[:-1], dtype=np.int64), np.array(bounds[1:], dtype=np.int64)
     if plan.estimates:
+        # Of the model and what was found: few columns, of many rows, in double precision.
         gram = design_gram(plan.library.all_terms, rows, parts)
-        return GramArrays(names, gram, *common), None, rows, sums
+        count = np.array([rows.weight[part].sum() * rows.residual.shape[1] for part in parts])
+        return FactoredGrams.of(GramArrays(names, gram, *span, count, scale), plan.base), None, rows, sums
+
+    def blocks(columns: Floats, residual: Floats) -> FactoredGrams:
+        return FactoredGrams.of_rows(names, columns, residual, rows.weight, parts, span, scale, plan.base)
+
     columns, residual = design_matrix(plan.library.all_terms, rows), rows.residual[:, :, None]
-    raw = GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common)
+    raw = blocks(columns, residual)
     columns, residual = (
         prewhiten(one, rows.weight, stamps, plan.correlation_time_s) for one in (columns, residual)
     )
-    prewhitened = GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common)
+    prewhitened = blocks(columns, residual)
     return raw, prewhitened, rows, sums
 
 

@@ -264,7 +264,7 @@ def _numbers(
 ) -> dict[str, Any]:
     """Return what is left of a day that is calibrated by itself, and its parameters."""
     raw, _, _, sums = day_grams(cat, mission, plan, index, derived, day)
-    gram, count = raw.gram.sum(axis=0), max(float(raw.count.sum()), 1.0)
+    gram, count = raw.total, max(float(raw.count.sum()), 1.0)
     sigma = np.array([one for term in plan.library.base for one in term.sigma])
     prior = np.diag(prior_precision(raw, plan.base, sigma, variance))
     inner, right = gram[:-1, :-1], gram[:-1, -1]

@@ -280,10 +280,57 @@ def test_columns_join_factored_blocks_as_if_they_had_been_there():
     assert again.shared.width == late.shared.width
 
 
+@pytest.mark.parametrize("base", [("z0", "z1"), ("z2", "z0"), ()])
+def test_factored_blocks_of_rows_are_those_of_their_gram_matrices(base):
+    g = np.random.default_rng(12)
+    names, parts = ("z0", "z1", "z2", "z3", "residual"), [slice(0, 7_000), slice(7_000, 16_000)]
+    columns, residual = g.normal(size=(16_000, 2, 4)), g.normal(size=(16_000, 2, 1))
+    # Of one column little is left, and one is of another size.
+    columns[:, :, 3] = columns[:, :, 0] - 2.0 * columns[:, :, 2] + 1e-4 * columns[:, :, 3]
+    columns[:, :, 1] *= 1e4
+    weight = g.uniform(0.0, 1.0, 16_000)
+    weight[200:300] = 0.0
+    span, scale = (np.array([0, 7]), np.array([7, 16])), np.arange(1.0, 6.0)
+    made = FactoredGrams.of_rows(names, columns, residual, weight, parts, span, scale, base)
+    count = np.array([2.0 * weight[part].sum() for part in parts])
+    grams = GramArrays(names, gram_of(columns, residual, weight, parts), *span, count, scale)
+    expected = FactoredGrams.of(grams, base)
+    assert made.names == expected.names
+    for name in ("places", "start", "end", "count", "scale", "begins"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    every, size = np.arange(5), np.sqrt(grams.squares)
+    np.testing.assert_allclose(
+        made.rows(every) / size[:, None] / size[:, :, None], every_of(grams), atol=3e-7
+    )
+    left, whole = (one.marginalise(list(base), [[0, 1]]) for one in (made, grams))
+    size = np.sqrt(np.diag(whole.total))
+    np.testing.assert_allclose(
+        left.total / size / size[:, None], whole.total / size / size[:, None], atol=1e-6
+    )
+
+
+def every_of(grams: GramArrays) -> np.ndarray:
+    """Gram matrices of columns of size one."""
+    size = np.sqrt(grams.squares)
+    return grams.gram / size[:, None] / size[:, :, None]
+
+
+def test_blocks_of_several_fits_are_put_into_one():
+    days, base = row_case(2).grams, ["n0", "n1", "n2"]
+    pairs = [FactoredGrams.of(days.of_blocks(np.arange(first, 20, 2)), base) for first in (0, 1)]
+    one = pairs[0].merged(pairs[1:]).in_one_fit()
+    wide = days.merge_groups([[block, block + 1] for block in range(0, 20, 2)])
+    assert one.fits == 1
+    np.testing.assert_allclose(one.rows(np.arange(11)), wide.gram, rtol=1e-5, atol=1e-3)
+    left, whole = (two.marginalise(base) for two in (one, wide))
+    np.testing.assert_allclose(left.total, whole.total, rtol=1e-5, atol=1e-3)
+
+
 def test_blocks_of_several_days_are_those_of_their_days():
     days, base = row_case(2).grams, ["n0", "n1", "n2"]
     pairs = [days.of_blocks(np.arange(first, 20, 2)) for first in (0, 1)]
-    factored = FactoredGrams.of(pairs[0], base, pairs[1:], fits=3)
+    first, *later = (FactoredGrams.of(one, base) for one in pairs)
+    factored = first.merged(later, fits=3)
     wide = days.merge_groups([[block, block + 1] for block in range(0, 20, 2)])
     np.testing.assert_allclose(factored.rows(np.arange(11)), wide.gram, rtol=1e-5, atol=1e-3)
     daily = days.marginalise(base).merge_groups([[block, block + 1] for block in range(0, 20, 2)])
