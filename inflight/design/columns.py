@@ -32,7 +32,7 @@ from inflight.arrays import Floats, sums_of_runs
 from inflight.design.terms import Difference, Term, within_span
 from inflight.effects import AXES, VECTOR_ROLES, Affine, SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
-from inflight.lsq import MAD_TO_SIGMA, gram_of
+from inflight.lsq import MAD_TO_SIGMA, gram_of, in_turns
 from inflight.model import Model, ModelEffect, ResidualRows, RowFilter
 from inflight.samples import FIELD_ROLES, PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
@@ -381,8 +381,8 @@ def design_gram(terms: Sequence[Term], rows: DesignRows, parts: Sequence[slice])
     columns = [*_all_columns(terms, rows), _Column(rows.residual)]
     out = np.zeros((len(parts), len(columns), len(columns)))
     for index, part in enumerate(parts):
-        for start in range(part.start, part.stop, _AT_ONCE):
-            out[index] += _gram_of_some(columns, rows.weight, slice(start, min(start + _AT_ONCE, part.stop)))
+        for some in in_turns(part, _AT_ONCE):
+            out[index] += _gram_of_some(columns, rows.weight, some)
     return out
 
 

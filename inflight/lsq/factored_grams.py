@@ -37,6 +37,7 @@ from inflight.lsq.gram_blocks import (
     GramArrays,
     GramBlocks,
     centred_gram,
+    in_turns,
     is_residual,
     pack,
     places_of,
@@ -178,7 +179,8 @@ class FactoredGrams:
             left -= cross
             left -= cross.T
             rest[block, k:, k:] = left
-        return cls._stored(grams.names, places, grams.start, grams.end, grams.count, grams.scale, rest, given)
+        known = grams.start, grams.end, grams.count, grams.scale
+        return cls._stored(grams.names, places, *known, rest, given, fitted)
 
     @classmethod
     def of_rows(
@@ -221,7 +223,10 @@ class FactoredGrams:
             values = values[places[:count]]
         given = np.zeros((len(parts), 1, k, places.size))
         pieces = [
-            (at, row, some) for at, part in enumerate(parts) for row in range(rows) for some in _turns(part)
+            (at, row, some)
+            for at, part in enumerate(parts)
+            for row in range(rows)
+            for some in in_turns(part, _ROWS)
         ]
         for at, row, some in pieces:
             weighted = values[:k, row, some] * weight[some]
@@ -251,7 +256,7 @@ class FactoredGrams:
         scale: Floats,
         rest: npt.NDArray[np.float32],
         given: Floats,
-        fitted: Floats | None = None,
+        fitted: Floats,
     ) -> Self:
         """Return blocks of one fit each; `places` are those in `names` of the columns as they are stored."""
         return cls(
@@ -285,6 +290,8 @@ class FactoredGrams:
 
     def in_one_fit(self) -> Self:
         """Return the blocks with one fit of the calibration each, of all that is in them."""
+        if self.fits == 1:
+            return self
         given = self.shared.given.sum(axis=1, keepdims=True)
         fitted, stored = _own_fits(given), np.argsort(self.places)
         left = replace(self, taken=fitted[:, 0][..., self.places], interval=np.arange(len(self)))
@@ -903,7 +910,7 @@ _KEPT_FACTORS = 25_000_000
 _CARRIED = ("_kept_factors", "_kept_rows", "_kept_within")
 #: Columns from which on whole rows are read and the others left out.
 _FEW = 100
-#: Rows that are multiplied at a time.
+#: Rows that are multiplied at a time: what is made of them fits a cache.
 _ROWS = 4_320
 #: Numbers that are made at once.
 _AT_ONCE = 1_000_000
@@ -921,12 +928,7 @@ def _sum_of(matrix: npt.NDArray[np.float32], blocks: Indices, width: int) -> Flo
 def _in_parts(blocks: int, size: int) -> Iterator[slice]:
     """Yield the blocks some at a time, so that what is made of them, `size` numbers each, fits into it."""
     count = max(1, _AT_ONCE // max(size, 1))
-    return (slice(at, min(at + count, blocks)) for at in range(0, blocks, count))
-
-
-def _turns(part: slice) -> Iterator[slice]:
-    """Yield rows of a part so few at a time that what is made of them fits a cache."""
-    return (slice(at, min(at + _ROWS, part.stop)) for at in range(part.start, part.stop, _ROWS))
+    return in_turns(slice(0, blocks), count)
 
 
 def _stored_order(names: Sequence[str], base: Sequence[str]) -> list[str]:

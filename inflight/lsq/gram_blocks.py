@@ -22,7 +22,7 @@ Marginalising is the theorem of Frisch, Waugh and Lovell; see `inflight.lsq.solv
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import pairwise
@@ -95,8 +95,7 @@ def gram_of(columns: Floats, residuals: Floats, weight: Floats, parts: Sequence[
     out = np.zeros((len(parts), kinds + residuals.shape[-1], kinds + residuals.shape[-1]))
     for gram, part in zip(out, parts, strict=True):
         # Samples of a whole day at their own cadence are taken in turn: a copy of all would not fit a cache.
-        for start in range(part.start, part.stop, _AT_ONCE):
-            some = slice(start, min(start + _AT_ONCE, part.stop))
+        for some in in_turns(part, _AT_ONCE):
             for row in range(columns.shape[1]):
                 own, left = (_weighted(values[some, row], weight[some]) for values in (columns, residuals))
                 gram[:kinds, :kinds] += own.T @ own
@@ -112,6 +111,11 @@ def _weighted(values: Floats, weight: Floats) -> Floats:
     if np.all(lost | (weight == 1.0)) and not values[lost].any():
         return np.asarray(values, dtype=np.float64)
     return values * np.sqrt(np.clip(weight, 0.0, None))[:, None]
+
+
+def in_turns(part: slice, count: int) -> Iterator[slice]:
+    """Yield so many of a part's places at a time."""
+    return (slice(at, min(at + count, part.stop)) for at in range(part.start, part.stop, count))
 
 
 def parts_of(stamps: npt.NDArray[np.int64], edges: Sequence[int]) -> list[slice]:

@@ -472,8 +472,7 @@ def block_grams(
     blocks = raws[0].merged(raws[1:], plan.fits)
     dataset = blocks.as_dataset().assign_attrs(cadence_ns=plan.cadence_ns, origin=plan.origin.as_json())
     if whites:
-        white = whites[0].merged(whites[1:]).in_one_fit() if len(whites) > 1 else whites[0]
-        own = white.as_dataset().rename(fit="white_fit")
+        own = whites[0].merged(whites[1:]).in_one_fit().as_dataset().rename(fit="white_fit")
         dataset = dataset.assign({f"white_{name}": own[name] for name in ("rest", "given") if name in own})
     if features is None:
         return dataset, sums
