@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -26,10 +28,25 @@ def write_manifest(folder: Path) -> str:
 
 def flush_files(folder: Path) -> None:
     """Put everything below `folder` on the disk: files and folders."""
-    # Flushes wait for the disk, not for the processor: together they wait once.
-    with ThreadPoolExecutor(_FLUSHES) as pool:
-        # All are waited for: the first failure is raised here.
-        list(pool.map(flush, [folder, *folder.rglob("*")]))
+    paths = [folder, *folder.rglob("*")]
+    # Flushes wait for the disk, not for the processor: together they wait once. All are waited for: the first
+    # failure is raised here.
+    list(_flushing().map(_flush_all, (paths[place::_FLUSHES] for place in range(_FLUSHES))))
+
+
+def _flush_all(paths: Iterable[Path]) -> None:
+    for path in paths:
+        flush(path)
+
+
+@cache
+def _flushing() -> ThreadPoolExecutor:
+    """Return the threads that flush files; they stay, for there are thousands of small stores."""
+    return ThreadPoolExecutor(_FLUSHES, thread_name_prefix="flush")
+
+
+# A forked process has none of its parent's threads.
+os.register_at_fork(after_in_child=_flushing.cache_clear)
 
 
 def manifest_sha256(folder: Path) -> str:

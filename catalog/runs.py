@@ -180,8 +180,7 @@ class Run:
     def _attach(self, session: Session, segment: Segment, shared: Sequence[str]) -> list[Day]:
         dataset = _dataset(session, segment.name)
         store = self._store(session, segment)
-        rows = [self._staged_row(session, dataset, store, row) for row in segment.rows]
-        session.flush()
+        rows = self._staged_rows(session, dataset, store, segment.rows)
         pairs = zip(rows, segment.rows, strict=True)
         add_edges(
             session,
@@ -289,13 +288,12 @@ class Run:
         self._write_to(name, self._record, name, rows)
 
     def _record(self, session: Session, name: str, days: Mapping[dt.date, Mapping[str, Any]]) -> list[Day]:
-        dataset = _dataset(session, name) if days else 0
-        rows = []
-        for day, columns in days.items():
-            row = self._own_row(session, dataset, day)
+        if not days:
+            return []
+        rows = self._own_rows(session, _dataset(session, name), list(days))
+        for row, columns in zip(rows, days.values(), strict=True):
             for column, value in columns.items():
                 setattr(row, column, value)
-            rows.append(row)
         session.flush()
         return [day_record(row, name, None) for row in rows]
 
@@ -326,8 +324,7 @@ class Run:
                 return None
             self._intact_stores.add(store.path)
         written = theirs.as_record(SegmentRow, day=utc_day(theirs.day))
-        row = self._staged_row(session, theirs.dataset_id, store, written)
-        session.flush()
+        (row,) = self._staged_rows(session, theirs.dataset_id, store, [written])
         adopted = f"day:{theirs.id}"
         made_from = [edge.parent for edge in walk(session, [adopted], up=True) if edge.child == adopted]
         add_edges(session, (Edge(parent, f"day:{row.id}") for parent in made_from))
@@ -414,28 +411,38 @@ class Run:
         session.flush()
         return store
 
-    def _own_row(self, session: Session, dataset: int, day: dt.date) -> DayRow:
-        """Return this run's row of a day, made when there is none yet."""
-        row = session.scalar(
-            select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset, DayRow.day == day)
-        )
-        if row is None:
-            columns = {"run_id": self.id, "dataset_id": dataset, "context": self.context}
-            row = DayRow(day=day, state=DAY_STATES[0], **columns)
-            session.add(row)
-        elif row.state == "published":
-            raise CatalogError("this run has already published it", day=str(day), remedy="start another run")
-        return row
+    def _own_rows(self, session: Session, dataset: int, days: Sequence[dt.date]) -> list[DayRow]:
+        """Return this run's rows of some days, made where there are none yet."""
+        mine = select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset)
+        known = {row.day: row for row in session.scalars(mine.where(DayRow.day.between(min(days), max(days))))}
+        rows = []
+        for day in days:
+            row = known.get(day)
+            if row is None:
+                columns = {"run_id": self.id, "dataset_id": dataset, "context": self.context}
+                row = known[day] = DayRow(day=day, state=DAY_STATES[0], **columns)
+                session.add(row)
+            elif row.state == "published":
+                raise CatalogError(
+                    "this run has already published it", day=str(day), remedy="start another run"
+                )
+            rows.append(row)
+        return rows
 
-    def _staged_row(self, session: Session, dataset: int, store: StoreRow, written: SegmentRow) -> DayRow:
-        row = self._own_row(session, dataset, as_date(written.day))
-        row.state, row.message = "verified", str(written.report.get("partial", ""))
-        row.cause = "partial" if row.message else ""
-        row.store_id, row.start, row.stop, row.key = store.id, written.start, written.stop, written.key
-        row.first_tt2000, row.last_tt2000 = written.first_tt2000, written.last_tt2000
-        row.count, row.step_ns, row.report = written.count, written.step_ns, dict(written.report)
-        row.coverage = written.report.get("coverage")
-        return row
+    def _staged_rows(
+        self, session: Session, dataset: int, store: StoreRow, days: Sequence[SegmentRow]
+    ) -> list[DayRow]:
+        """Return this run's rows of the days of a store, numbered."""
+        rows = self._own_rows(session, dataset, [as_date(written.day) for written in days])
+        for row, written in zip(rows, days, strict=True):
+            row.state, row.message = "verified", str(written.report.get("partial", ""))
+            row.cause = "partial" if row.message else ""
+            row.store_id, row.start, row.stop, row.key = store.id, written.start, written.stop, written.key
+            row.first_tt2000, row.last_tt2000 = written.first_tt2000, written.last_tt2000
+            row.count, row.step_ns, row.report = written.count, written.step_ns, dict(written.report)
+            row.coverage = written.report.get("coverage")
+        session.flush()
+        return rows
 
 
 def failure_cause(error: BaseException) -> str:
