@@ -19,6 +19,7 @@ import uuid
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import distributions
 from itertools import groupby
 from pathlib import Path
@@ -576,6 +577,7 @@ def _write_day_files(workspace: Path, folder: Path, day: Day, collection: Releas
         fault_point("release_file_written")
 
 
+@cache
 def _software() -> str:
     """Return the packages that made the release, one a line, as a requirements file has them."""
     found = {item.metadata["Name"]: item.version for item in distributions()}

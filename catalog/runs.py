@@ -414,7 +414,8 @@ class Run:
     def _own_rows(self, session: Session, dataset: int, days: Sequence[dt.date]) -> list[DayRow]:
         """Return this run's rows of some days, made where there are none yet."""
         mine = select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset)
-        known = {row.day: row for row in session.scalars(mine.where(DayRow.day.between(min(days), max(days))))}
+        found = session.scalars(mine.where(DayRow.day.between(min(days), max(days))))
+        known = {row.day: row for row in found}
         rows = []
         for day in days:
             row = known.get(day)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from store_cases import unfinished_stores
 
-from inflight.catalog import DayData, write_segment, write_table
+from inflight.catalog import DayData, segments, write_segment, write_table
 from inflight.catalog.encoding import choose_encoding
 from inflight.catalog.manifest import manifest_faults
 from inflight.catalog.stores import open_store
@@ -271,15 +271,17 @@ def test_the_manifest_finds_changed_missing_and_added_files(tmp_path):
     assert manifest_faults(folder, "0" * 64)[0][0] == "MANIFEST.sha256"
 
 
-def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch):
-
-    honest = zarr.open_array
-
-    def disturbed(*arguments, **options):
-        array = honest(*arguments, **options)
-        return np.asarray(array[...]) if array.ndim != 1 else np.zeros(array.shape, array.dtype)
-
-    monkeypatch.setattr(zarr, "open_array", disturbed)
-    with pytest.raises(IntegrityError, match="reads back differently"):
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda found, name: found | {name: (found[name][0], np.zeros_like(found[name][1]))}, "an array"),
+        (lambda found, name: found | {name: ({}, found[name][1])}, "attributes"),
+        (lambda found, name: {key: value for key, value in found.items() if key != name}, "variables"),
+    ],
+)
+def test_what_reads_back_differently_is_not_made_visible(tmp_path, monkeypatch, spoil, told):
+    honest = segments.read_with_zarr
+    monkeypatch.setattr(segments, "read_with_zarr", lambda *given: spoil(honest(*given), "field"))
+    with pytest.raises(IntegrityError, match=f"{told} reads? back differently"):
         write_segment(tmp_path, "run", "l1/fgm", [DayData(DAYS[0], samples(DAYS[0]))])
     assert not any((tmp_path / "stores").iterdir())
