@@ -9,10 +9,11 @@ from __future__ import annotations
 import datetime as dt
 import time
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
-from sqlalchemy import URL, Connection, func, make_url, select, text
+from sqlalchemy import URL, Connection, Engine, func, make_url, select, text
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
@@ -47,7 +48,7 @@ class Database:
     def __init__(self, url: str | URL) -> None:
         address = make_url(url)
         self.backend = backend_of(address)
-        self.engine = self.backend.engine(address)
+        self.engine = _engine_of(address)
         self._writing = self.engine.execution_options(inflight_writes=True)
         # Who opens a catalog is told at once that its server is gone; who is at work waits for it.
         self._is_patient = False
@@ -188,6 +189,15 @@ class Database:
         if not self.engine.dialect.has_table(connection, "alembic_version"):
             return None
         return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+
+
+@lru_cache(maxsize=16)
+def _engine_of(address: URL) -> Engine:
+    """Return the engine of a database, which keeps no connection, but what it compiled of queries.
+
+    A process opens its catalog again and again: compiling costs more than asking.
+    """
+    return backend_of(address).engine(address)
 
 
 def time_in_order(session: Session, column: Any) -> dt.datetime:
