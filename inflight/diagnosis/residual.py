@@ -343,14 +343,15 @@ def derived_channels(
     out: dict[str, xr.Variable] = {}
     known = set(series.channels)
     units = dict(zip(series.features.names, series.features.units, strict=True))
-    for name in names:
-        if name in known:
-            continue
+    if not names - known:
+        return out
+    steps_s = np.diff(series.tt2000[rows]) / SECOND
+    for name in names - known:
         factors = []
         for part in parse_channel(name).parts:
             shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0) if part.placebo else 0.0
             values = _shifted(series, part.channel, round(shift / series.step_s) if shift else 0, rows)
-            factors.append(part.of(values, np.diff(series.tt2000[rows]) / SECOND))
+            factors.append(part.of(values, steps_s))
         made = channel_product(factors)
         unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse_channel(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
