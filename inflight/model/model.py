@@ -10,7 +10,7 @@ import hashlib
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -221,6 +221,44 @@ def _checked_unit(key: str, stated: str, parameter: Parameter, channel: str, mis
     return stated
 
 
+@dataclass(frozen=True, eq=False)
+class _OfMission:
+    """A mission as what something is kept by: equal ones are one."""
+
+    mission: Mission
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _OfMission) and self.mission == other.mission
+
+    def __hash__(self) -> int:
+        return hash(self.mission.text)
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str, of: _OfMission, source: str, own: tuple[EffectSource, ...]) -> Model:
+    """Return a model from YAML text; a process asks for the present one again and again."""
+    tree, mission = parse_tree(text, source), of.mission
+    comparison = str(tree.get("comparison", "main"))
+    if comparison not in mission.comparisons:
+        raise ModelError(
+            f"mission '{mission.mission}' has no comparison {comparison!r}"
+            f"{did_you_mean(comparison, mission.comparisons)}",
+            file=source,
+            remedy=f"one of {', '.join(mission.comparisons)}",
+        )
+    effects = _parse_effects(tree["effects"], sensors_of(mission, comparison), source, own, mission)
+    return Model(
+        str(tree.get("model", mission.mission)),
+        mission.mission,
+        comparison,
+        effects,
+        int(tree.get("version", 0)),
+        tree.get("parent"),
+        ResidualDefinition.of(mission, comparison),
+        own,
+    )
+
+
 @dataclass(frozen=True)
 class Model:
     """An ordered set of effects of one comparison, in the order of correction.
@@ -266,26 +304,7 @@ class Model:
         ModelError
             Naming `source` and the effect that is wrong.
         """
-        tree, own = parse_tree(text, source), tuple(own)
-        comparison = str(tree.get("comparison", "main"))
-        if comparison not in mission.comparisons:
-            raise ModelError(
-                f"mission '{mission.mission}' has no comparison {comparison!r}"
-                f"{did_you_mean(comparison, mission.comparisons)}",
-                file=source,
-                remedy=f"one of {', '.join(mission.comparisons)}",
-            )
-        effects = _parse_effects(tree["effects"], sensors_of(mission, comparison), source, own, mission)
-        return cls(
-            str(tree.get("model", mission.mission)),
-            mission.mission,
-            comparison,
-            effects,
-            int(tree.get("version", 0)),
-            tree.get("parent"),
-            ResidualDefinition.of(mission, comparison),
-            own,
-        )
+        return _parsed(text, _OfMission(mission), source, tuple(own))
 
     @cached_property
     def text(self) -> str:
@@ -495,6 +514,8 @@ class Model:
         ModelError
             When a table is of another form or unit.
         """
+        if not any(entry.tables for entry in self.effects):
+            return self
         return replace(self, effects=tuple(entry.with_tables(find) for entry in self.effects))
 
     def correct(self, samples: xr.Dataset) -> xr.Dataset:

@@ -557,11 +557,17 @@ def _bound(day: str | np.datetime64 | None) -> int | None:
 
 def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None]) -> _Plan:
     """Compare what was delivered with what is published, recorded as failed, or left by a dead run."""
-    plan = _Plan(delivery=delivery)
-    published = {str(day.day): day for day in cat.days(plan.dataset, states=["published"])}
-    failed = {str(day.day): day for day in cat.days(plan.dataset, states=["failed"])}
-    verified = {(str(day.day), day.key) for day in cat.days(plan.dataset, states=["verified"])}
-    by_day, (start, end) = delivery.by_day(), span
+    plan, by_day, (start, end) = _Plan(delivery=delivery), delivery.by_day(), span
+    if not by_day:
+        return plan
+
+    def known_as(state: str) -> dict[str, Day]:
+        # Of the days delivered: of a long mission those may be the last month.
+        delivered = slice(min(by_day), str(np.datetime64(max(by_day), "D") + 1))
+        return {str(day.day): day for day in cat.days(plan.dataset, delivered, states=[state])}
+
+    published, failed = known_as("published"), known_as("failed")
+    verified = {(day, found.key) for day, found in known_as("verified").items()}
     for day, files in by_day.items():
         first, last = day_bounds(day)
         if (start is not None and last <= start) or (end is not None and first >= end):
@@ -582,8 +588,7 @@ def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None])
             plan.todo.append(day)
     if plan.keys:
         # Days between the first and the last one that no file holds: each gap gets its cause.
-        recorded = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
-        known = {*by_day, *published, *failed}
+        known, recorded = {*by_day, *published, *failed}, known_as("no_work")
         between = map(str, day_range(min(plan.keys), max(plan.keys)))
         plan.empty = [day for day in between if day not in known]
         plan.new_empty = [day for day in plan.empty if day not in recorded]
