@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 from pydantic import ValidationError, validate_call
 
 from inflight.catalog import Catalog, Workspace
-from inflight.errors import SettingsError
+from inflight.errors import InflightError, SettingsError
 from inflight.flows.runner import PlainRunner, progress_to, using_runner
 from inflight.flows.server import embedded_server, is_own
 from inflight.flows.span import DaySpan
@@ -37,6 +38,11 @@ _IDLE_SERVICES = (
 )
 #: What flows need, imported while the embedded server starts.
 _NEEDED = ("inflight.flows.prefect_flows", "dask.array", "pint", "zarr", "numba")
+#: What those need that search a residual.
+_NEEDED_TO_SEARCH = ("inflight.tasks.analysis.revise", "inflight.tasks.analysis.later_days")
+_SEARCHES = ("update", "diagnose")
+#: Flows that begin with the days of the archive.
+_BEGIN_WITH_DAYS = (*_SEARCHES, "reprocess", "backfill", "monthly")
 #: Set in both modes: no telemetry, no log traffic.
 _QUIET = {
     "DO_NOT_TRACK": "1",
@@ -95,7 +101,8 @@ def run_with_prefect(
         raise as_settings_error(error) from None
     if idle is not None:
         return idle
-    with prefect_settings(workspace.prefect_home), progress_to(progress):
+    ready = partial(_get_ready, name, workspace)
+    with prefect_settings(workspace.prefect_home, ready), progress_to(progress):
         from prefect.exceptions import ParameterBindError, ParameterTypeError
 
         from inflight.flows import prefect_flows
@@ -206,10 +213,15 @@ def prefect_environment(home: Path) -> dict[str, str]:
 
 
 @contextmanager
-def prefect_settings(home: Path) -> Iterator[None]:
+def prefect_settings(home: Path, get_ready: Callable[[], None] | None = None) -> Iterator[None]:
     """Run what is inside with the project's Prefect settings.
 
     The heartbeat of flow runs is off: its thread costs every flow a second at its end.
+
+    Parameters
+    ----------
+    get_ready : callable, optional
+        Called while the embedded server starts.
 
     Raises
     ------
@@ -232,9 +244,11 @@ def prefect_settings(home: Path) -> Iterator[None]:
 
     changed: dict[Any, Any] = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}
     if server is not None:
-        # It takes as long to start as the flow's own modules to import.
+        # It takes longer to start than the flow's own modules to import.
         for name in _NEEDED:
             import_module(name)
+        if get_ready is not None:
+            get_ready()
         server.wait()
         changed[PREFECT_API_URL] = server.url
     try:
@@ -246,6 +260,18 @@ def prefect_settings(home: Path) -> Iterator[None]:
             os.environ.pop("PREFECT_API_URL", None)
         else:
             os.environ["PREFECT_API_URL"] = before
+
+
+def _get_ready(name: str, workspace: Workspace) -> None:
+    """Do what a flow begins with, while it would wait for its server."""
+    for module in _NEEDED_TO_SEARCH if name in _SEARCHES else ():
+        import_module(module)
+    if name in _BEGIN_WITH_DAYS:
+        # The flow itself tells what is wrong with a catalog.
+        with suppress(InflightError):
+            catalog = Catalog(workspace.root)
+            for dataset in catalog.dataset_names():
+                catalog.days(dataset, states=["published"])
 
 
 def _is_embedded() -> bool:
