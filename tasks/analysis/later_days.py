@@ -93,6 +93,19 @@ def standing_of(
     }
 
 
+def note_compared_days(cat: Catalog, mission: Mission, standing: dict[str, Any], progress: Progress) -> None:
+    """Let `standing` hold the numbers of the days that a later one is compared with.
+
+    Only where they are no larger a part of those searched than later days may be: beside a shorter search
+    they would take long, and the first day that comes later takes them.
+    """
+    if LATER_DAYS_SETTINGS.compared > LATER_DAYS_SETTINGS.share * standing["days"]:
+        return
+    model, through = _model_found(cat, mission, standing), np.datetime64(standing["through"])
+    days = [day for day in _compared_and_later(cat, mission, model, through) if day <= through]
+    _numbers_of_days(cat, mission, model, standing, days, progress)
+
+
 def check_later_days(
     workspace: Workspace, start: str | None, end: str | None, settings: DiagnoseSettings, progress: Progress
 ) -> dict[str, Any] | None:
@@ -123,7 +136,7 @@ def check_later_days(
     through, archive = np.datetime64(standing["through"]), archive_of(cat, mission, settings)
     if made_from(cat, mission, settings, archive, through) != standing["made_from"]:
         return None
-    model = Model.parse(standing["model"], mission, "the model found", effect_sources(cat, mission))
+    model = _model_found(cat, mission, standing)
     days = _compared_and_later(cat, mission, model, through)
     later = [day for day in days if day > through]
     if not later or len(later) > LATER_DAYS_SETTINGS.share * standing["days"]:
@@ -149,6 +162,11 @@ def check_later_days(
         "searched": str(through),
     }
     return found
+
+
+def _model_found(cat: Catalog, mission: Mission, standing: Mapping[str, Any]) -> Model:
+    """Return the model with all that the search took, at its values."""
+    return Model.parse(standing["model"], mission, "the model found", effect_sources(cat, mission))
 
 
 def why_different(

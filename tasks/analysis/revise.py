@@ -12,6 +12,7 @@ the effect's numbers, and which other parameters moved.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -57,7 +58,7 @@ from inflight.diagnosis import (
     with_blocks,
 )
 from inflight.effects import Remanent, RemanentMoment
-from inflight.errors import ModelError, did_you_mean
+from inflight.errors import InflightError, ModelError, did_you_mean
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, with_dipole
@@ -74,7 +75,7 @@ from inflight.tasks.analysis.diagnosis import (
 )
 from inflight.tasks.analysis.gram_pass import PassPlan
 from inflight.tasks.analysis.kept_diagnosis import archive_of, last_diagnosis, made_from, save_diagnosis
-from inflight.tasks.analysis.later_days import check_later_days, standing_of
+from inflight.tasks.analysis.later_days import check_later_days, note_compared_days, standing_of
 from inflight.tasks.analysis.plumbing import faults_in_errors, faults_of
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.analysis.stored_effects import pinned_table, stored_entry
@@ -1210,6 +1211,10 @@ def diagnose_span(
     asked: dict[str, Any] = {"start": start, "end": end, "settings": settings.model_dump()}
     if not save:
         archive = archive_of(bench.cat, mission, settings)
+        if bench.standing is not None:
+            # The diagnosis was asked for, and is there: what is wrong with a day is told with the next one.
+            with suppress(InflightError):
+                note_compared_days(bench.cat, mission, bench.standing, listener)
         asked |= {"made_from": made_from(bench.cat, mission, settings, archive), "standing": bench.standing}
     if stands is not None:
         fields["later_days"] = stands["later_days"]

@@ -210,6 +210,19 @@ def test_a_later_day_like_those_searched_is_held_against_their_verdict(diagnosed
     assert "no candidate was tried on later days" in text.getvalue()
 
 
+def test_a_search_of_many_days_notes_those_that_later_ones_are_compared_with(diagnosed, monkeypatch):
+    workspace, _ = diagnosed
+    many = later_days.LaterDaysSettings(share=1.0, compared=4)
+    monkeypatch.setattr(later_days, "LATER_DAYS_SETTINGS", many)
+    diagnose_span(workspace, search=True)
+    own, made = later_days._numbers, []
+    monkeypatch.setattr(later_days, "_numbers", lambda *given: made.append(str(given[5])) or own(*given))
+    deliver_heated_day(workspace.data, "2024-03-05", heater_field)
+    ingest(Catalog(workspace.root), workspace.mission(), workspace.data)
+    assert diagnose_span(workspace)["later_days"]["stands"]
+    assert made == ["2024-03-05"]
+
+
 @pytest.mark.parametrize("part", [0.0, 1.5])
 def test_a_later_day_that_contradicts_the_verdict_asks_for_a_search(diagnosed, monkeypatch, part):
     workspace, _ = diagnosed
