@@ -40,20 +40,8 @@ _KEEP_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
 }
 
-#: Imported once for all processes: what most of their tasks need, and what that imports at its first use:
-#: xarray asks for Dask's arrays, stores for Zarr, models for units.
-_IMPORTED = [
-    "dask.array",
-    "distributed",
-    "distributed.nanny",
-    "inflight.tasks.pipelines.base.job",
-    "inflight.tasks.pipelines.scalar.day",
-    "inflight.tasks.pipelines.scalar.product",
-    "inflight.samples.interpolation",
-    "inflight.calibration.residual_loops",
-    "pint",
-    "zarr",
-]
+#: Imported once for all processes.
+_PRELOAD = ["inflight.flows.preload"]
 
 #: What processes take to start, s, about; and how many pieces of work are few. Of more, the first is not
 #: tried here: it would keep all processes waiting.
@@ -153,7 +141,7 @@ _living: list[object] = []
 def _start_fork_server(environment: Mapping[str, str]) -> None:
     """Start the process that workers are forks of, unless it runs; it ends with this one."""
     before = dict(os.environ)
-    multiprocessing.set_forkserver_preload(_IMPORTED)
+    multiprocessing.set_forkserver_preload(_PRELOAD)
     os.environ.update(environment)
     try:
         forkserver.ensure_running()

@@ -31,18 +31,28 @@ from inflight.errors import WorkerError
 _PATIENCE_S, _PAUSE_S = 120.0, 0.05
 
 #: What the process of the server runs. It ends with whoever started it, for then its standard input does: a
-#: command that is killed cannot end it.
+#: command that is killed cannot end it. A fifth of its start was Python looking through all that is imported
+#: for what could go.
 _SERVE = """
-import os, sys, threading
+import gc, os, sys, threading
 
 def end_with_parent():
     sys.stdin.buffer.read()
     os._exit(0)
 
 threading.Thread(target=end_with_parent, daemon=True).start()
+gc.disable()
 import uvicorn
-uvicorn.run("prefect.server.api.server:create_app", factory=True, host="127.0.0.1",
-            port=int(sys.argv[1]), log_level="error", lifespan="on")
+from prefect.server.api.server import create_app
+
+def application():
+    made = create_app()
+    gc.freeze()
+    gc.enable()
+    return made
+
+uvicorn.run(application, factory=True, host="127.0.0.1", port=int(sys.argv[1]), log_level="error",
+            lifespan="on")
 """
 
 #: Servers of this process, by their home.
