@@ -239,6 +239,9 @@ def _run_step(
     sender: Connection, parent: int, verb: str, root: Path, parameters: dict[str, Any], workers: int | None
 ) -> None:
     """Do the work of a request in this process, and send its progress and its report."""
+    # A page that a script began behind it was told to ignore interrupts, and so were its processes: this one
+    # is stopped by them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
     def progress(stage: str, done: int, total: int) -> None:
