@@ -244,9 +244,6 @@ def prefect_settings(home: Path, get_ready: Callable[[], None] | None = None) ->
 
     changed: dict[Any, Any] = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}
     if server is not None:
-        # It takes longer to start than the flow's own modules to import.
-        for name in _NEEDED:
-            import_module(name)
         if get_ready is not None:
             get_ready()
         server.wait()
@@ -264,7 +261,7 @@ def prefect_settings(home: Path, get_ready: Callable[[], None] | None = None) ->
 
 def _get_ready(name: str, workspace: Workspace) -> None:
     """Do what a flow begins with, while it would wait for its server."""
-    for module in _NEEDED_TO_SEARCH if name in _SEARCHES else ():
+    for module in (*_NEEDED, *(_NEEDED_TO_SEARCH if name in _SEARCHES else ())):
         import_module(module)
     if name in _BEGIN_WITH_DAYS:
         # The flow itself tells what is wrong with a catalog.

@@ -341,12 +341,12 @@ def derived_channels(
     Placebos are shifted by `shifts`, seconds, in the whole series; slow responses begin with the part.
     """
     out: dict[str, xr.Variable] = {}
-    known = set(series.channels)
-    units = dict(zip(series.features.names, series.features.units, strict=True))
-    if not names - known:
+    new = names - set(series.channels)
+    if not new:
         return out
+    units = dict(zip(series.features.names, series.features.units, strict=True))
     steps_s = np.diff(series.tt2000[rows]) / SECOND
-    for name in names - known:
+    for name in new:
         factors = []
         for part in parse_channel(name).parts:
             shift = (shifts or {}).get(f"{part.channel}~{part.placebo}", 0.0) if part.placebo else 0.0

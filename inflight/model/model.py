@@ -286,9 +286,9 @@ class Model:
     layout: ResidualDefinition | None = None
     own: tuple[EffectSource, ...] = ()
 
-    @classmethod
+    @staticmethod
     def parse(
-        cls, text: str, mission: Mission, source: str = "model.yaml", own: Iterable[EffectSource] = ()
+        text: str, mission: Mission, source: str = "model.yaml", own: Iterable[EffectSource] = ()
     ) -> Model:
         """Read a model from YAML text; sensors, positions and units of channels come from the mission.
 
