@@ -63,6 +63,14 @@ _PLACE = """(() => { const top = (one) => one.getBoundingClientRect().top;
   return found ? [found.left, found.top, found.width, found.height] : null })()"""
 
 
+#: True when a figure is drawn against what is chosen in a list: until then it is still the one before.
+_DRAWN = """(() => { const label = window.pick && pick('label').find(
+    (one) => one.textContent.trim() === LABEL);
+  const chosen = label && label.getRootNode().querySelector('select').value;
+  return Boolean(chosen) && Bokeh.documents.some((one) => [...one._all_models.values()].some(
+    (model) => String(model.axis_label || '').startsWith(chosen))) })()"""
+
+
 def find_chromium() -> str | None:
     """Return the path of a browser of this family; None without one."""
     given = os.environ.get("INFLIGHT_CHROMIUM")
@@ -181,6 +189,10 @@ class Chromium:
             was = now
             time.sleep(0.5)
         return list(now)
+
+    def wait_until_drawn(self, label: str) -> None:
+        """Wait until a figure is drawn against what is chosen in the list that has a label."""
+        self.wait_for(_DRAWN.replace("LABEL", json.dumps(label)))
 
     def rest(self) -> None:
         """Wait until nothing moves any more: no text changes, the mouse is away from all figures."""
