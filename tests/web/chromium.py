@@ -63,12 +63,17 @@ _PLACE = """(() => { const top = (one) => one.getBoundingClientRect().top;
   return found ? [found.left, found.top, found.width, found.height] : null })()"""
 
 
-#: True when a figure is drawn against what is chosen in a list: until then it is still the one before.
+#: True when the newest figure against something of a list is against what is chosen in it: a page keeps what
+#: it showed before.
 _DRAWN = """(() => { const label = window.pick && pick('label').find(
     (one) => one.textContent.trim() === LABEL);
-  const chosen = label && label.getRootNode().querySelector('select').value;
-  return Boolean(chosen) && Bokeh.documents.some((one) => [...one._all_models.values()].some(
-    (model) => String(model.axis_label || '').startsWith(chosen))) })()"""
+  const list = label && label.getRootNode().querySelector('select');
+  if (!list) return false;
+  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+  const axes = models.flatMap((one) => one.below || []);
+  const names = axes.map((axis) => (axis.axis_label || '').split(' (')[0]);
+  const listed = [...list.options].map((one) => one.value);
+  return names.filter((name) => listed.includes(name)).at(-1) === list.value })()"""
 
 
 def find_chromium() -> str | None:
