@@ -53,27 +53,21 @@ window.press = (selector, label) => { const found = window.pick(selector).filter
   if (found.length) found[0].click(); return found.length };
 """
 #: Left, top, width and height of the first figure of the left column, or of the first below what it is drawn
-#: against; pixels of the page.
+#: against; pixels of the page. A curve of what was chosen before is none: the newest axis tells, for a page
+#: keeps those that it showed.
 _PLACE = """(() => { const top = (one) => one.getBoundingClientRect().top;
   const select = pick('select').find((one) => one.getBoundingClientRect().left < 200 && top(one) > 250);
+  if (FIGURE === 'curve') {
+    const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
+    const axes = models.flatMap((one) => one.below || []);
+    const names = axes.map((axis) => (axis.axis_label || '').split(' (')[0]);
+    const listed = [...select.options].map((one) => one.value);
+    if (names.filter((name) => listed.includes(name)).at(-1) !== select.value) return null }
   const below = FIGURE === 'curve' ? top(select) : 0;
   const found = pick('canvas').filter((one) => one.clientWidth > 200)
     .map((one) => one.getBoundingClientRect()).filter((one) => one.left < 200 && one.top > below)
     .sort((one, other) => one.top - other.top)[0];
   return found ? [found.left, found.top, found.width, found.height] : null })()"""
-
-
-#: True when the newest figure against something of a list is against what is chosen in it: a page keeps what
-#: it showed before.
-_DRAWN = """(() => { const label = window.pick && pick('label').find(
-    (one) => one.textContent.trim() === LABEL);
-  const list = label && label.getRootNode().querySelector('select');
-  if (!list) return false;
-  const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
-  const axes = models.flatMap((one) => one.below || []);
-  const names = axes.map((axis) => (axis.axis_label || '').split(' (')[0]);
-  const listed = [...list.options].map((one) => one.value);
-  return names.filter((name) => listed.includes(name)).at(-1) === list.value })()"""
 
 
 def find_chromium() -> str | None:
@@ -194,10 +188,6 @@ class Chromium:
             was = now
             time.sleep(0.5)
         return list(now)
-
-    def wait_until_drawn(self, label: str) -> None:
-        """Wait until a figure is drawn against what is chosen in the list that has a label."""
-        self.wait_for(_DRAWN.replace("LABEL", json.dumps(label)))
 
     def rest(self) -> None:
         """Wait until nothing moves any more: no text changes, the mouse is away from all figures."""

@@ -120,9 +120,6 @@ class PlayedPage:
 
     def drag(self, name: str) -> None:
         """Drag the mouse over the right half of a figure of the left column, again when it was too slow."""
-        if name == "curve":
-            # A busy machine shows the curve of what was chosen before for a while.
-            self._browser.wait_until_drawn("Residual against")
         for _ in range(_DRAGS):
             left, top, width, height = self._browser.place_of(name)
             self._browser.drag(*((left + part * width, top + 0.4 * height) for part in (0.5, 0.8)))
