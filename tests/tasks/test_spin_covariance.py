@@ -83,3 +83,10 @@ def test_days_that_tell_two_combinations_are_judged_by_these():
     assert excess == pytest.approx(9.0, rel=0.35)
     assert np.allclose(value[2:], 0.0, atol=1e-9)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(3e-3 / np.sqrt(40), rel=0.2)
+
+
+def test_a_day_has_its_windows_value_to_the_last_digit():
+    rng = np.random.default_rng(3)
+    for value, sigma in zip(rng.normal(size=200), rng.uniform(0.01, 1.0, size=200), strict=True):
+        found = _axial_offset(zero([value], [sigma]), 0, DAY)
+        assert (found.value, found.sigma) == (value, sigma)

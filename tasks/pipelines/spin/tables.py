@@ -382,12 +382,14 @@ def _axial_offset(zero: xr.Dataset | None, start: int, end: int) -> ExternalValu
     if not taken.size:
         return unknown
     value, sigma = (np.asarray(zero[name].values[taken], dtype=np.float64) for name in ("value", "sigma"))
-    weight = sigma**-2.0
+    # Weights relative to the best: the mean of one value is that value to the last digit.
+    best = float(sigma.min())
+    weight = (best / sigma) ** 2.0
     mean = float(weight @ value / weight.sum())
-    scatter = float(weight @ (value - mean) ** 2) / max(taken.size - 1, 1)
+    scatter = float(weight @ ((value - mean) / best) ** 2) / max(taken.size - 1, 1)
     method = str(zero["method"].values[taken[-1]])
     source = method if taken.size == 1 else f"{method}, mean of {taken.size} windows"
-    return ExternalValue(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), source)
+    return ExternalValue(mean, best * float(np.sqrt(max(1.0, scatter) / weight.sum())), source)
 
 
 def _full_covariance(
