@@ -33,6 +33,20 @@ _DARK = """
 }
 """
 
+#: Run once in a page. Figures of Bokeh 3.9 listen to the zoom of the window for as long as the page is open,
+#: so that none that was replaced could go (bokeh/bokeh, issue 15290). Here those that are shown are told.
+_ZOOM = """
+if (window.visualViewport && !window.inflightZoom) {
+  window.inflightZoom = true;
+  const listen = visualViewport.addEventListener.bind(visualViewport);
+  visualViewport.addEventListener = (kind, ...rest) => { if (kind !== "resize") listen(kind, ...rest) };
+  listen("resize", () => {
+    for (const figure of Bokeh.index.query((one) => one.canvas_view && one.request_repaint))
+      if (figure.canvas_view.resize()) figure.request_repaint();
+  });
+}
+"""
+
 
 def open_page(session: ExplorerSession) -> pn.template.BootstrapTemplate:
     """Return the page of a browser; where the workspace cannot be read, one that says what to do."""
@@ -56,7 +70,7 @@ def _template(title: str, *parts: pn.viewable.Viewable) -> pn.template.Bootstrap
     )
     made.config.raw_css = [_DARK]
     if pn.state.curdoc is not None:
-        pn.state.curdoc.js_on_event(DocumentReady, CustomJS(code=KEYS))
+        pn.state.curdoc.js_on_event(DocumentReady, CustomJS(code=KEYS + _ZOOM))
     return made
 
 

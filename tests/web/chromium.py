@@ -198,13 +198,13 @@ class Chromium:
             if (now := self.text()) != was:
                 was, since = now, time.monotonic()
 
-    def look(self, width: int, height: int, *, dark: bool = False) -> None:
-        """Make the page so many pixels wide and high, dark for a reader who asks for that."""
+    def look(self, width: int, height: int, *, dark: bool = False, zoom: float = 1.0) -> None:
+        """Make the page so many pixels wide and high, dark for a reader who asks for that; then zoom in."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
             height=height,
-            deviceScaleFactor=1,
+            deviceScaleFactor=zoom,
             mobile=False,
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}

@@ -186,6 +186,37 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.wait_for("location.search.includes('last=2024-03-03')")
 
 
+def test_figures_that_were_replaced_are_let_go_and_those_shown_follow_the_zoom(browser, address):
+    browser.open(f"{address}&tab=the-loop&channel=boom_temperature")
+    browser.wait_for_text("Drag over the map", 240)
+    browser.place_of("curve")
+    browser.evaluate("window.before = pick('canvas').map((one) => new WeakRef(one)); null")
+    browser.fill("Residual against", "local time")
+    browser.place_of("curve")
+    # Bokeh looks for what is no longer shown when nothing has changed for half a minute: not waited for.
+    browser.evaluate("Bokeh.documents.forEach((one) => one._recompute_all_models())")
+    gone = "before.filter((one) => !one.deref()).length"
+    until = time.monotonic() + 20.0
+    while not browser.evaluate(gone) and time.monotonic() < until:
+        time.sleep(0.2)
+        browser.call("HeapProfiler.collectGarbage")
+    # The curve and the axes; the map stays.
+    assert 2 <= browser.evaluate(gone) < browser.evaluate("before.length")
+    wide = "pick('canvas').filter((one) => one.clientWidth > 200)"
+    sharp = f"{wide}.every((one) => Math.abs(one.width / one.clientWidth - ZOOM) < 0.01)"
+    assert browser.evaluate(f"{wide}.length") > 2
+    try:
+        browser.look(1280, 900)
+        browser.place_of("curve")
+        assert browser.evaluate(sharp.replace("ZOOM", "1"))
+        browser.look(1280, 900, zoom=2.0)
+        # What a browser says when its reader zooms, and not when a test does.
+        browser.evaluate("visualViewport.dispatchEvent(new Event('resize'))")
+        browser.wait_for(sharp.replace("ZOOM", "2"), 20)
+    finally:
+        browser.call("Emulation.clearDeviceMetricsOverride")
+
+
 def focused(browser, selector):
     """Press Tab until something of a kind has the focus; return how it is outlined."""
     active = """(() => { let one = document.activeElement;
