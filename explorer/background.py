@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from inflight.tasks import Progress, error_fields
+from inflight.progress import Progress
+from inflight.tasks import error_fields
 
 
 @dataclass

@@ -12,7 +12,7 @@ import panel as pn
 from inflight.explorer import panes
 from inflight.explorer.background import Background, BackgroundJob
 from inflight.figures import LazySection
-from inflight.tasks import Progress
+from inflight.progress import Progress
 
 #: How often the progress of a job is polled, ms, and how long a job takes before any is shown, s. A browser
 #: lays the page out again for each text that comes and goes: a quick job would wait for its own progress.

@@ -29,15 +29,8 @@ from inflight.flags import UNUSABLE, Flag
 from inflight.flows import ScheduledFlow, lazy_client, scheduled_flows
 from inflight.mission import Mission
 from inflight.model import parse_tree
-from inflight.tasks import (
-    CoverageDay,
-    ModelHistory,
-    Progress,
-    RunProgress,
-    coverage_days,
-    run_log,
-    runs_progress,
-)
+from inflight.progress import Progress
+from inflight.tasks import CoverageDay, ModelHistory, RunProgress, coverage_days, run_log, runs_progress
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,

@@ -23,7 +23,8 @@ from typing import Any, Literal
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import InflightError, SettingsError, WorkerError
 from inflight.flows import plan_lines, plan_span, run_without_prefect
-from inflight.tasks import Progress, plan_release
+from inflight.progress import Progress
+from inflight.tasks import plan_release
 from inflight.tasks.archive import ingest_if_unchanged
 
 #: Seconds after which work that was stopped is killed.

@@ -23,7 +23,8 @@ from inflight.errors import InflightError, SettingsError
 from inflight.flows.runner import PlainRunner, progress_to, using_runner
 from inflight.flows.server import embedded_server, is_own
 from inflight.flows.span import DaySpan
-from inflight.tasks import Progress, RunReport, as_settings_error
+from inflight.progress import Progress
+from inflight.tasks import RunReport, as_settings_error
 from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 
 #: Services of the server that an embedded one does not need: nothing is scheduled or paused in it.

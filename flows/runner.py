@@ -17,7 +17,8 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.tasks import Progress, batch_mapper, expect_work, few_at_once, result_of, with_progress
+from inflight.progress import Progress, with_progress
+from inflight.tasks import batch_mapper, expect_work, few_at_once, result_of
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -7,7 +7,7 @@ from .analysis import (
     diagnose,
 )
 from .archive import ingest, simulate
-from .batches import Mapper, batch_mapper, expect_work, few_at_once, result_of, with_progress
+from .batches import Mapper, batch_mapper, expect_work, few_at_once, result_of
 from .coverage import COVERAGE, CoverageDay, comparison_of_product, coverage_days
 from .models import (
     ModelHistory,
@@ -22,7 +22,6 @@ from .pipelines import ReprocessSettings, reprocess
 from .release import make_release, plan_release
 from .release_documents import panels_of_day
 from .report import (
-    Progress,
     RunReport,
     as_settings_error,
     error_fields,
@@ -40,7 +39,6 @@ __all__ = [
     "DiagnoseSettings",
     "Mapper",
     "ModelHistory",
-    "Progress",
     "ReprocessSettings",
     "Revision",
     "RunProgress",
@@ -77,5 +75,4 @@ __all__ = [
     "runs_progress",
     "simulate",
     "to_json",
-    "with_progress",
 ]

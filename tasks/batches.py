@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from inflight.errors import WorkerError
-from inflight.tasks.report import Progress
+from inflight.progress import Progress, silent, with_progress
 
 Result = TypeVar("Result")
 
@@ -116,7 +116,7 @@ def result_of(future: Any) -> Any:
 
 def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
     """Return a mapper that runs batches here, or on a Dask client, and reports how many are done."""
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
 
     def run_batches(
         stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
@@ -124,11 +124,3 @@ def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
         return with_progress(report, stage, iter_results(client, function, arguments), len(arguments))
 
     return run_batches
-
-
-def with_progress(progress: Progress, stage: str, results: Iterable[Any], total: int) -> Iterator[Any]:
-    """Yield results, reporting after each one how many of `total` are done."""
-    progress(stage, 0, total)
-    for done, result in enumerate(results, start=1):
-        progress(stage, done, total)
-        yield result

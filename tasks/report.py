@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,9 +19,6 @@ from inflight.errors import InflightError, SettingsError
 if TYPE_CHECKING:
     from rich.console import Console
 
-
-#: Called with (stage, done, total) while a run goes on.
-Progress = Callable[[str, int, int], None]
 
 #: What can become of a planned day, in the order it is shown.
 DAY_COUNTS = ("planned", "done", "unchanged", "failed", "no_work")

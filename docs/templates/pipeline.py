@@ -22,7 +22,7 @@ from inflight.errors import CalibrationError, CatalogError
 from inflight.figures import LazySection, Section, html_table
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
-from inflight.tasks import Progress
+from inflight.progress import Progress
 from inflight.tasks.archive import load_samples
 from inflight.tasks.pipelines import (
     Batch,

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.errors import SettingsError, WorkspaceError
-from inflight.tasks import Progress, as_settings_error, error_fields, location_of
+from inflight.progress import Progress, silent
+from inflight.tasks import as_settings_error, error_fields, location_of
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -92,7 +93,7 @@ class Command:
         Where standard error is no terminal, a long stage writes a line now and then; with ``--json`` nothing.
         """
         if self.json:
-            yield lambda stage, done, total: None
+            yield silent
             return
         if not sys.stderr.isatty():
             yield _ProgressLines()

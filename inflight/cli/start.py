@@ -17,7 +17,8 @@ from inflight.cli.diagnose import only_moves_with
 from inflight.cli.processing import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span
 from inflight.errors import SettingsError
-from inflight.tasks import Progress, RunReport
+from inflight.progress import Progress
+from inflight.tasks import RunReport
 
 if TYPE_CHECKING:
     from rich.console import Console

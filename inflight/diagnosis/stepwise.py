@@ -35,6 +35,7 @@ from inflight.lsq import (
     sandwich,
     with_variance_floor,
 )
+from inflight.progress import Progress, silent, with_progress
 from inflight.samples import base_channels
 from inflight.time import SECOND
 
@@ -455,7 +456,11 @@ def check_rivals(
 
 
 def select_effects(
-    search: Search, data: DiagnosisData, shapes_first: bool = False
+    search: Search,
+    data: DiagnosisData,
+    shapes_first: bool = False,
+    progress: Progress = silent,
+    stage: str = "search",
 ) -> tuple[Search, ScoreTable, ScoreTable]:
     """Add and drop until nothing more is justified; return the state, the first and the last table of scores.
 
@@ -466,9 +471,14 @@ def select_effects(
     ----------
     shapes_first : bool
         What explains most goes first, though it names no cause.
+    progress : callable
+        Told the rounds made; there is at least one more until none is justified.
+    stage : str
+        What the rounds are called there.
     """
-    first = None
-    for _ in range(search.rules.rounds):
+    first, made = None, 0
+    for made in range(search.rules.rounds):
+        progress(stage, made, made + 1)
         table = search.table()
         first = first or table.without_fits()
         found = best_passing(table, search, shapes_first)
@@ -478,6 +488,7 @@ def select_effects(
         # What was fitted to folds holds on to the Gram blocks, which grow when the option is refined.
         table = table.without_fits()
         if found is None:
+            progress(stage, made + 1, made + 1)
             return replace(search, ran_out=False), first, table
         joined = with_numbers_of(search, data, table, found)
         if joined is not search:
@@ -492,6 +503,7 @@ def select_effects(
             continue
         search = hold_what_others_explain(_one_round(search, data, table, *found))
     last = search.table().without_fits()
+    progress(stage, made + 1, made + 1)
     return replace(search, ran_out=bool(search.rules.rounds)), first or last, last
 
 
@@ -777,7 +789,7 @@ def _drop_superfluous(search: Search) -> Search:
 
 
 def exchange_and_check(
-    search: Search, data: DiagnosisData
+    search: Search, data: DiagnosisData, progress: Progress = silent
 ) -> tuple[Search, list[RivalCheck], ScoreTable | None]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
@@ -788,9 +800,9 @@ def exchange_and_check(
     tables: dict[str, ScoreTable] = {}
     for _ in range(SELECTION_SETTINGS.exchanges):
         tables = {}
-        for option in search.accepted:
-            tables[option.name] = search.table(without=option)
-            table = tables[option.name]
+        made = with_progress(progress, "rivals", map(search.table, search.accepted), len(search.accepted))
+        for option, table in zip(search.accepted, made, strict=True):
+            tables[option.name] = table
             better = better_option(search, option, table) or _simpler_form(option, table, search.rules)
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)

@@ -90,6 +90,7 @@ from inflight.effects import channel_unit, coefficient_unit
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
+from inflight.progress import Progress, silent
 from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
@@ -151,6 +152,9 @@ class RemainingSettings:
 REPORT_SETTINGS = ReportSettings()
 REMAINING_SETTINGS = RemainingSettings()
 
+#: Steps of a verdict: parameters in time, noise of readings, values, other choices, what is left, other
+#: causes.
+_STEPS = 6
 
 #: Returns what a search took, and columns of other options, at the data's own cadence, for estimates;
 #: None where there is nothing to estimate. The model's own numbers are something when asked for.
@@ -158,7 +162,10 @@ AtNativeCadence = Callable[[Search, bool, Sequence[Option]], Native | None]
 
 
 def run_search(
-    search: Search, data: DiagnosisData, native: AtNativeCadence | None = None
+    search: Search,
+    data: DiagnosisData,
+    native: AtNativeCadence | None = None,
+    progress: Progress = silent,
 ) -> tuple[Diagnosis, Search]:
     """Run the search and return what it found, and its last state.
 
@@ -168,9 +175,12 @@ def run_search(
         The first state: nothing taken yet.
     native : callable, optional
         Puts what was taken on Gram blocks at the data's own cadence; values are the search's without it.
+    progress : callable
+        Told the rounds, the rivals looked for, then the steps of what is said of each effect.
     """
-    search, first, last = run_rounds(search, data)
-    search, checks, after_checks = exchange_and_check(search, data)
+    search, first, last = run_rounds(search, data, progress)
+    search, checks, after_checks = exchange_and_check(search, data, progress)
+    progress("verdict", 0, _STEPS)
     checks.sort(key=lambda one: -one.gain)
     last = after_checks or last
     # What follows needs the memory of what is only kept to be quick.
@@ -183,16 +193,20 @@ def run_search(
     search.shared.forget_products()
     nearest = nearest_rivals(checks)
     at_native = native(search, is_fast, nearest) if native else None
+    progress("verdict", 1, _STEPS)
     freed = without_attenuation(search, data, at_native)
     told_of = told_values(search, data, at_native, freed)
+    progress("verdict", 2, _STEPS)
     effects = tuple(
         describe_effect(
             search, data, one, at_native, freed.get(one.option.name), told_of.get(one.option.name)
         )
         for one in checks
     )
+    progress("verdict", 3, _STEPS)
     told = {one.name: np.array([number.sigma for number in one.coefficients]) for one in effects}
     turns = turned_over(search, data, checks, told, at_native, freed, told_of if at_native else None)
+    progress("verdict", 4, _STEPS)
     effects = tuple(_turned(one, turns[one.name]) for one in effects)
     fast_numbers = at_native.search if is_fast and at_native else None
     effects = tuple(_in_words(one, in_time) for one in effects)
@@ -207,8 +221,10 @@ def run_search(
     }
     structure = structure_of(known.series, residual)
     remaining = describe_remaining(search, known, last, residual, structure, fast_numbers)
+    progress("verdict", 5, _STEPS)
     after = remaining.verdict(blocks["independent"], search.rules.blocks)
     effects = held_against_others(search, known, effects, residual, remaining)
+    progress("verdict", _STEPS, _STEPS)
     effects = tuple(sorted(effects, key=lambda one: -one.rms_nT))
     signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     facts: dict[str, Any] = {
@@ -441,12 +457,14 @@ def _in_words(effect: FoundEffect, in_time: Sequence[InTime]) -> FoundEffect:
     return effect
 
 
-def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable, ScoreTable]:
+def run_rounds(
+    search: Search, data: DiagnosisData, progress: Progress = silent
+) -> tuple[Search, ScoreTable, ScoreTable]:
     """Return the state after all rounds, the first table and the last one.
 
     Interactions are tried when something is left, shapes first when named causes may be substitutes.
     """
-    search, first, last = select_effects(search, data)
+    search, first, last = select_effects(search, data, progress=progress)
     if not search.rules.rounds:
         return search, first, last
     known = with_correctable_rows(search, data)
@@ -456,25 +474,29 @@ def run_rounds(search: Search, data: DiagnosisData) -> tuple[Search, ScoreTable,
         # Products come last, when each factor was tried in all its forms.
         if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
             options, alone = search.options, False
+            stage = "other forms" if forms else "products"
+            progress(stage, 0, 1)
             if forms:
                 search, alone = add_forms(search, data)
             else:
                 search = add_interactions(search, data, [first, last], remaining.is_sure)
             if search.options is not options:
-                search, _, last = select_effects(search, data)
+                search, _, last = select_effects(search, data, progress=progress, stage=stage)
+            else:
+                progress(stage, 1, 1)
             if alone and len(search.accepted) > 1:
                 # One cause in the form that is there now may be what several stood in for.
-                search, last = _afresh(search, data, last)
+                search, last = _afresh(search, data, last, progress)
     # Named causes that shapes without a name had to complete: either both are there, or the named ones
     # together substitute something that no effect here describes.
     shapes = [one for one in search.accepted if _is_shape(one)]
     if shapes and len(search.accepted) > max(len(shapes), 2):
-        search, last = _afresh(search, data, last, shapes_first=True)
+        search, last = _afresh(search, data, last, progress, shapes_first=True)
     return refine_all(search, data), first, last
 
 
 def _afresh(
-    search: Search, data: DiagnosisData, last: ScoreTable, shapes_first: bool = False
+    search: Search, data: DiagnosisData, last: ScoreTable, progress: Progress, shapes_first: bool = False
 ) -> tuple[Search, ScoreTable]:
     """Search anew; keep it when fewer effects explain as much, else what was found.
 
@@ -484,7 +506,7 @@ def _afresh(
     """
     before = held_out_rms(search, data)
     blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset(), freed={})
-    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first)
+    other, _, table = select_effects(blank.with_safe_intervals(), data, shapes_first, progress, "search anew")
     fewer = len(other.accepted) < len(search.accepted)
     if not any(_is_shape(one) for one in other.accepted):
         fewer &= _coefficients_of(other) <= _coefficients_of(search)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 from inflight.catalog import Catalog
 from inflight.errors import InflightError
 from inflight.mission import Mission
+from inflight.progress import Progress, silent
 from inflight.tasks.analysis.plumbing import check_plumbing
-from inflight.tasks.report import Progress, write_page
+from inflight.tasks.report import write_page
 from inflight.time import DayLike
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def measure_comparison(
 
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = published_products(cat, comparison, span)
-    tell = progress or (lambda stage, done, total: None)
+    tell = progress or silent
     earlier = earlier_products(cat, comparison, days, against)
     pipeline = pipeline_of(mission, comparison)
     return pipeline.compare(cat, mission, comparison, days, span, tell, client, earlier)

@@ -32,6 +32,7 @@ from inflight.effects import channels_of
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
+from inflight.progress import Progress, silent
 from inflight.tasks.analysis.gram_pass import (
     GRAM_VERSION,
     PASS_SETTINGS,
@@ -66,7 +67,6 @@ from inflight.tasks.archive import (
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states, spacecraft_units_of, trend_of_products
-from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds
 
 
@@ -141,18 +141,16 @@ def examine(
 ) -> Examined:
     """Diagnose a span and return with the result what it was made from; arguments are those of `diagnose`."""
     settings = settings or DiagnoseSettings()
-    report_progress = progress or (lambda stage, done, total: None)
+    report_progress = progress or silent
     faults = faults_of(cat, mission, start, end, settings.comparison)
     with faults_in_errors(faults):
         made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    report_progress("search", 0, 1)
     search, data = begin_search(made, settings), diagnosis_data(made, mission)
     facts = {"evidence key": made.plan.key, "days that failed": len(made.failed) or None}
     native = native_estimator(cat, mission, made, settings, client, report_progress)
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the first ones.
     del made
-    found, search = search_on_one_thread(search, data, native)
-    report_progress("search", 1, 1)
+    found, search = search_on_one_thread(search, data, native, report_progress)
     units = spacecraft_units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
     trend = trend_of_products(cat, settings.comparison, data.model.version, start, end)
@@ -178,7 +176,7 @@ def make_pass(
     narrow : callable, optional
         Makes of the plan one of fewer columns; its Gram blocks are stored in a dataset of their own.
     """
-    report_progress = progress or (lambda stage, done, total: None)
+    report_progress = progress or silent
     planned = plan_pass(cat, mission, settings, start, end, used, report_progress)
     plan = narrow(planned.plan) if narrow else planned.plan
     context = cat.save_context(mission.text, planned.used.model.name, planned.used.version, {})
@@ -246,7 +244,7 @@ def plan_pass(
     start: DayLike | None = None,
     end: DayLike | None = None,
     used: VersionedModel | None = None,
-    report_progress: Progress = lambda stage, done, total: None,
+    report_progress: Progress = silent,
 ) -> PlannedPass:
     """Survey the span, linearise the model, and decide what is tried.
 
@@ -391,11 +389,11 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
 
 
 def search_on_one_thread(
-    search: Search, data: DiagnosisData, native: NativeEstimator
+    search: Search, data: DiagnosisData, native: NativeEstimator, progress: Progress = silent
 ) -> tuple[Diagnosis, Search]:
     """Return what `run_search` does; its matrices are small, and threads would mostly wait for each other."""
     with threadpool_limits(1):
-        return run_search(search, data, native)
+        return run_search(search, data, native, progress)
 
 
 def _groups_of_blocks(start: Any, width: int) -> list[list[int]]:

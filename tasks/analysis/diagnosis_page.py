@@ -74,10 +74,11 @@ from inflight.figures import (
     waterfall_figure,
 )
 from inflight.mission import Mission
+from inflight.progress import Progress, silent
 from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import examine
 from inflight.tasks.analysis.settings import DiagnoseSettings
-from inflight.tasks.report import Progress, write_page
+from inflight.tasks.report import write_page
 from inflight.time import SECOND, DayLike, to_utc
 
 #: Channels whose response is drawn, other than those of found effects; and found effects drawn one by one.
@@ -352,7 +353,7 @@ def report(
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    report_progress = progress or (lambda stage, done, total: None)
+    report_progress = progress or silent
     report_progress("report", 0, 1)
     write_page(output, diagnosis_page(*examined))
     report_progress("report", 1, 1)

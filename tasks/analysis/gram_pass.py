@@ -56,6 +56,7 @@ from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, parts_of, prewhiten
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
+from inflight.progress import Progress
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding, parse_channel
 from inflight.spin import fit_folded_samples, spinning_sensor_of
@@ -82,7 +83,6 @@ from inflight.tasks.pipelines import (
     reuse_interrupted_days,
 )
 from inflight.tasks.pipelines.two_sensor import housekeeping_channels
-from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
 
 

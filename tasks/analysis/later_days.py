@@ -23,6 +23,7 @@ from inflight.diagnosis import Rules, prior_precision
 from inflight.lsq import solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.progress import Progress
 from inflight.tasks.analysis.gram_pass import Origin, PassPlan, day_grams, survey
 from inflight.tasks.analysis.kept_diagnosis import archive_of, asked_alike, last_diagnosis, made_from
 from inflight.tasks.analysis.settings import DiagnoseSettings
@@ -35,7 +36,6 @@ from inflight.tasks.archive import (
     require_days,
 )
 from inflight.tasks.models import effect_sources
-from inflight.tasks.report import Progress
 from inflight.time import day_bounds
 
 

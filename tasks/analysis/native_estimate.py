@@ -19,13 +19,13 @@ from inflight.design import Library
 from inflight.diagnosis import Native, Option, Search
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.samples import parse_channel
 from inflight.tasks.analysis.gram_pass import PassPlan, load_estimate_grams, make_blocks
 from inflight.tasks.analysis.settings import DiagnoseSettings
 from inflight.tasks.archive import ArchiveIndex, Need
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.pipelines import learns_states
-from inflight.tasks.report import Progress
 from inflight.time import SECOND, day_bounds
 
 

@@ -62,6 +62,7 @@ from inflight.errors import InflightError, ModelError, did_you_mean
 from inflight.lsq import GramBlocks
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect, with_dipole
+from inflight.progress import Progress, silent
 from inflight.residual import above_floor
 from inflight.samples import parse_channel
 from inflight.tasks.analysis.diagnosis import (
@@ -90,7 +91,6 @@ from inflight.tasks.models import (
     version_with_gram_blocks,
 )
 from inflight.tasks.pipelines import spacecraft_units_of, trend_of_products
-from inflight.tasks.report import Progress
 from inflight.time import SECOND, DayLike, Int64, parse_duration
 
 #: What `Workbench.set_numbers` calls the place of an effect's source.
@@ -1031,10 +1031,10 @@ class Workbench:
         self._restore()
         context = diagnosis_data(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
-        listener = self.progress or (lambda stage, done, total: None)
+        listener = self.progress or silent
         native = native_estimator(self.cat, self._measured, self.made, self.settings, self.client, listener)
         begun = begin_search(self.made, self.settings)
-        found, search = search_on_one_thread(begun, replace(context, model=model), native)
+        found, search = search_on_one_thread(begun, replace(context, model=model), native, listener)
         faults = self._plumbing() if self._faults is None else self._faults
         trend = trend_of_products(self.cat, self.settings.comparison, self.root.version, self.start, self.end)
         return found.after_plumbing(faults).with_products(trend), search
@@ -1192,7 +1192,7 @@ def diagnose_span(
     settings = settings or DiagnoseSettings()
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
-    listener = progress or (lambda stage, done, total: None)
+    listener = progress or silent
     stands = None if save or search else check_later_days(workspace, start, end, settings, listener)
     if stands is not None and stands["later_days"]["stands"]:
         save_diagnosis(workspace, stands, stands.pop("asked"))

@@ -38,8 +38,9 @@ from inflight.catalog.readers import (
 from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
+from inflight.progress import Progress, silent
 from inflight.tasks.batches import iter_results
-from inflight.tasks.report import Progress, RunReport, problem, problem_of
+from inflight.tasks.report import RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
 
 if TYPE_CHECKING:
@@ -488,7 +489,7 @@ def ingest(
     """
     names, folder = _named_instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
-    report_progress = progress or (lambda stage, done, total: None)
+    report_progress = progress or silent
     plans = []
     for count, name in enumerate(names):
         report_progress("index", count, len(names))

@@ -20,6 +20,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.conformance import Faults
 from inflight.mission import Mission
+from inflight.progress import silent
 from inflight.samples import base_channels
 from inflight.tasks.archive import channels_by_name
 from inflight.tasks.batches import batch_mapper
@@ -303,7 +304,7 @@ def _is_shown(case: _Case) -> Iterator[str]:
         return
     span = slice(None, None)
     days = published_products(case.cat, case.comparison, span)
-    given = (case.cat, case.mission, case.comparison, days, span, lambda *_: None, None, None)
+    given = (case.cat, case.mission, case.comparison, days, span, silent, None, None)
     found = case.pipeline.compare(*given)
     fields: dict[str, Any] = found.report.as_json()
     to_json(fields)

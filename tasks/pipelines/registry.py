@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from inflight.catalog import Catalog
 from inflight.errors import MissionError
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.batches import Mapper, batch_mapper
 from inflight.tasks.pipelines.base import (
     Pipeline,
@@ -23,7 +24,7 @@ from inflight.tasks.pipelines.scalar import ScalarPipeline
 from inflight.tasks.pipelines.spin import SpinPipeline
 from inflight.tasks.pipelines.two_sensor import StatesPipeline
 from inflight.tasks.pipelines.zero_level import ZeroLevelPipeline
-from inflight.tasks.report import Progress, RunReport
+from inflight.tasks.report import RunReport
 from inflight.time import DayLike
 
 if TYPE_CHECKING:

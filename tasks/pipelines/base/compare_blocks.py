@@ -25,10 +25,10 @@ from threadpoolctl import threadpool_limits
 from inflight.catalog import Catalog, Day, DayData, Run, Segment, idempotency_key, write_segment
 from inflight.errors import CatalogError, StorageError
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.batches import few_at_once, iter_results
 from inflight.tasks.pipelines.base.compare_rows import Sources
 from inflight.tasks.pipelines.base.publication import reuse_interrupted_days
-from inflight.tasks.report import Progress
 from inflight.time import day_bounds
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, html_table
 from inflight.plumbing import Finding
+from inflight.progress import Progress
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor, is_at_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
-from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -27,11 +27,11 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import MissionError
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
 from inflight.tasks.pipelines.base.publication import Reprocessing, TableStager, TablesToPublish
 from inflight.tasks.pipelines.base.tables import content_keys
-from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:

@@ -39,6 +39,7 @@ from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
 from inflight.model import REFERENCE, Model
+from inflight.progress import Progress
 from inflight.residual import (
     Coordinate,
     above_floor,
@@ -86,7 +87,7 @@ from inflight.tasks.pipelines.base import (
     window_edges,
     with_unit,
 )
-from inflight.tasks.report import Progress, write_page
+from inflight.tasks.report import write_page
 from inflight.time import SECOND, DayLike, Int64, day_bounds, to_utc, usual_step
 
 if TYPE_CHECKING:

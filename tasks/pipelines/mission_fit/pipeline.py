@@ -16,6 +16,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     Batch,
@@ -31,7 +32,6 @@ from inflight.tasks.pipelines.base import (
     residual_of_days,
 )
 from inflight.tasks.pipelines.scalar import ScalarPipeline
-from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
     import xarray as xr

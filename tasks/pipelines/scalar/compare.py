@@ -17,6 +17,7 @@ from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.residual import (
     Coordinate,
     Dependence,
@@ -60,7 +61,6 @@ from inflight.tasks.pipelines.scalar.compare_days import (
 )
 from inflight.tasks.pipelines.scalar.compare_page import FigureData, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.scalar.tables import load_equations, span_solution
-from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
@@ -26,7 +27,6 @@ from inflight.tasks.pipelines.base import (
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -30,6 +30,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.model import Model, folding_of, rows_of, spin_residual
+from inflight.progress import Progress
 from inflight.residual import NO_FLOOR, NO_STATISTICS, NoiseFloor, ResidualStatistics, daily_scatter
 from inflight.samples import Complex, Folding, fold_spins
 from inflight.spin import (
@@ -61,7 +62,6 @@ from inflight.tasks.pipelines.base import (
     structures_html,
     tables_in_use,
 )
-from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 from inflight.units import with_error
 

@@ -18,6 +18,7 @@ from inflight.errors import CalibrationError, MissionError
 from inflight.main_field import MainField
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.progress import Progress
 from inflight.spin import HELD
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
@@ -34,7 +35,6 @@ from inflight.tasks.pipelines.base import (
     residual_of_days,
     window_edges,
 )
-from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:

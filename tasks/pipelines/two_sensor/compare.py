@@ -44,6 +44,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.plumbing import Finding
+from inflight.progress import Progress
 from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, plumbing_lines, scalar_channels
 from inflight.tasks.pipelines.two_sensor.tables import (
     channel_changes,
@@ -53,7 +54,6 @@ from inflight.tasks.pipelines.two_sensor.tables import (
     constant_sentences,
     unit_signs,
 )
-from inflight.tasks.report import Progress
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
 #: Points of a curve that a browser can draw.

@@ -16,6 +16,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
+from inflight.progress import Progress
 from inflight.tasks.pipelines.base import (
     Pipeline,
     Plan,
@@ -27,7 +28,6 @@ from inflight.tasks.pipelines.base import (
     Versions,
     product_key,
 )
-from inflight.tasks.report import Progress
 from inflight.time import DayLike
 
 if TYPE_CHECKING:

@@ -21,6 +21,7 @@ from inflight.errors import CalibrationError, CatalogError
 from inflight.flags import Flag
 from inflight.mission import Mission, sensors_of
 from inflight.model import instrument_variance
+from inflight.progress import Progress
 from inflight.tasks.archive import ArchiveIndex, split_at_flips
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -72,7 +73,7 @@ from inflight.tasks.pipelines.zero_level.tables import (
     step_table,
     zero_level_table,
 )
-from inflight.tasks.report import Progress, write_page
+from inflight.tasks.report import write_page
 from inflight.time import SECOND, DayLike, day_bounds, is_within, usual_step
 from inflight.zero_level import AXES
 
