@@ -17,7 +17,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.progress import Progress, with_progress
+from inflight.progress import Progress, silent, with_progress
 from inflight.tasks import batch_mapper, expect_work, few_at_once, result_of
 
 if TYPE_CHECKING:
@@ -33,10 +33,6 @@ RETRY_DELAYS: list[float] = [1.0, 10.0, 60.0]
 TASKS_OF_A_STAGE = 100
 
 R = TypeVar("R")
-
-
-def no_progress(stage: str, done: int, total: int) -> None:
-    """Ignore a report of progress."""
 
 
 class Runner(Protocol):
@@ -57,7 +53,7 @@ class PlainRunner:
     """Runs steps as plain calls; only their batches go to Dask processes."""
 
     def __init__(self, progress: Progress | None = None) -> None:
-        self._progress = progress or no_progress
+        self._progress = progress or silent
 
     @property
     def progress(self) -> Progress:
@@ -111,7 +107,7 @@ class PrefectRunner:
 
 
 _runner: ContextVar[Runner | None] = ContextVar("runner", default=None)
-_progress: ContextVar[Progress] = ContextVar("progress", default=no_progress)
+_progress: ContextVar[Progress] = ContextVar("progress", default=silent)
 
 
 def runner() -> Runner:
@@ -132,7 +128,7 @@ def using_runner(chosen: Runner) -> Iterator[None]:
 @contextmanager
 def progress_to(listener: Progress | None) -> Iterator[None]:
     """Report the progress of what runs inside to `listener`, a function ``(stage, done, total)``."""
-    token = _progress.set(listener or no_progress)
+    token = _progress.set(listener or silent)
     try:
         yield
     finally:

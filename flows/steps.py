@@ -376,7 +376,14 @@ def _reprocess_span(
 
     mapper = runner().mapper(client)
     cat = Catalog(place.root, reason=reason)
-    return reprocess_days(cat, place.mission(), *span.as_text(), settings=settings, mapper=mapper)
+    return reprocess_days(
+        cat,
+        place.mission(),
+        *span.as_text(),
+        settings=settings,
+        mapper=mapper,
+        progress=runner().progress,
+    )
 
 
 def _ingest_and_reprocess(

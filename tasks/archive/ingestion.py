@@ -38,7 +38,7 @@ from inflight.catalog.readers import (
 from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
-from inflight.progress import Progress, silent
+from inflight.progress import Progress, silent, with_progress
 from inflight.tasks.batches import iter_results
 from inflight.tasks.report import RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
@@ -506,13 +506,13 @@ def ingest(
         jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
         by_instrument = {plan.delivery.instrument: plan for plan in plans}
         results = iter_results(client, make_batch, [(job,) for job in jobs])
-        for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
+        results = with_progress(report_progress, "ingest", results, len(jobs))
+        for job, result in zip(jobs, results, strict=True):
             plan = by_instrument[job.instrument_name]
             if result.segment is not None:
                 run.attach(result.segment)
             plan.new_failures |= result.failures
             plan.notes |= result.notes
-            report_progress("ingest", count, len(jobs))
         for plan in plans:
             _record(cat, run, plan)
         published = run.publish()

@@ -417,9 +417,12 @@ def simulate(
             for path in (craft.truth_path(folder, day), *(craft.path(folder, name, day) for name in required))
         )
     ]
-    for number, _ in enumerate(craft.write_days(settings, folder, missing, workers), start=1):
+    there = len(days) - len(missing)
+    if progress is not None:
+        progress(there, len(days))
+    for done, _ in enumerate(craft.write_days(settings, folder, missing, workers), start=there + 1):
         if progress is not None:
-            progress(len(days) - len(missing) + number, len(days))
+            progress(done, len(days))
     paths = (craft.path(folder, instrument, day) for day in days for instrument in instruments)
     return [path for path in paths if path.exists()]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from inflight.catalog import Catalog
 from inflight.errors import MissionError
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.batches import Mapper, batch_mapper
 from inflight.tasks.pipelines.base import (
     Pipeline,
@@ -128,7 +128,8 @@ def reprocess(
     pipeline = pipeline_of(mission, settings.comparison, settings)
     planned = pipeline.make_plan(cat, mission, settings, (start, end))
     unchanged = report_if_unchanged(pipeline, cat, planned)
-    return unchanged or run_plan(pipeline, cat, mission, planned, mapper or batch_mapper(client, progress))
+    mapper = mapper or batch_mapper(client, progress)
+    return unchanged or run_plan(pipeline, cat, mission, planned, mapper, progress or silent)
 
 
 def reprocess_if_unchanged(

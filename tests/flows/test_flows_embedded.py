@@ -57,9 +57,10 @@ def test_the_calibration_removes_what_the_tiny_instrument_adds(by_flow):
 
 def test_progress_is_told_for_every_stage_to_its_end(by_flow):
     told = [line.split() for line in (by_flow.root / "told.txt").read_text(encoding="utf-8").splitlines()]
-    for stage in ("ingest", "calibrate", "produce"):
+    for stage in ("ingest", "calibrate", "tables", "produce"):
         steps = [(int(done), int(total)) for _, name, done, total in told if name == stage]
         assert steps, f"nothing was told of {stage}"
+        assert steps[0][0] == 0
         assert steps[-1][0] == steps[-1][1]
 
 

@@ -14,6 +14,7 @@ from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.progress import Progress, silent
 from inflight.tasks.batches import Mapper
 from inflight.tasks.pipelines.base.job import Failure, Job, Outcome
 from inflight.tasks.pipelines.base.planning import Plan
@@ -36,6 +37,8 @@ class Reprocessing:
 
     Attributes
     ----------
+    progress : callable
+        Called with (stage, done, total); the mapper tells of batches itself.
     failed : dict of datetime64[D] to dict
         Problems as `RunReport` lists them.
     """
@@ -45,6 +48,7 @@ class Reprocessing:
     plan: Plan
     run: Run
     mapper: Mapper
+    progress: Progress = silent
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
 
     def jobs(
@@ -138,6 +142,7 @@ class TableStager:
     def table(self, name: str, make: Callable[[], xr.Dataset]) -> xr.Dataset:
         """Return a table: the stored one with the same key, else made and staged."""
         cat, called = self.work.cat, f"{self.work.plan.settings.comparison}-{name}"
+        self.work.progress("tables", len(self.tables), len(self.tables) + 1)
         key = self.key_of(name)
         known = [record for record in cat.tables(called) if record.key == key and not record.damaged]
         if known:
@@ -162,6 +167,8 @@ class TableStager:
                 self.table(name, make)
             except InflightError as error:
                 notes[name] = error.message
+        if self.tables:
+            self.work.progress("tables", len(self.tables), len(self.tables))
         return notes
 
     def solved(

@@ -20,6 +20,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day, RunRecord, idempotency_key
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.progress import Progress, silent
 from inflight.tasks.archive import spin_problems, substitution_problems
 from inflight.tasks.batches import Mapper
 from inflight.tasks.models import model_label
@@ -44,7 +45,14 @@ if TYPE_CHECKING:
 _MOST_PASSES = 4
 
 
-def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, mapper: Mapper) -> RunReport:
+def run_plan(
+    pipeline: Pipeline,
+    cat: Catalog,
+    mission: Mission,
+    plan: Plan,
+    mapper: Mapper,
+    progress: Progress = silent,
+) -> RunReport:
     """Carry out a plan, publish it as one run, and return its report.
 
     Raises
@@ -54,7 +62,7 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
     """
     planned = {"days_planned": len(pipeline.days_to_do(cat, plan)[0])}
     with cat.run("reprocess", {**plan.recorded, **planned}, context=plan.context) as run:
-        work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
+        work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper, progress=progress)
         run.record_no_work(plan.product, plan.no_work)
         is_fitted = plan.settings.use_table is None and plan.settings.context is None
         if plan.settings.context is not None:
@@ -65,7 +73,9 @@ def run_plan(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, map
             statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
             if pipeline.statistics and not statistics.days:
                 return _report(pipeline, work, None, _Products())
+            progress("tables", 0, 1)
             solved = pipeline.solve(work, statistics.days)
+            progress("tables", max(len(solved.kept), 1), max(len(solved.kept), 1))
         made = (
             _make_products(pipeline, work, solved)
             if pipeline.has_products
