@@ -6,17 +6,27 @@ there are at least.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 #: Called with (stage, done, total) while work goes on.
 Progress = Callable[[str, int, int], None]
 
 _Result = TypeVar("_Result")
+_Item = TypeVar("_Item")
 
 
 def silent(stage: str, done: int, total: int) -> None:
     """Tell nobody: the progress of work that nobody watches."""
+
+
+def tell_each(progress: Progress, stage: str, items: Sequence[_Item]) -> Iterator[_Item]:
+    """Yield items to work on, telling before each one how many are done, and at the end that all are."""
+    for done, item in enumerate(items):
+        progress(stage, done, len(items))
+        yield item
+    if len(items):
+        progress(stage, len(items), len(items))
 
 
 def with_progress(

@@ -35,7 +35,7 @@ from inflight.lsq import (
     sandwich,
     with_variance_floor,
 )
-from inflight.progress import Progress, silent, with_progress
+from inflight.progress import Progress, silent, tell_each
 from inflight.samples import base_channels
 from inflight.time import SECOND
 
@@ -800,9 +800,8 @@ def exchange_and_check(
     tables: dict[str, ScoreTable] = {}
     for _ in range(SELECTION_SETTINGS.exchanges):
         tables = {}
-        made = with_progress(progress, "rivals", map(search.table, search.accepted), len(search.accepted))
-        for option, table in zip(search.accepted, made, strict=True):
-            tables[option.name] = table
+        for option in tell_each(progress, "rivals", search.accepted):
+            table = tables[option.name] = search.table(without=option)
             better = better_option(search, option, table) or _simpler_form(option, table, search.rules)
             if better is not None:
                 search, better = _add_refined(search.drop(option), data, better)

@@ -23,7 +23,7 @@ from inflight.diagnosis import Rules, prior_precision
 from inflight.lsq import solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.progress import Progress
+from inflight.progress import Progress, tell_each
 from inflight.tasks.analysis.gram_pass import Origin, PassPlan, day_grams, survey
 from inflight.tasks.analysis.kept_diagnosis import archive_of, asked_alike, last_diagnosis, made_from
 from inflight.tasks.analysis.settings import DiagnoseSettings
@@ -263,11 +263,9 @@ def _numbers_of_days(
         estimates=True,
     )
     derived = DerivedChannels(reader, plan.days, {}, {}, origin.days)
-    for done, day in enumerate(todo):
-        progress("later days", done, len(todo))
+    for day in tell_each(progress, "later days", todo):
         own = _numbers(cat, mission, plan, index, derived, day, float(standing["variance"]))
         numbers[str(day)] = {**own, "inputs": keys[day]}
-    progress("later days", len(todo), len(todo))
     return numbers
 
 

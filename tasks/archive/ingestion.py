@@ -38,7 +38,7 @@ from inflight.catalog.readers import (
 from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
-from inflight.progress import Progress, silent, with_progress
+from inflight.progress import Progress, silent, tell_each, with_progress
 from inflight.tasks.batches import iter_results
 from inflight.tasks.report import RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
@@ -491,11 +491,9 @@ def ingest(
     span = (_bound(start), _bound(end))
     report_progress = progress or silent
     plans = []
-    for count, name in enumerate(names):
-        report_progress("index", count, len(names))
+    for name in tell_each(report_progress, "index", names):
         delivery = survey(cat, mission, name, folder, span=span, client=client, only=files)
         plans.append(_plan(cat, delivery, span))
-    report_progress("index", len(names), len(names))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}

@@ -13,7 +13,6 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, html_table
 from inflight.plumbing import Finding
-from inflight.progress import Progress
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor, is_at_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 
@@ -277,14 +276,6 @@ class CompareResult(Generic[Report_co]):
     def sections(self) -> list[Section]:
         """Make everything that is shown."""
         return [(heading, *make()) for heading, make in self.parts]
-
-
-def each_day(days: Sequence[Day], progress: Progress) -> Iterator[Day]:
-    """Yield days one after the other; `progress` is called before each and after the last."""
-    for done, day in enumerate(days):
-        progress("compare", done, len(days))
-        yield day
-    progress("compare", len(days), len(days))
 
 
 def tables_in_use(cat: Catalog, comparison: str, day: Day) -> tuple[xr.Dataset, xr.Dataset]:

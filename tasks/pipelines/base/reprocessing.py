@@ -75,7 +75,8 @@ def run_plan(
                 return _report(pipeline, work, None, _Products())
             progress("tables", 0, 1)
             solved = pipeline.solve(work, statistics.days)
-            progress("tables", max(len(solved.kept), 1), max(len(solved.kept), 1))
+            tables = max(len(solved.kept), 1)
+            progress("tables", tables, tables)
         made = (
             _make_products(pipeline, work, solved)
             if pipeline.has_products

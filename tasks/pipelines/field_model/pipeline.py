@@ -39,7 +39,7 @@ from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
 from inflight.model import REFERENCE, Model
-from inflight.progress import Progress
+from inflight.progress import Progress, tell_each
 from inflight.residual import (
     Coordinate,
     above_floor,
@@ -74,7 +74,6 @@ from inflight.tasks.pipelines.base import (
     blocks_of,
     daily_residual_figure,
     day_summary,
-    each_day,
     history_section,
     month_edges,
     newest_table,
@@ -567,7 +566,7 @@ def compare_components(
     sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + ONE_DAY)))
     rows: list[dict[str, Floats]] = []
     sizes, floors, skipped = [], [], 0
-    for day in each_day(days, progress):
+    for day in tell_each(progress, "compare", days):
         product = cat.read(day, ["residual", "residual_preflight", "field_sensor", "flag"])
         stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
         before, after = (_usable(product, name) for name in ("residual_preflight", "residual"))

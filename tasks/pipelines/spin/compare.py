@@ -30,7 +30,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.model import Model, folding_of, rows_of, spin_residual
-from inflight.progress import Progress
+from inflight.progress import Progress, tell_each
 from inflight.residual import NO_FLOOR, NO_STATISTICS, NoiseFloor, ResidualStatistics, daily_scatter
 from inflight.samples import Complex, Folding, fold_spins
 from inflight.spin import (
@@ -54,7 +54,6 @@ from inflight.tasks.pipelines.base import (
     channel_means,
     daily_residual_figure,
     day_summary,
-    each_day,
     geometry_means,
     product_needs,
     scalar_channels,
@@ -270,7 +269,7 @@ def compare_spin(
         )
     reader = _Reader.of(cat, mission, comparison, days, folding)
     found = _ToneRecord()
-    for day in each_day(days, progress):
+    for day in tell_each(progress, "compare", days):
         reader.add_day(found, day)
     before, after = found.tones("before"), found.tones("after")
     coordinates = {one.name: one for one in _tone_coordinates(found, mission)}

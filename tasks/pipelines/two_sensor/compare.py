@@ -44,8 +44,8 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.plumbing import Finding
-from inflight.progress import Progress
-from inflight.tasks.pipelines.base import CompareResult, TextLine, each_day, plumbing_lines, scalar_channels
+from inflight.progress import Progress, tell_each
+from inflight.tasks.pipelines.base import CompareResult, TextLine, plumbing_lines, scalar_channels
 from inflight.tasks.pipelines.two_sensor.tables import (
     channel_changes,
     concatenate_changes,
@@ -248,7 +248,7 @@ def compare_dual(
     """
     rows = []
     tables: dict[int, xr.Dataset] = {}
-    for day in each_day(days, progress):
+    for day in tell_each(progress, "compare", days):
         table = cat.table(f"{comparison}-states", str(day.day))
         tables.setdefault(int(table.attrs["table_id"]), table)
         rows.append(day_rows(cat, mission, day, table, thin=max(1, 86_400 * len(days) // _POINTS)))
