@@ -24,7 +24,7 @@ from inflight.catalog.differences import NOW, DayChange, days_of_collection, mea
 from inflight.catalog.garbage import Garbage, collect_garbage
 from inflight.catalog.lineage import LineageGraph, lineage_graph
 from inflight.catalog.location import is_workspace, open_database
-from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable
+from inflight.catalog.opening import open_days, read_one_day, read_table, read_variable, stored_variables
 from inflight.catalog.provenance import Edge, walk
 from inflight.catalog.records import (
     CertificationAct,
@@ -346,6 +346,11 @@ class Catalog:
         """Read a day by its record; no database access. Without `with_time` it lacks ``time``, costs less."""
         _require_data(day)
         return read_one_day(self.workspace, day, variables, with_time)
+
+    def variables_of(self, day: Day) -> tuple[str, ...]:
+        """Return the names of what a day's store holds; no database access."""
+        _require_data(day)
+        return stored_variables(self.workspace, day)
 
     def read_variable(self, day: Day, name: str) -> tuple[npt.NDArray[Any], dict[str, Any]]:
         """Read values and attributes of one variable of a day by its record, as plain ones.

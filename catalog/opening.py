@@ -55,6 +55,11 @@ def read_one_day(
     return dataset
 
 
+def stored_variables(workspace: Path, day: Day) -> tuple[str, ...]:
+    """Return the names of the variables of a day's store."""
+    return tuple(open_store(str(workspace / day.segment)).variables)
+
+
 def read_variable(workspace: Path, day: Day, name: str) -> tuple[Array, dict[str, Any]]:
     """Read one variable of a day; the parameters and errors are those of `Catalog.read_variable`."""
     store = open_store(str(workspace / day.segment))

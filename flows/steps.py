@@ -381,6 +381,7 @@ def _reprocess_span(
         place.mission(),
         *span.as_text(),
         settings=settings,
+        client=client,
         mapper=mapper,
         progress=runner().progress,
     )

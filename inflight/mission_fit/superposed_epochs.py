@@ -153,8 +153,20 @@ def concat_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     for name in ("current", "lag"):
         if any(not np.array_equal(part[name].values, filled[0][name].values) for part in filled):
             raise SamplesError(f"epochs differ in '{name}'", remedy="make all days with the same settings")
-    joined = xr.concat(filled, "epoch", data_vars="minimal", join="exact", combine_attrs="override")
-    return joined.isel(epoch=np.argsort(joined["time"].values, kind="stable"))
+    return in_order_of_time(filled, "epoch", "time")
+
+
+def in_order_of_time(parts: Sequence[xr.Dataset], rows: str, time: str) -> xr.Dataset:
+    """Return the rows of several Datasets, by one of their variables, copied only where need be."""
+    joined = (
+        parts[0]
+        if len(parts) == 1
+        else xr.concat(list(parts), rows, data_vars="minimal", join="exact", combine_attrs="override")
+    )
+    stamps = joined[time].values
+    if np.all(stamps[1:] >= stamps[:-1]):
+        return joined
+    return joined.isel({rows: np.argsort(stamps, kind="stable")})
 
 
 def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) -> dict[str, object] | None:

@@ -47,6 +47,7 @@ from inflight.lsq import (
     student_sigma,
     window_means,
 )
+from inflight.mission_fit.superposed_epochs import in_order_of_time
 from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
 
 
@@ -285,8 +286,7 @@ class TorquerFit:
 
 def concat_band_equations(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return the stored equations of several days together, in order of time."""
-    joined = xr.concat(list(parts), "segment", data_vars="minimal", join="exact", combine_attrs="override")
-    return joined.isel(segment=np.argsort(joined["start"].values, kind="stable"))
+    return in_order_of_time(parts, "segment", "start")
 
 
 def fit_band(equations: xr.Dataset, *, by: str = "segment") -> TorquerFit:

@@ -111,7 +111,7 @@ def reprocess(
     progress : callable, optional
         Called with (stage, done, total).
     mapper : Mapper, optional
-        Runs the batches instead of `client`.
+        Runs the batches, on `client` if on any; the plain one when absent.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def reprocess(
     planned = pipeline.make_plan(cat, mission, settings, (start, end))
     unchanged = report_if_unchanged(pipeline, cat, planned)
     mapper = mapper or batch_mapper(client, progress)
-    return unchanged or run_plan(pipeline, cat, mission, planned, mapper, progress or silent)
+    return unchanged or run_plan(pipeline, cat, mission, planned, mapper, progress or silent, client)
 
 
 def reprocess_if_unchanged(

@@ -22,6 +22,7 @@ from inflight.mission_fit import (
     nine_parameter_cross_talk,
     with_auxiliary_columns,
 )
+from inflight.tasks.pipelines.mission_fit.day import StoredDays
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.parameter_sections import day_night
 from inflight.time import DAY
@@ -67,7 +68,7 @@ def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
         "day-night-daily": made.daily(),
     }
     mission = SimpleNamespace(periods={"local_time": round(260.5 * DAY)})
-    part = day_night(MissionFitResults(mission, "main", None, None, "", [], [], tables))
+    part = day_night(MissionFitResults(mission, "main", None, None, "", StoredDays(None, []), tables))
     assert list(part.absent) == ["Series along the orbit"]
     ignored, known = part.fields["wander"][XZ]["periods"]["local_time, 260.5 d"]
     assert ignored[0] > 2.0

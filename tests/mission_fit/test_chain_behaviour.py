@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from inflight.figures import html_page
+from inflight.tasks.pipelines.mission_fit.day import StoredDays
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults
 from inflight.tasks.pipelines.mission_fit.parameter_sections import behaviour, clock, temperature
 from inflight.time import DAY, day_bounds
@@ -48,7 +49,7 @@ def found():
         periods={"orbit": 5580 * 10**9, "local_time": round(260.5 * DAY)}, events=[event]
     )
     tables = {"daily-after": daily, "daily-temperature": means}
-    return MissionFitResults(mission, "main", None, None, "", [], [], tables)
+    return MissionFitResults(mission, "main", None, None, "", StoredDays(None, []), tables)
 
 
 def test_periods_means_and_steps_are_told(found):

@@ -14,7 +14,7 @@ from inflight.model import Model
 from inflight.simulate import Parameters, SimulationSettings, mean_current, simulate_day
 from inflight.simulate.stray import coefficients
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.mission_fit.day import unpack_part
+from inflight.tasks.pipelines.mission_fit.day import StoredDays, unpack_part
 from inflight.time import SECOND, day_bounds
 
 DAYS = 24
@@ -31,8 +31,10 @@ def chain(tmp_path_factory) -> tuple[Catalog, dict]:
     model = folder / "models" / "champ-chain.yaml"
     told = model.read_text(encoding="utf-8")
     model.write_text(told.replace("value: 0.11, sigma: 0.02", "value: 0.0, sigma: 0.02"), encoding="utf-8")
-    report = reprocess(cat, Workspace.open(folder).mission(), settings=CONTINUOUS)
-    return cat, report.as_json()
+    told: list[tuple[str, int, int]] = []
+    mission = Workspace.open(folder).mission()
+    report = reprocess(cat, mission, settings=CONTINUOUS, progress=lambda *step: told.append(step))
+    return cat, report.as_json() | {"progress": told}
 
 
 def newest(cat: Catalog, kind: str) -> xr.Dataset:
@@ -215,6 +217,32 @@ def test_the_same_call_has_nothing_to_do(chain):
     assert again["days"]["unchanged"] == DAYS
     assert again["days"]["done"] == 0
     assert len(cat.tables("main-continuous")) == 1
+
+
+def test_the_fit_of_all_days_tells_how_far_it_is(chain):
+    cat, report = chain
+    stages = list(dict.fromkeys(stage for stage, _, _ in report["progress"]))
+    assert stages == ["calibrate", "tables", "statistics", "fit", "produce"]
+    read = [(done, total) for stage, done, total in report["progress"] if stage == "statistics"]
+    assert read[: DAYS + 1] == [(done, DAYS) for done in range(DAYS + 1)]
+    fitted = [(done, total) for stage, done, total in report["progress"] if stage == "fit"]
+    count = len(fitted) - 1
+    assert fitted == [(done, count) for done in range(count + 1)]
+    # Three tables are the fit's own, and three come of what the products tell.
+    assert count >= len(cat.tables()) - 6
+
+
+def test_days_are_read_part_by_part_as_they_are_whole(chain):
+    cat, _ = chain
+    days = cat.days("equations/main/chain", states=("published",))
+    stored, whole = StoredDays(cat, days), [cat.read(day) for day in days]
+    for name in ("spectrum", "band", "epoch"):
+        for part, expected in zip(stored.rows_of(name), unpack_part(whole, name), strict=True):
+            xr.testing.assert_identical(part, expected)
+        assert stored.rows_of(name) is stored.rows_of(name)
+    some = stored.of([3, 5]).read("start", "gram", "of no day")
+    assert [sorted(day.data_vars) for day in some] == [["gram", "start"]] * 2
+    np.testing.assert_array_equal(some[1]["gram"].values, whole[5]["gram"].values)
 
 
 def test_a_day_of_the_chain_keeps_its_currents_in_amperes(chain):

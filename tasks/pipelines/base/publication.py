@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class Reprocessing:
     ----------
     progress : callable
         Called with (stage, done, total); the mapper tells of batches itself.
+    client : distributed.Client, optional
+        The one that batches run on.
     failed : dict of datetime64[D] to dict
         Problems as `RunReport` lists them.
     """
@@ -49,6 +51,7 @@ class Reprocessing:
     run: Run
     mapper: Mapper
     progress: Progress = silent
+    client: Any = None
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
 
     def jobs(

@@ -52,8 +52,11 @@ def run_plan(
     plan: Plan,
     mapper: Mapper,
     progress: Progress = silent,
+    client: Any = None,
 ) -> RunReport:
     """Carry out a plan, publish it as one run, and return its report.
+
+    The mapper's batches run on the client, where there is one.
 
     Raises
     ------
@@ -62,7 +65,9 @@ def run_plan(
     """
     planned = {"days_planned": len(pipeline.days_to_do(cat, plan)[0])}
     with cat.run("reprocess", {**plan.recorded, **planned}, context=plan.context) as run:
-        work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper, progress=progress)
+        work = Reprocessing(
+            cat=cat, mission=mission, plan=plan, run=run, mapper=mapper, progress=progress, client=client
+        )
         run.record_no_work(plan.product, plan.no_work)
         is_fitted = plan.settings.use_table is None and plan.settings.context is None
         if plan.settings.context is not None:

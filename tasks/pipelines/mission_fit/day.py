@@ -24,7 +24,7 @@ of one size: a part with more rows on one day than on another is padded; ``<part
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
+from inflight.catalog import Catalog, Day
 from inflight.errors import SamplesError
 from inflight.frames import add_geometry, direction_of, geometry_at
 from inflight.lsq import RESIDUAL, to_amperes
@@ -50,8 +51,10 @@ from inflight.mission_fit import (
     with_nine_parameters,
 )
 from inflight.model import ResidualRows, rows_of
+from inflight.progress import Progress, silent, tell_each
 from inflight.residual import find_steps
 from inflight.tasks.archive import channels_by_name, own_readings, position_channel
+from inflight.tasks.batches import give_back_memory
 from inflight.tasks.pipelines.base import Batch
 from inflight.tasks.pipelines.scalar import fit_day
 from inflight.time import Int64, day_bounds, usual_step
@@ -64,6 +67,9 @@ PART_ROWS = {
     "channel": ("channel", 0),
     "beside": ("beside", 0),
 }
+
+#: What `equations_of_days` takes of each day.
+EQUATION_VARIABLES = ("gram", "drift", "reference", "start", "end", "count", "scale", "column", "other")
 
 #: Array of a part by the kind of its numbers.
 _ARRAYS = {"f": "number", "i": "stamp"}
@@ -159,6 +165,45 @@ def unify_variables(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     return [day.assign({key: one for key, one in blank.items() if key not in day.variables}) for day in days]
 
 
+class StoredDays:
+    """Statistics of days in the catalog, read part by part: a mission's take half a gigabyte together.
+
+    Parameters
+    ----------
+    cat : Catalog
+    days : sequence of Day
+        In order of time.
+    """
+
+    def __init__(self, cat: Catalog, days: Sequence[Day]) -> None:
+        self.cat, self.days = cat, list(days)
+        self._last: tuple[str, list[xr.Dataset]] = ("", [])
+
+    def of(self, places: Iterable[int]) -> StoredDays:
+        """Return some of the days."""
+        return StoredDays(self.cat, [self.days[place] for place in places])
+
+    def read(self, *names: str, progress: Progress = silent) -> list[xr.Dataset]:
+        """Return each day with those of the named variables that it has; tells "statistics"."""
+        out = []
+        for day in tell_each(progress, "statistics", self.days):
+            there = self.cat.variables_of(day)
+            out.append(self.cat.read(day, [name for name in names if name in there]))
+        return out
+
+    def read_part(self, name: str, *others: str) -> list[xr.Dataset]:
+        """Return each day with the arrays of a part, as `unpack_part` takes them, and other variables."""
+        return self.read(f"{name}.kept", *(f"{name}.{array}" for array in _ARRAYS.values()), *others)
+
+    def rows_of(self, name: str) -> list[xr.Dataset]:
+        """Return the rows of a part, as `unpack_part`; kept until those of another part are asked for."""
+        if self._last[0] != name:
+            self._last = ("", [])
+            give_back_memory()
+            self._last = (name, unpack_part(self.read_part(name), name))
+        return self._last[1]
+
+
 def auxiliary_columns_of(days: Sequence[xr.Dataset]) -> list[xr.Dataset | None]:
     """Return the auxiliary columns of each day's equations; None on days without."""
     return [next(iter(unpack_part([day], "beside")), None) for day in days]
@@ -177,7 +222,7 @@ def means_of_channels(days: Sequence[xr.Dataset]) -> dict[str, Floats]:
 
 def equations_of_days(days: Sequence[xr.Dataset]) -> tuple[NormalEquations, DayDrift]:
     """Return the wide equations of days, which stand in order of time, and what drifts within them."""
-    names = ("gram", "drift", "reference", "start", "end", "count")
+    names = [name for name in EQUATION_VARIABLES if "block" in days[0][name].dims]
     joined = {name: np.concatenate([day[name].values for day in days]) for name in names}
     drift, first = DayDrift(joined.pop("drift")), days[0]
     dims = {"gram": ("block", "column", "other"), "reference": ("block", "column")}

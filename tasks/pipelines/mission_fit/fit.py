@@ -37,6 +37,8 @@ from inflight.mission_fit import (
     torquer_lines,
 )
 from inflight.model import Model
+from inflight.progress import Progress, silent, tell_each
+from inflight.tasks.batches import give_back_memory
 from inflight.tasks.models import model_label, preflight_model, version_of
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
@@ -49,7 +51,12 @@ from inflight.tasks.pipelines.base import (
     newest_tables,
     product_of,
 )
-from inflight.tasks.pipelines.mission_fit.day import equations_of_days, unpack_part
+from inflight.tasks.pipelines.mission_fit.day import (
+    EQUATION_VARIABLES,
+    StoredDays,
+    equations_of_days,
+    unpack_part,
+)
 from inflight.tasks.pipelines.mission_fit.tables import (
     AUXILIARY_TABLES,
     auxiliary_table_makers,
@@ -65,7 +72,7 @@ from inflight.tasks.pipelines.mission_fit.tables import (
     torquer_band,
     torquer_mean,
 )
-from inflight.time import DayLike, as_day, day_bounds, to_tt2000
+from inflight.time import DayLike, Int64, as_day, day_bounds, to_tt2000
 
 #: Attributes of tables: what all tables of one run share; and, of ``trend``, what could not be made and why.
 FIT_KEY, SKIPPED = "made_from", "left_out"
@@ -92,8 +99,8 @@ TABLES = (
 
 _REMEDY = "run 'inflight reprocess --table continuous' first"
 
-#: Variables of a day that reports need beside its parts.
-_OF_DAY = ("before", "after", "start", "end")
+#: Variables of a day's own fit of nine parameters.
+_OWN_FIT = ("fit", "fit_covariance", "after", "start", "end")
 
 
 @dataclass
@@ -128,7 +135,12 @@ class MissionTables:
 
 
 def fit_mission_tables(
-    cat: Catalog, mission: Mission, plan: Plan, days: Mapping[np.datetime64, Day], fit_key: str
+    cat: Catalog,
+    mission: Mission,
+    plan: Plan,
+    days: Mapping[np.datetime64, Day],
+    fit_key: str,
+    progress: Progress = silent,
 ) -> MissionTables:
     """Fit all days together and make every table their parts allow.
 
@@ -136,68 +148,86 @@ def fit_mission_tables(
     ----------
     fit_key : str
         What the tables of one fit have in common: readers must know which belong together.
+    progress : callable
+        Told of stages "statistics", days read, and "fit", tables made; the first of these is the fit itself.
 
     Raises
     ------
     CalibrationError
         When the days do not suffice for the fit itself; tables that fail only say so.
     """
-    read = [cat.read(days[day]) for day in sorted(days)]
+    stored = StoredDays(cat, [days[day] for day in sorted(days)])
+    out, places = _fit_all_days(stored, plan, progress)
+    give_back_memory()
+    model, found = plan.model, out.found
+    fitted_days = stored.of(places)
+
+    @cache
+    def channels() -> list[xr.Dataset]:
+        return stored.read_part("channel", "start", "end")
+
+    def epochs() -> xr.Dataset:
+        return concat_epochs(stored.rows_of("epoch"))
+
+    # Neighbours take the same part of the days: one part at a time is in memory.
+    makers: dict[str, Callable[[], xr.Dataset]] = {
+        "torquer-lines": lambda: torquer_lines(
+            [one for day in stored.read_part("spectrum") for one in unpack_part([day], "spectrum")]
+        ),
+        "torquer-band": lambda: fit_band(torquer_band(stored), by="day").table(),
+        "torquer-band-daily": lambda: daily_fits(torquer_band(stored)),
+        "torquer-band-mean": lambda: robust_mean(out.required("torquer-band-daily")),
+        "current-steps": lambda: fit_step(epochs()).table(),
+        "panels": lambda: select_panel_model(epochs(), node_times(epochs())).table(),
+        "torquer-mean": lambda: torquer_mean(channels(), plan.settings.mean_days),
+        "daily-after": lambda: daily_after(found.equations, found),
+        "daily-temperature": lambda: daily_temperatures(mission, model, channels()),
+        "clock-faults": lambda: faults_table(out.required("daily-after")),
+        "periods": lambda: periods_of(out.required("daily-after"), stated_periods(mission)),
+    }
+    makers |= auxiliary_table_makers(mission, model, found.equations, fitted_days, found)
+    for name in tell_each(progress, "fit", list(makers)):
+        try:
+            out.tables[name] = makers[name]()
+        except InflightError as error:
+            out.skipped[name] = error.message
+        give_back_memory()
+    # Tables of older runs stay certified where this one has none.
+    for table in out.tables.values():
+        table.attrs[FIT_KEY] = fit_key
+    out.tables["trend"].attrs[SKIPPED] = json.dumps(out.skipped)
+    return out
+
+
+def _fit_all_days(stored: StoredDays, plan: Plan, progress: Progress) -> tuple[MissionTables, Int64]:
+    """Return the fit with the tables of its own, and the places of the days that it was made of."""
     settings, model = plan.settings, plan.model
     origin = None if settings.origin is None else int(to_tt2000(np.datetime64(settings.origin, "ns")))
+    read = stored.read(*EQUATION_VARIABLES, *_OWN_FIT, progress=progress)
     equations, drift = equations_of_days(read)
-    is_fitted = equations.dataset["count"].values > 0
+    read = [day[list(_OWN_FIT)] for day in read]
+    give_back_memory()
+    is_fitted = equations.count > 0
     places = np.flatnonzero(is_fitted)
     found = fit_mission(equations.filled, model, settings.trend, origin, drift.of_blocks(places))
     noise = np.array([float(day["after"].values[0]) for day in read])
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(is_fitted, noise, np.median(noise[places]))
     equations = drift.remove_drift(equations, scale_factor_rates(found.fit, equations))
-    fitted_days = [read[place] for place in places]
-    out = MissionTables(found)
-    own = own_fits(fitted_days, found, model)
+    own = own_fits([read[place] for place in places], found, model)
     table = continuous_table(equations, found, model, noise)
     table = table.assign_attrs({MODEL: model.sha, FITTED: named_fit(model, found).sha})
     # All fitted days taught every row: between them the trend interpolates.
     first, last = table["start"].values[places[0]], table["end"].values[places[-1]]
     start, end = (np.full(len(read), at) for at in (first, last))
+    out = MissionTables(found)
     # How much parameters change is told by the days' own: a trend has none of what it does not follow.
     out.tables["continuous"] = with_changes(with_learnt_spans(table, start, end), [own])
     out.tables["own-fit"] = own
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
-
-    @cache
-    def epochs() -> xr.Dataset:
-        return concat_epochs(unpack_part(read, "epoch"))
-
-    makers: dict[str, Callable[[], xr.Dataset]] = {
-        "torquer-lines": lambda: torquer_lines(
-            [one for day in read for one in unpack_part([day], "spectrum")]
-        ),
-        "torquer-band": lambda: fit_band(torquer_band(read), by="day").table(),
-        "torquer-band-daily": lambda: daily_fits(torquer_band(read)),
-        "torquer-band-mean": lambda: robust_mean(out.required("torquer-band-daily")),
-        "current-steps": lambda: fit_step(epochs()).table(),
-        "panels": lambda: select_panel_model(epochs(), node_times(epochs())).table(),
-        "torquer-mean": lambda: torquer_mean(read, settings.mean_days),
-        "daily-after": lambda: daily_after(found.equations, found),
-        "daily-temperature": lambda: daily_temperatures(mission, model, read),
-        "clock-faults": lambda: faults_table(out.required("daily-after")),
-        "periods": lambda: periods_of(out.required("daily-after"), stated_periods(mission)),
-    }
-    makers |= auxiliary_table_makers(mission, model, found.equations, fitted_days, found)
-    for name, make in makers.items():
-        try:
-            out.tables[name] = make()
-        except InflightError as error:
-            out.skipped[name] = error.message
-    # Tables of older runs stay certified where this one has none.
-    for table in out.tables.values():
-        table.attrs[FIT_KEY] = fit_key
-    out.tables["trend"].attrs[SKIPPED] = json.dumps(out.skipped)
-    return out
+    return out, places
 
 
 def trend_of_products(
@@ -296,10 +326,8 @@ class MissionFitResults:
         With the values of the fit.
     version : str
         Name and version of the fitted model.
-    days : list of Day
-        Published, in order.
-    read : list of Dataset
-        Theirs: parts, `before` and `after`.
+    stored : StoredDays
+        The published days, in order.
     tables : dict of str to Dataset
         Those of `TABLES`; ``z-offset`` and its law, of the products; ``window``, of another reprocessing.
     skipped : dict of str to str
@@ -313,8 +341,7 @@ class MissionFitResults:
     model: Model
     fitted: Model
     version: str
-    days: list[Day]
-    read: list[xr.Dataset]
+    stored: StoredDays
     tables: dict[str, xr.Dataset]
     skipped: dict[str, str] = field(default_factory=dict)
     reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
@@ -335,10 +362,15 @@ class MissionFitResults:
         """Return why a table is absent."""
         return self.skipped.get(name) or f"table {self.comparison}-{name} is not there; {_REMEDY}"
 
+    @property
+    def days(self) -> list[Day]:
+        """The records of the days."""
+        return self.stored.days
+
     @cached_property
     def epochs(self) -> xr.Dataset | None:
         """Epochs of all days at which the first current steps; None without any."""
-        parts = unpack_part(self.read, "epoch")
+        parts = self.stored.rows_of("epoch")
         return concat_epochs(parts) if parts else None
 
     @property
@@ -392,18 +424,13 @@ def read_mission_fit(cat: Catalog, mission: Mission, comparison: str = "main") -
         except InflightError as error:
             skipped["z-offset"] = error.message
     model, fitted, version = _models_of_fit(cat, mission, comparison, days[0])
-    read = []
-    for day in days:
-        whole = cat.read(day)
-        read.append(whole[[name for name in whole.data_vars if "." in str(name) or name in _OF_DAY]])
     return MissionFitResults(
         mission=mission,
         comparison=comparison,
         model=model,
         fitted=fitted,
         version=version,
-        days=days,
-        read=read,
+        stored=StoredDays(cat, days),
         tables=tables,
         skipped=skipped,
         reports=reports,

@@ -17,6 +17,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
 from inflight.progress import Progress
+from inflight.tasks.batches import end_processes
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
     Batch,
@@ -38,6 +39,10 @@ if TYPE_CHECKING:
 
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
+
+
+#: Statistics of more days than these leave the processes that made them no room.
+_MANY_DAYS = 1000
 
 
 class MissionPipeline(Pipeline):
@@ -82,7 +87,11 @@ class MissionPipeline(Pipeline):
         from inflight.tasks.pipelines.mission_fit.fit import fit_mission_tables, save_fitted
 
         plan, stager = work.plan, self.table_stager(work, days)
-        result = fit_mission_tables(work.cat, work.mission, plan, days, self.table_key(plan, "", days)[:16])
+        fit_key = self.table_key(plan, "", days)[:16]
+        if len(days) > _MANY_DAYS:
+            # Their fit needs the memory; starting processes again costs some seconds.
+            end_processes(work.client)
+        result = fit_mission_tables(work.cat, work.mission, plan, days, fit_key, work.progress)
         for name in result.tables:
             stager.table(name, partial(result.required, name))
         model = save_fitted(work.cat, plan.model, work.run, result.found)

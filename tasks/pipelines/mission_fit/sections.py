@@ -106,8 +106,8 @@ def residual(found: MissionFitResults) -> Part:
     """How far the residual falls, day by day."""
     part = Part("residual", "Residual")
     table = found.tables["continuous"]
-    before = np.array([float(day["before"].values[0]) for day in found.read])
-    own = np.array([float(day["after"].values[0]) for day in found.read])
+    days = found.stored.read("before", "after")
+    before, own = (np.array([float(day[name].values[0]) for day in days]) for name in ("before", "after"))
     after = np.array([float(found.reports.get(day.day, {}).get("after_nT", np.nan)) for day in found.days])
     weight = np.maximum(table["count"].values, 0.0)
 
@@ -486,7 +486,7 @@ def torquers(found: MissionFitResults) -> Part:
         )
         part.plots.append(torquer_lines_figure(lines))
     with part.optional("Matrix from the band at 20 s"):
-        _add_torquer_matrix(part, found.table("torquer-band"), torquer_band(found.read))
+        _add_torquer_matrix(part, found.table("torquer-band"), torquer_band(found.stored))
     with part.optional("Matrix of each day"):
         daily = found.table("torquer-band-daily")
         part.plots += coefficient_figures(daily, found.table("torquer-band-mean"))

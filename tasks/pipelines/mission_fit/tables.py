@@ -53,9 +53,9 @@ from inflight.model import Model
 from inflight.tasks.archive import channels_by_name
 from inflight.tasks.pipelines.mission_fit.day import (
     AuxiliaryChannels,
+    StoredDays,
     auxiliary_columns_of,
     means_of_channels,
-    unpack_part,
 )
 from inflight.time import DAY, SECOND, day_of, mjd2000
 
@@ -107,7 +107,7 @@ def own_fits(read: Sequence[xr.Dataset], found: MissionFit, model: Model) -> xr.
     Parameters
     ----------
     read : sequence of Dataset
-        Statistics of days that were fitted.
+        Of days that were fitted: `fit`, `fit_covariance`, `after`, `start`, `end`.
     found : MissionFit
     model : Model
         The one that the days' own fits held the rest at.
@@ -147,7 +147,7 @@ def own_fits(read: Sequence[xr.Dataset], found: MissionFit, model: Model) -> xr.
     return with_learnt_spans(table, joined["start"], joined["end"])
 
 
-def torquer_band(read: Sequence[xr.Dataset]) -> xr.Dataset:
+def torquer_band(days: StoredDays) -> xr.Dataset:
     """Return the equations of the torquers' band of all days, as `inflight.mission_fit.band_equations`.
 
     Raises
@@ -155,7 +155,7 @@ def torquer_band(read: Sequence[xr.Dataset]) -> xr.Dataset:
     SamplesError
         When no day has any.
     """
-    parts = unpack_part(read, "band")
+    parts = days.rows_of("band")
     if not parts:
         raise SamplesError(
             "no day has a stretch of torquer currents at a cadence that holds their band",
@@ -170,7 +170,7 @@ def torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
     Parameters
     ----------
     read : sequence of Dataset
-        Statistics of days.
+        Days with the part ``channel``, `start` and `end`.
     window : float
         Days.
 
@@ -198,7 +198,7 @@ def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset
     Parameters
     ----------
     read : sequence of Dataset
-        Statistics of days.
+        Days with the part ``channel``, `start` and `end`.
 
     Returns
     -------
@@ -299,7 +299,7 @@ def spread_statistics(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.
 
 
 def auxiliary_table_makers(
-    mission: Mission, model: Model, equations: NormalEquations, read: Sequence[xr.Dataset], found: MissionFit
+    mission: Mission, model: Model, equations: NormalEquations, days: StoredDays, found: MissionFit
 ) -> dict[str, Callable[[], xr.Dataset]]:
     """Return what makes each of `AUXILIARY_TABLES`.
 
@@ -309,11 +309,11 @@ def auxiliary_table_makers(
         The one the days' statistics were made with.
     equations : NormalEquations
         The days'; those that could be fitted.
-    read : sequence of Dataset
-        The same days, with their parts.
+    days : StoredDays
+        The same days.
     found : MissionFit
     """
-    columns, units = auxiliary_columns_of(read), found.fit.units
+    units, columns = found.fit.units, cache(lambda: auxiliary_columns_of(days.read_part("beside")))
 
     def coil_lag() -> xr.Dataset:
         """Return the coil's lag, fitted about the one that its temperature was aligned with, s."""
@@ -321,7 +321,7 @@ def auxiliary_table_makers(
         if entry is not None:
             instrument, channel = channels_by_name(mission)[entry.effect.channels[0]]
             aligned = mission.instruments[instrument].channels[channel].lag / SECOND
-        return fit_coil_lag(equations, columns, found, model, aligned).table()
+        return fit_coil_lag(equations, columns(), found, model, aligned).table()
 
     def temperature_rivals() -> xr.Dataset:
         channels = AuxiliaryChannels.of(mission, model.comparison).temperatures
@@ -329,14 +329,14 @@ def auxiliary_table_makers(
             raise CalibrationError(
                 "the vector sensor has no temperature", remedy="state a channel of kind 'temperature'"
             )
-        return compare_temperatures_jointly(equations, columns, found, model, channels).table()
+        return compare_temperatures_jointly(equations, columns(), found, model, channels).table()
 
     def day_night_series() -> xr.Dataset:
-        return fit_day_night_jointly(equations, columns, found, model, SERIES).field.table()
+        return fit_day_night_jointly(equations, columns(), found, model, SERIES).field.table()
 
     @cache
     def switched() -> JointDayNight:
-        return fit_day_night_jointly(equations, columns, found, model, SWITCHED)
+        return fit_day_night_jointly(equations, columns(), found, model, SWITCHED)
 
     def day_night() -> xr.Dataset:
         return switched().field.table()
@@ -345,7 +345,7 @@ def auxiliary_table_makers(
         return switched().daily()
 
     def nine_cross_talk() -> xr.Dataset:
-        return nine_parameter_cross_talk(_with_day_night(equations, columns), units, model).table()
+        return nine_parameter_cross_talk(_with_day_night(equations, columns()), units, model).table()
 
     return {
         "coil-temperature": coil_lag,
