@@ -72,6 +72,9 @@ def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int, vector
         yield _new_day(folder, days)
     yield from _loop(folder, days)
     yield command(f"{days} days: compare", ["compare"], folder)
+    # Statistics of another kind and other products: nothing of the first reprocess serves it.
+    row = command(f"{days} days: reprocess, all days at once", ["reprocess", "--table", "continuous"], folder)
+    yield replace(row, aim=_AIMS.get((days, "reprocess"), ""))
     shutil.rmtree(folder)
 
 

@@ -33,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
 from inflight.arrays import Floats
 from inflight.effects import AXES
@@ -444,11 +445,8 @@ def band_spectra(
     count = round(length / cadence)
     total, segments = np.zeros((2, count // 2 + 1)), 0
     for part in _stretches(stamps, np.isfinite(both).all(axis=0), cadence, np.inf, length):
-        frequency, power = scipy.signal.welch(
-            both[:, part], 1.0 / cadence, "hann", count, count // 2, detrend=_without_line, axis=1
-        )
-        pieces = (part.stop - part.start - count // 2) // (count - count // 2)
-        total, segments = total + pieces * power, segments + pieces
+        frequency, power = _segment_spectra(both[:, part], cadence, count)
+        total, segments = total + power.sum(axis=1), segments + power.shape[1]
     if not segments:
         raise SamplesError(f"no stretch of {length:g} s without a gap", remedy="lower 'length'")
     units = {"units": "nT2/Hz"}
@@ -457,6 +455,19 @@ def band_spectra(
         coords={"frequency": ("frequency", frequency, {"units": "Hz"})},
         attrs={"segments": segments, "cadence_s": cadence},
     )
+
+
+def _segment_spectra(values: Floats, cadence: float, count: int) -> tuple[Floats, Floats]:
+    """Return frequencies (Hz) and spectra of segments of so many samples, half of each the next one's too.
+
+    Values are (series, time), spectra (series, segment, frequency). All at once: `scipy.signal.welch` takes
+    segments of one series one after the other, and averages them.
+    """
+    segments = sliding_window_view(values, count, axis=1)[:, :: count - count // 2]
+    frequency, power = scipy.signal.welch(
+        segments, 1.0 / cadence, "hann", count, 0, detrend=_without_line, axis=-1
+    )
+    return frequency, power
 
 
 def _without_line(values: Floats) -> Floats:
@@ -502,12 +513,8 @@ def instrument_spectra(stamps: Int64, vector: Floats, scalar: Floats) -> xr.Data
     both, count = np.stack([vector, scalar]), round(settings.length / cadence)
     total, segments = np.zeros((2, count // 2 + 1)), 0
     for part in _stretches(stamps, np.isfinite(both.sum(axis=0)), cadence, np.inf, settings.length + cadence):
-        change = np.diff(both[:, part], axis=1)
-        frequency, power = scipy.signal.welch(
-            change, 1.0 / cadence, "hann", count, count // 2, detrend=_without_line, axis=1
-        )
-        pieces = (change.shape[1] - count // 2) // (count - count // 2)
-        total, segments = total + pieces * power, segments + pieces
+        frequency, power = _segment_spectra(np.diff(both[:, part], axis=1), cadence, count)
+        total, segments = total + power.sum(axis=1), segments + power.shape[1]
     if not segments:
         raise SamplesError(f"no stretch of {settings.length:g} s without a gap", remedy="take another span")
     kept = (frequency >= settings.flanks[0][0]) & (frequency <= settings.flanks[1][1])
