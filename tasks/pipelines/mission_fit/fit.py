@@ -149,7 +149,7 @@ def fit_mission_tables(
     fit_key : str
         What the tables of one fit have in common: readers must know which belong together.
     progress : callable
-        Told of stages "statistics", days read, and "fit", tables made; the first of these is the fit itself.
+        Told of stages "statistics", days read, and "fit", tables made after the fit itself.
 
     Raises
     ------
