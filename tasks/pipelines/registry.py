@@ -9,7 +9,7 @@ from inflight.catalog import Catalog
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.progress import Progress, silent
-from inflight.tasks.batches import Mapper, batch_mapper
+from inflight.tasks.batches import Mapper, batch_mapper, one_thread
 from inflight.tasks.pipelines.base import (
     Pipeline,
     ReprocessSettings,
@@ -178,7 +178,8 @@ def tables_report(
     CatalogError
         When no table is published.
     """
-    return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, cause)
+    with one_thread():
+        return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, cause)
 
 
 def learns_states(mission: Mission, comparison: str) -> bool:

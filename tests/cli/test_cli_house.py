@@ -1,5 +1,6 @@
 """Manners of the command line: help, version, errors, exit codes."""
 
+import os
 import subprocess
 import sys
 
@@ -45,6 +46,22 @@ def test_help_answers_at_once_because_nothing_heavy_is_imported():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("stated", ["", "3"])
+def test_products_of_matrices_take_one_thread_unless_the_user_says_otherwise(stated):
+    code = (
+        "import os\nfrom inflight.cli import main\n"
+        "try:\n    main(['--version'])\nexcept SystemExit:\n    pass\n"
+        "print(*(os.environ[name] for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')))"
+    )
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    environment |= {"OPENBLAS_NUM_THREADS": stated} if stated else {}
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert told.stdout.split()[-2:] == [stated or "1", "1"]
 
 
 def test_a_folder_that_is_no_workspace_is_wrong_usage_with_a_remedy(inflight, tmp_path):

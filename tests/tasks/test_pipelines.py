@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boom_mission import make_boom_workspace
+from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_mission import (
     TINY_GAIN,
     TINY_OFFSET,
@@ -225,3 +226,25 @@ def test_a_comparison_in_which_nothing_is_calibrated_has_no_pipeline():
         if find_pipeline(mission, comparison) is None:
             with pytest.raises(MissionError, match="is no scalar, spin, dual, field_model or zero_level"):
                 pipeline_of(mission, comparison)
+
+
+def test_tables_are_made_on_one_thread_wherever_they_are_made(ingested, tmp_path, monkeypatch):
+    root = shutil.copytree(ingested.root, tmp_path / "w")
+    seen = []
+
+    def blas_threads() -> set[int]:
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    def watched(step):
+        def watch(*arguments):
+            seen.append(blas_threads())
+            return step(*arguments)
+
+        return watch
+
+    for name in ("solve", "finish"):
+        monkeypatch.setattr(ScalarPipeline, name, watched(getattr(ScalarPipeline, name)))
+    with threadpool_limits(2):
+        assert blas_threads() == {2}
+        reprocess(Catalog(root), Workspace.open(root).mission())
+    assert seen == [{1}, {1}]

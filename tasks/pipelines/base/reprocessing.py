@@ -22,7 +22,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.progress import Progress, silent
 from inflight.tasks.archive import spin_problems, substitution_problems
-from inflight.tasks.batches import Mapper
+from inflight.tasks.batches import Mapper, one_thread
 from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.origins import context_label, origin_attributes, table_label
@@ -79,7 +79,8 @@ def run_plan(
             if pipeline.statistics and not statistics.days:
                 return _report(pipeline, work, None, _Products())
             progress("tables", 0, 1)
-            solved = pipeline.solve(work, statistics.days)
+            with one_thread():
+                solved = pipeline.solve(work, statistics.days)
             tables = max(len(solved.kept), 1)
             progress("tables", tables, tables)
         made = (
@@ -88,7 +89,8 @@ def run_plan(
             else _Products(statistics.fresh, plan.unchanged)
         )
         if is_fitted:
-            pipeline.finish(work, statistics.days, solved, made.reports)
+            with one_thread():
+                pipeline.finish(work, statistics.days, solved, made.reports)
         run.publish(certify=solved.certify, supersede=True)
         report = _report(pipeline, work, solved, made)
         if not work.failed:
@@ -184,7 +186,8 @@ def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
     fresh = _make_pass(pipeline, work, plan.batches, plan.reference)
     last: Sequence[float] | None = plan.reference
     for _ in range(_MOST_PASSES):
-        last = pipeline.linearise_at(work.cat, plan, others | current | fresh, last) if fresh else None
+        with one_thread():
+            last = pipeline.linearise_at(work.cat, plan, others | current | fresh, last) if fresh else None
         if last is None:
             break
         batches = plan.in_batches([day for day in plan.days if day not in work.failed])
