@@ -31,14 +31,13 @@ def _show_each(name: str, measured: Iterable[Row]) -> None:
 
 
 def _show_coverage(kept: Path | None, seeds: int, searched: int | None, only: str) -> None:
-    from threadpoolctl import threadpool_limits
-
     from benchmarks.archive import simulated_workspace
     from benchmarks.coverage import Coverage, CoverageSettings, coverage, table
+    from inflight.threads import one_thread
 
     settings = CoverageSettings() if searched is None else CoverageSettings(searched=searched)
     counts: list[Coverage] = []
-    with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
+    with tempfile.TemporaryDirectory() as scratch, one_thread():
         cat = simulated_workspace((kept or Path(scratch)) / "archive-30", 30)
         for one in coverage(cat, seeds, settings, only=only):
             counts.append(one)
@@ -47,32 +46,29 @@ def _show_coverage(kept: Path | None, seeds: int, searched: int | None, only: st
 
 
 def _show_spin_coverage(seeds: int) -> None:
-    from threadpoolctl import threadpool_limits
-
     from benchmarks.spin_coverage import bending_coverage, perigee_coverage, spin_coverage, table
+    from inflight.threads import one_thread
 
-    with threadpool_limits(1):
+    with one_thread():
         print("\n".join(table(spin_coverage(seeds) + bending_coverage(seeds))), flush=True)
         print("\n".join(table(perigee_coverage(seeds, 3) + perigee_coverage(seeds, 6))), flush=True)
 
 
 def _show_table_coverage(seeds: int, only: str) -> None:
-    from threadpoolctl import threadpool_limits
-
     from benchmarks.table_coverage import table, table_coverage
+    from inflight.threads import one_thread
 
-    with threadpool_limits(1):
+    with one_thread():
         print("\n".join(table(list(table_coverage(seeds, only)))), flush=True)
 
 
 def _show_left_out(kept: Path | None, only: str) -> None:
-    from threadpoolctl import threadpool_limits
-
     from benchmarks.archive import simulated_workspace
     from benchmarks.left_out import Answer, left_out, table
+    from inflight.threads import one_thread
 
     answers: list[Answer] = []
-    with tempfile.TemporaryDirectory() as scratch, threadpool_limits(1):
+    with tempfile.TemporaryDirectory() as scratch, one_thread():
         for one in left_out(simulated_workspace((kept or Path(scratch)) / "archive-30", 30), only=only):
             answers.append(one)
             case = one.case
@@ -84,12 +80,11 @@ def _show_left_out(kept: Path | None, only: str) -> None:
 
 
 def _show_real_cadence(real: Path) -> None:
-    from threadpoolctl import threadpool_limits
-
     from benchmarks.real_cadence import Said, real_cadence, table
+    from inflight.threads import one_thread
 
     said: list[Said] = []
-    with threadpool_limits(1):
+    with one_thread():
         for one in real_cadence(real):
             said.append(one)
             print(

@@ -12,8 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from benchmarks.archive import simulated_workspace
 from benchmarks.measured import Row, command, timed
 from benchmarks.search import evidence_pass
@@ -21,6 +19,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.simulate import SimulationSettings
 from inflight.tasks import Workbench
 from inflight.tasks.archive import simulate
+from inflight.threads import one_thread
 
 #: What a mission of so many days has to stay below: (days, verb) -> s.
 _AIMS = {(3000, "reprocess"): "600 s, 2048 MiB", (3000, "diagnose, first time"): "900 s, 2048 MiB"}
@@ -81,7 +80,7 @@ def _rows(source: Path, scratch: Path, days: int, one_process_up_to: int, vector
 def _loop(folder: Path, days: int) -> Iterator[Row]:
     """Yield the rows of adding and dropping an effect, the statistics in memory."""
     workspace = Workspace.open(folder)
-    with threadpool_limits(1):
+    with one_thread():
         bench = Workbench(Catalog(folder), workspace.mission())
         added, dropped = [], []
         for _ in range(3):

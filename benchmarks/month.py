@@ -10,7 +10,6 @@ from pathlib import Path
 import cdflib
 import numpy as np
 import zarr
-from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Row, command, timed
 from benchmarks.nine import naive_day
@@ -19,6 +18,7 @@ from inflight.simulate import SimulationSettings
 from inflight.tasks.analysis import DiagnoseSettings
 from inflight.tasks.analysis import diagnosis as diagnosis_steps
 from inflight.tasks.archive import simulate
+from inflight.threads import one_thread
 
 
 def month(days: int = 30, repeats: int = 3) -> list[Row]:
@@ -41,7 +41,7 @@ def month(days: int = 30, repeats: int = 3) -> list[Row]:
             command("diagnose, first time", ["diagnose"], root),
             command("diagnose again", ["diagnose"], root, repeats),
         ]
-        with threadpool_limits(1):
+        with one_thread():
             more = _floors(Catalog(root), workspace, Path(scratch))
     aims = [
         "0.3 s",

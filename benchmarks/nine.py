@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import least_squares
-from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Row, timed
 from inflight.arrays import Floats
@@ -12,6 +11,7 @@ from inflight.calibration import ParameterPrior, fit_block, reference_of, remove
 from inflight.catalog import Catalog, Day, Workspace
 from inflight.tasks import current_model
 from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
+from inflight.threads import one_thread
 from inflight.time import day_bounds
 
 #: The fits begin so far from the solution: 20 ppm, 7 arcsec, 0.5 nT, as after some weeks of ageing.
@@ -48,7 +48,7 @@ def nine_parameters(cat: Catalog, days: int = 6) -> list[Row]:
     needs = needs_of(mission, model)
     index = ArchiveIndex.of(cat, needs)
     rows = []
-    with threadpool_limits(1):
+    with one_thread():
         for day in index.complete_days(needs)[:days]:
             samples = load_samples(cat, mission, model, day, needs, index)
             reading, additive, scalar = remove_other_effects(model, samples)

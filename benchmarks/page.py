@@ -13,12 +13,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from benchmarks.measured import Row, timed
 from inflight.catalog import Catalog, Workspace
 from inflight.tasks.analysis import diagnose_span
 from inflight.tasks.pipelines import reprocess
+from inflight.threads import one_thread
 from tests.long_mission import make_long_workspace
 from tests.web.chromium import Chromium, Served, find_chromium
 
@@ -71,7 +70,7 @@ def page(days: Sequence[int], keep: Path | None = None) -> Iterator[Row]:
 
 def _made(root: Path, count: int) -> Iterator[Row]:
     """Yield what it takes to make a diagnosed workspace."""
-    with threadpool_limits(1):
+    with one_thread():
         make_long_workspace(root, count)
         workspace = Workspace.open(root)
         seconds = timed(lambda: reprocess(Catalog(root), workspace.mission()))

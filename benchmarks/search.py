@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Row, timed
 from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import ModelColumns, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
 from inflight.lsq import GramArrays, GramBlocks
+from inflight.threads import one_thread
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -61,7 +61,7 @@ def ranking(candidates: int = CANDIDATES, draws: int = 2000) -> Row:
             family_wise_p(observed, drawn)
         return None
 
-    with threadpool_limits(1):
+    with one_thread():
         total = min(timed(lambda: made.grams.gram.sum(axis=0), 3))
         ranked()
         return Row(
@@ -106,7 +106,7 @@ def evidence_pass(cat: Catalog, days: int = 8) -> Row:
             reader.clear_cache()
             reader.day(day)
 
-    with threadpool_limits(1):
+    with one_thread():
         make()
         blas = 2 * min(timed(lambda: matrix.T @ matrix, 5))
         return Row(

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import zarr
 from scipy.linalg import block_diag
-from threadpoolctl import threadpool_limits
 from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import Delta
 
@@ -31,6 +30,7 @@ from inflight.spin import (
     measure_tones,
     spin_equations,
 )
+from inflight.threads import one_thread
 from inflight.time import SECOND, Int64
 
 _CADENCE, _PERIOD, _SAMPLES = 0.25, 3.0, 345_600
@@ -132,7 +132,7 @@ def taking_turns(rivals: Mapping[str, Callable[[], object]], rounds: int = 9) ->
 def spin_eight() -> list[str]:
     """Return the lines to print."""
     readings, phase, stamps = readings_of_a_day()
-    with threadpool_limits(1), tempfile.TemporaryDirectory() as scratch:
+    with one_thread(), tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "day"
         store(folder, readings, phase, stamps)
         day = read(folder)

@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any, Final
 
-from threadpoolctl import threadpool_limits
+from inflight.threads import ONE_THREAD_VARIABLES, one_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 #: Address of a Dask scheduler to use instead of starting processes here.
 SCHEDULER_VARIABLE = "INFLIGHT_DASK_SCHEDULER"
-
-_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
 #: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead; 32 MiB
@@ -107,7 +105,7 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
     settings = {
         "distributed.worker.multiprocessing-method": "forkserver",
         # The fork server's environment is that of its start.
-        "distributed.nanny.environ": {**os.environ, **_ONE_THREAD, _NICENESS: str(niceness)},
+        "distributed.nanny.environ": {**os.environ, **ONE_THREAD_VARIABLES, _NICENESS: str(niceness)},
         "distributed.worker.memory.spill": False,
         "distributed.worker.preload": [__name__],
         "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
@@ -116,7 +114,7 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
     address = os.environ.get(SCHEDULER_VARIABLE)
     if not address:
         # Numpy and the system read these before any task can set them.
-        _start_fork_server(_ONE_THREAD | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"})
+        _start_fork_server(ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"})
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:
         scheduler: Any = address or stack.enter_context(
             LocalCluster(  # type: ignore[no-untyped-call]
@@ -166,7 +164,7 @@ class _Done:
         self._error: Exception | None = None
         try:
             # As in a process of its own: results must not depend on the number of threads.
-            with threadpool_limits(1):
+            with one_thread():
                 self._result = work(*arguments)
         except Exception as error:
             self._error = error

@@ -12,10 +12,7 @@ import ctypes
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from typing import Any, TypeVar
-
-from threadpoolctl import threadpool_limits
 
 from inflight.errors import WorkerError
 from inflight.progress import Progress, silent, with_progress
@@ -74,19 +71,6 @@ def give_back_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:
         trim(0)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let products of matrices take one thread: small ones wait for each other, and results depend on it.
-
-    The last digits of a sum do: they are the same on every machine, and here as in a process of Dask.
-    """
-    # It has a BLAS of its own, which is found only once it is loaded.
-    import scipy.linalg  # noqa: F401
-
-    with threadpool_limits(1):
-        yield
 
 
 def expect_work(client: Any, pieces: int) -> None:

@@ -22,7 +22,7 @@ from inflight.errors import CalibrationError, CatalogError
 from inflight.figures import LazySection, Section, html_table
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.archive import load_samples
 from inflight.tasks.pipelines import (
     Batch,
@@ -146,7 +146,13 @@ class GainPipeline(Pipeline):
         return CompareResult(report, f"{mission.mission}: gain", parts)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Refuse: there is nothing of all days together."""
         raise CatalogError("a gain has no report of its own", remedy="'inflight compare' shows the residual")

@@ -14,15 +14,11 @@ import typer
 from inflight import __version__
 from inflight.cli import catalog, contexts, diagnose, figures, models, processing, results, start
 from inflight.cli.command import EXIT_USAGE, Command, DebugOption, JsonOption, WorkspaceOption, verb
+from inflight.threads import ONE_THREAD_VARIABLES
 
 #: New objects after which Python looks for dead cycles. Its own 700 cost a tenth of a command's time: imports
 #: and figures make objects by the hundred thousand, hardly any of which die.
 _OBJECTS_TO_COLLECT = 50_000
-
-#: How many threads a product of matrices takes: one, for they are small and work is spread over days. More of
-#: them wait for each other (the fit of 300 days took seven times the processor time with two), and the last
-#: digits of a result would depend on the machine. Who sets one has it so.
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 #: Verbs by what a person wants, in the order that ``--help`` shows them, each with examples.
 VERBS: dict[str, dict[Callable[..., None], tuple[str, ...]]] = {
@@ -122,9 +118,9 @@ def main(arguments: list[str] | None = None) -> None:
         What follows ``inflight``; the process's own when absent.
     """
     gc.set_threshold(_OBJECTS_TO_COLLECT)
-    # Numpy reads these once, when it is imported: none of the verbs imports it before.
-    for name in _THREADS:
-        os.environ.setdefault(name, "1")
+    # Numpy reads these once, when it is imported: no verb imports it before. Who sets one has it so.
+    for name, threads in ONE_THREAD_VARIABLES.items():
+        os.environ.setdefault(name, threads)
     # What there is at the end ends with the process: looking for cycles in it would take a second.
     atexit.register(gc.freeze)
     given = sys.argv[1:] if arguments is None else arguments

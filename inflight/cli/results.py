@@ -328,7 +328,7 @@ def chain(
     page = _page_path(html) if html else None
     with command.progress() as progress:
         progress("report", 0, 1)
-        report = tables_report(catalog, mission, comparison, page, cross_talk)
+        report = tables_report(catalog, mission, comparison, page, cross_talk, progress)
         progress("report", 1, 1)
     fields = report.as_json()
 

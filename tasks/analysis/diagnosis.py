@@ -14,7 +14,6 @@ from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog
 from inflight.design import BURST_SETTINGS
@@ -67,6 +66,7 @@ from inflight.tasks.archive import (
 from inflight.tasks.batches import end_processes, give_back_memory
 from inflight.tasks.models import VersionedModel, current_model
 from inflight.tasks.pipelines import learns_states, spacecraft_units_of, trend_of_products
+from inflight.threads import one_thread
 from inflight.time import DAY, SECOND, DayLike, day_bounds
 
 
@@ -392,7 +392,7 @@ def search_on_one_thread(
     search: Search, data: DiagnosisData, native: NativeEstimator, progress: Progress = silent
 ) -> tuple[Diagnosis, Search]:
     """Return what `run_search` does; its matrices are small, and threads would mostly wait for each other."""
-    with threadpool_limits(1):
+    with one_thread():
         return run_search(search, data, native, progress)
 
 

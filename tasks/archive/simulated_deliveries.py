@@ -23,12 +23,12 @@ import numpy as np
 import xarray as xr
 from cdflib import cdfwrite
 from cdflib.cdfwrite import CDF
-from threadpoolctl import threadpool_limits
 
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import FILL, MissionSettings, SimulatedDay, SimulationSettings, simulate_day
 from inflight.simulate.dual import simulate_dual_day
 from inflight.simulate.spinning import SPACECRAFT_PRESETS, SpinningSettings, simulate_spinning_day
+from inflight.threads import one_thread
 from inflight.time import TT2000_FILL, day_bounds
 
 #: zlib level of the deliveries; higher ones save 3 % and cost twice the time.
@@ -105,7 +105,7 @@ class Spacecraft:
 
     def write_day(self, settings: MissionSettings, folder: Path, day: np.datetime64) -> None:
         """Simulate and write one day, the truth last, thinned to a sample every 10 s."""
-        with threadpool_limits(limits=1), storage_errors(folder, day):
+        with one_thread(), storage_errors(folder, day):
             simulated = self.simulate(settings, day)
             for instrument, data in simulated.instruments.items():
                 with atomic_write(self.path(folder, instrument, day)) as partial:

@@ -9,7 +9,7 @@ from inflight.catalog import Catalog
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.progress import Progress, silent
-from inflight.tasks.batches import Mapper, batch_mapper, one_thread
+from inflight.tasks.batches import Mapper, batch_mapper
 from inflight.tasks.pipelines.base import (
     Pipeline,
     ReprocessSettings,
@@ -25,6 +25,7 @@ from inflight.tasks.pipelines.spin import SpinPipeline
 from inflight.tasks.pipelines.two_sensor import StatesPipeline
 from inflight.tasks.pipelines.zero_level import ZeroLevelPipeline
 from inflight.tasks.report import RunReport
+from inflight.threads import one_thread
 from inflight.time import DayLike
 
 if TYPE_CHECKING:
@@ -162,7 +163,12 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
 
 
 def tables_report(
-    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    output: Path | None = None,
+    cause: str = "",
+    progress: Progress = silent,
 ) -> Report:
     """Return the report of the tables of all days together, and write its page when a path is given.
 
@@ -170,6 +176,8 @@ def tables_report(
     ----------
     cause : str
         A parameter or cause whose cross-talk with all others is to be in the report.
+    progress : callable, optional
+        Called with (stage, done, total) while the report of a long mission is made.
 
     Raises
     ------
@@ -179,7 +187,8 @@ def tables_report(
         When no table is published.
     """
     with one_thread():
-        return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, cause)
+        pipeline = pipeline_of(mission, comparison, ALL_DAYS)
+        return pipeline.report(cat, mission, comparison, output, cause, progress)
 
 
 def learns_states(mission: Mission, comparison: str) -> bool:

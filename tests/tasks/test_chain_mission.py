@@ -29,12 +29,12 @@ def chain(tmp_path_factory) -> tuple[Catalog, dict]:
     cat = simulated_workspace(folder, DAYS, settings=SETTINGS, model="champ-chain.yaml", workers=1)
     # A sample every two seconds knows nothing of a response of half a second.
     model = folder / "models" / "champ-chain.yaml"
-    told = model.read_text(encoding="utf-8")
-    model.write_text(told.replace("value: 0.11, sigma: 0.02", "value: 0.0, sigma: 0.02"), encoding="utf-8")
-    told: list[tuple[str, int, int]] = []
+    given = model.read_text(encoding="utf-8")
+    model.write_text(given.replace("value: 0.11, sigma: 0.02", "value: 0.0, sigma: 0.02"), encoding="utf-8")
+    steps: list[tuple[str, int, int]] = []
     mission = Workspace.open(folder).mission()
-    report = reprocess(cat, mission, settings=CONTINUOUS, progress=lambda *step: told.append(step))
-    return cat, report.as_json() | {"progress": told}
+    report = reprocess(cat, mission, settings=CONTINUOUS, progress=lambda *step: steps.append(step))
+    return cat, report.as_json() | {"progress": steps}
 
 
 def newest(cat: Catalog, kind: str) -> xr.Dataset:

@@ -11,7 +11,7 @@ from inflight.cli import main
 from inflight.errors import CatalogError, SettingsError
 from inflight.simulate import SimulationSettings
 from inflight.tasks import to_json
-from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines import ReprocessSettings, reprocess, tables_report
 from inflight.tasks.pipelines.mission_fit import mission_fit_report
 from inflight.tasks.pipelines.mission_fit.report import SECTIONS
 
@@ -31,10 +31,15 @@ def workspace(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def told(workspace):
-    """Report and page."""
-    page = workspace / "reports" / "chain.html"
-    made = mission_fit_report(Catalog(workspace), Workspace.open(workspace).mission(), "main", page)
-    return made, page.read_text(encoding="utf-8")
+    """Report, page, and what was told while they were made."""
+    page, steps = workspace / "reports" / "chain.html", list[tuple[str, int, int]]()
+    mission = Workspace.open(workspace).mission()
+    made = tables_report(Catalog(workspace), mission, "main", page, progress=lambda *step: steps.append(step))
+    return made, page.read_text(encoding="utf-8"), steps
+
+
+def test_each_section_is_told_as_it_is_made(told):
+    assert told[2] == [("sections", done, len(SECTIONS)) for done in range(len(SECTIONS) + 1)]
 
 
 def test_fields_are_plain_and_hold_every_section(told):
@@ -63,7 +68,7 @@ def test_a_coefficient_tells_value_error_unit_and_how_far_it_went(told):
 
 
 def test_page_has_every_section_and_needs_nothing_but_itself(told):
-    made, page = told
+    made, page, _ = told
     for part in made.parts:
         assert f"<h2>{part.heading}</h2>" in page
     assert "<script src" not in page
@@ -72,7 +77,7 @@ def test_page_has_every_section_and_needs_nothing_but_itself(told):
 
 
 def test_what_the_span_cannot_tell_is_said_with_its_reason(told):
-    made, page = told
+    made, page, _ = told
     absent = {what: why for part in made.parts for what, why in part.absent.items()}
     assert "260 d" in absent["Running mean of the currents"]
     assert "no events" in absent["Steps on event days"]
@@ -101,7 +106,7 @@ def test_a_dipole_on_the_boom_shares_its_difference_by_the_cube_of_distance(told
 def test_jumps_of_windows_stand_against_none_of_the_continuous_parameters(workspace, told):
     cat, mission = Catalog(workspace), Workspace.open(workspace).mission()
     reprocess(cat, mission, settings=ReprocessSettings(table="window", window_days=4))
-    sections = mission_fit_report(cat, mission).as_json()["sections"]
+    sections = tables_report(cat, mission, "main").as_json()["sections"]
     # These products are the windows' now.
     assert sections["residual"]["absent"]
     fields = sections["jumps"]
@@ -144,7 +149,7 @@ def test_nothing_processed_says_what_to_run(tmp_path):
     folder = tmp_path / "empty"
     cat = simulated_workspace(folder, 1, settings=SETTINGS, workers=1)
     with pytest.raises(CatalogError) as raised:
-        mission_fit_report(cat, Workspace.open(folder).mission())
+        tables_report(cat, Workspace.open(folder).mission(), "main")
     assert "reprocess --table continuous" in raised.value.remedy
     with pytest.raises(SettingsError, match="other"):
         mission_fit_report(cat, Workspace.open(folder).mission(), "other")

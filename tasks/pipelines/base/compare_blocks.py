@@ -20,7 +20,6 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog, Day, DayData, Run, Segment, idempotency_key, write_segment
 from inflight.errors import CatalogError, StorageError
@@ -29,6 +28,7 @@ from inflight.progress import Progress
 from inflight.tasks.batches import few_at_once, iter_results
 from inflight.tasks.pipelines.base.compare_rows import Sources
 from inflight.tasks.pipelines.base.publication import reuse_interrupted_days
+from inflight.threads import one_thread
 from inflight.time import day_bounds
 
 if TYPE_CHECKING:
@@ -146,14 +146,14 @@ def _made_blocks(
         return iter_results(client, digest_and_keep, jobs)
     # Decompression, transforms and sums let other threads run; they start at once. Limited here, too: the
     # limits of the threads begin and end at any time.
-    stack.enter_context(threadpool_limits(1))
+    stack.enter_context(one_thread())
     pool = stack.enter_context(ThreadPoolExecutor(min(THREADS, max(len(jobs), 1))))
     return few_at_once(lambda job: pool.submit(digest_and_keep, *job), lambda future: future.result(), jobs)
 
 
 def digest_and_keep(plan: DigestPlan[D], block: _Block) -> tuple[D, Segment | None]:
     """Make the digest of a block, on one BLAS thread; write it as a segment when it belongs to a run."""
-    with threadpool_limits(1):
+    with one_thread():
         digest = plan.make(plan.cat, plan.mission, plan.comparison, block.sources, block.days, *plan.options)
     if not block.run:
         return digest, None

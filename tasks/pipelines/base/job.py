@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from inflight import __version__
 from inflight.catalog import Catalog, DayData, Segment, failure_cause, write_segment
@@ -25,6 +24,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
 from inflight.tasks.pipelines.base.planning import ReprocessSettings
+from inflight.threads import one_thread
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -168,7 +168,7 @@ def make_days(
         The segment, and why days are not in it.
     """
     outcome, made = Outcome(), []
-    with threadpool_limits(1), cached_readings():
+    with one_thread(), cached_readings():
         for day in job.days:
             try:
                 dataset, report = make(day)

@@ -27,7 +27,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import MissionError
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.pipelines.base.job import Batch, ProductBatch
 from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
 from inflight.tasks.pipelines.base.publication import Reprocessing, TableStager, TablesToPublish
@@ -305,7 +305,13 @@ class Pipeline(ABC):
 
     @abstractmethod
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return the report of the published tables, and write its page when a path is given.
 
@@ -314,6 +320,8 @@ class Pipeline(ABC):
         cause : str
             A parameter or cause whose cross-talk with all others is to be in the report; pipelines without
             cross-talk ignore it.
+        progress : callable, optional
+            Called with (stage, done, total) by pipelines that need more than seconds for long missions.
 
         Raises
         ------

@@ -22,7 +22,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.progress import Progress, silent
 from inflight.tasks.archive import spin_problems, substitution_problems
-from inflight.tasks.batches import Mapper, one_thread
+from inflight.tasks.batches import Mapper
 from inflight.tasks.models import model_label
 from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
 from inflight.tasks.pipelines.base.origins import context_label, origin_attributes, table_label
@@ -37,6 +37,7 @@ from inflight.tasks.pipelines.base.publication import (
 )
 from inflight.tasks.pipelines.base.stored_table import take_pinned_tables, take_stored_table
 from inflight.tasks.report import RunReport, no_work_problems
+from inflight.threads import one_thread
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -39,7 +39,7 @@ from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_
 from inflight.main_field import MainField
 from inflight.mission import FieldModelComparison, Mission
 from inflight.model import REFERENCE, Model
-from inflight.progress import Progress, tell_each
+from inflight.progress import Progress, silent, tell_each
 from inflight.residual import (
     Coordinate,
     above_floor,
@@ -233,7 +233,13 @@ class FieldModelPipeline(Pipeline):
         return compare_components(cat, mission, comparison, days, progress, earlier)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return what the newest window says of the sensor: scale factors, angles, mounting, offsets."""
         table = newest_table(cat, f"{comparison}-window")

@@ -13,6 +13,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
+from inflight.progress import Progress, silent
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -142,7 +143,13 @@ class RelationPipeline(Pipeline):
         }
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return how both sensors stand to each other, and which of the three disagrees."""
         from inflight.tasks.pipelines.base import TablesReport

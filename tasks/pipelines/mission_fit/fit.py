@@ -160,7 +160,6 @@ def fit_mission_tables(
     out, places = _fit_all_days(stored, plan, progress)
     give_back_memory()
     model, found = plan.model, out.found
-    fitted_days = stored.of(places)
 
     @cache
     def channels() -> list[xr.Dataset]:
@@ -185,7 +184,7 @@ def fit_mission_tables(
         "clock-faults": lambda: faults_table(out.required("daily-after")),
         "periods": lambda: periods_of(out.required("daily-after"), stated_periods(mission)),
     }
-    makers |= auxiliary_table_makers(mission, model, found.equations, fitted_days, found)
+    makers |= auxiliary_table_makers(mission, model, found.equations, stored.of(places), found)
     for name in tell_each(progress, "fit", list(makers)):
         try:
             out.tables[name] = makers[name]()

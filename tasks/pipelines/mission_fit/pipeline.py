@@ -16,7 +16,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.batches import end_processes
 from inflight.tasks.pipelines.base import (
     ALL_DAYS_STATISTICS,
@@ -170,12 +170,18 @@ class MissionPipeline(Pipeline):
         return ScalarPipeline().compare(cat, mission, comparison, days, span, progress, client, earlier)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return the results of the fit, section by section; see `mission_fit_report`."""
         from inflight.tasks.pipelines.mission_fit.report import mission_fit_report
 
-        return mission_fit_report(cat, mission, comparison, output, cause)
+        return mission_fit_report(cat, mission, comparison, output, cause, progress)
 
     def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
         """Return the sections of `report` when a whole-mission fit was ever published; else none."""

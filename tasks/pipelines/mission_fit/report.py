@@ -15,6 +15,7 @@ from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
+from inflight.progress import Progress, silent, tell_each
 from inflight.tasks.pipelines.base import Part, TextLine, with_unit
 from inflight.tasks.pipelines.mission_fit.fit import MissionFitResults, read_mission_fit
 from inflight.tasks.pipelines.mission_fit.parameter_sections import (
@@ -107,7 +108,12 @@ class MissionFitReport:
 
 
 def mission_fit_report(
-    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, cause: str = ""
+    cat: Catalog,
+    mission: Mission,
+    comparison: str = "main",
+    output: Path | None = None,
+    cause: str = "",
+    progress: Progress = silent,
 ) -> MissionFitReport:
     """Return what the published whole-mission fit found, and write the page of it when a path is given.
 
@@ -117,6 +123,8 @@ def mission_fit_report(
         Where the page goes; written whole, by one rename.
     cause : str
         A parameter or cause; the report then says what it does to all others when it is ignored.
+    progress : callable, optional
+        Called with ("sections", done, total).
 
     Raises
     ------
@@ -124,7 +132,10 @@ def mission_fit_report(
         As `inflight.tasks.pipelines.mission_fit.fit.read_mission_fit`.
     """
     found = read_mission_fit(cat, mission, comparison)
-    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, cause) for make in SECTIONS)
+    parts = tuple(
+        make(found) if make is not cross_talk else cross_talk(found, cause)
+        for make in tell_each(progress, "sections", SECTIONS)
+    )
     if output is not None:
         first, last = found.span
         title = f"{mission.mission}: all days together, {first} to {last}"

@@ -12,7 +12,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
@@ -120,7 +120,13 @@ class ScalarPipeline(Pipeline):
         return compare_samples(cat, mission, comparison, days, span, progress, client, earlier)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Refuse: tables of days and windows are shown as `sections`, and by ``compare``."""
         raise CatalogError(

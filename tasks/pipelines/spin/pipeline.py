@@ -18,7 +18,7 @@ from inflight.errors import CalibrationError, MissionError
 from inflight.main_field import MainField
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.spin import HELD
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
@@ -174,7 +174,13 @@ class SpinPipeline(Pipeline):
         return compare_spin(cat, mission, comparison, days, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return the twelve parameters, where each came from, and what each day decided."""
         from inflight.tasks.pipelines.base import TablesReport

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 import xarray as xr
-from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
@@ -74,6 +73,7 @@ from inflight.tasks.pipelines.two_sensor.tables import (
     gradiometer_with_states,
     with_remark,
 )
+from inflight.threads import one_thread
 from inflight.time import SECOND, Int64, day_bounds, usual_step
 from inflight.units import factor_and_offset
 
@@ -244,7 +244,7 @@ def states_window(
         and `slower` (s) of the part of it that helps with confidence. Attributes `method`, `applied` (yes or
         no), `verdict`, `remark`.
     """
-    with threadpool_limits(1), cached_readings():
+    with one_thread(), cached_readings():
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)

@@ -16,7 +16,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.pipelines.base import (
     Pipeline,
     Plan,
@@ -188,7 +188,13 @@ class StatesPipeline(Pipeline):
         return compare_dual(cat, mission, comparison, days, progress)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Refuse: `compare` shows the tables of states with their effect on the measurements."""
         raise CatalogError(

@@ -21,7 +21,7 @@ from inflight.errors import CalibrationError, CatalogError
 from inflight.flags import Flag
 from inflight.mission import Mission, sensors_of
 from inflight.model import instrument_variance
-from inflight.progress import Progress
+from inflight.progress import Progress, silent
 from inflight.tasks.archive import ArchiveIndex, split_at_flips
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -279,7 +279,13 @@ class ZeroLevelPipeline(Pipeline):
         return CompareResult(report, title, parts)
 
     def report(
-        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, cause: str = ""
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        output: Path | None = None,
+        cause: str = "",
+        progress: Progress = silent,
     ) -> Report:
         """Return zero levels, methods and tests of the newest tables, and write their page when asked."""
         entry, table = zero_level_of(mission, comparison), newest_table(cat, f"{comparison}-window")

@@ -1,0 +1,25 @@
+"""How many threads a product of matrices takes: one.
+
+The matrices of a day are small, and work is spread over days: more threads would wait for each other (the fit
+of 300 days took seven times the processor time with two), and the last digits of a sum would depend on the
+machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+#: What tells the libraries that multiply matrices so, when set before they are loaded.
+ONE_THREAD_VARIABLES = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let products of matrices take one thread, in this process and until the end of the block."""
+    # scipy has a BLAS of its own, which is found only once it is loaded.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
