@@ -16,6 +16,8 @@ from inflight.catalog import Catalog
 COUNT, BATCH = 4, 2
 DAYS = [str(day) for day in np.datetime64(TINY_START, "D") + np.arange(COUNT)]
 PRODUCTS = ("equations/main/base", "l2/field")
+#: What a diagnosis keeps of each day.
+BLOCKS = "equations/main/library"
 ARCHIVE = ("l1/absolute", "l1/turning")
 
 
@@ -33,7 +35,7 @@ def copied(workspace: Path, target: Path) -> Path:
     return Path(shutil.copytree(workspace, target, symlinks=True))
 
 
-def view(workspace: Path, datasets=(*ARCHIVE, *PRODUCTS), tables: bool = True) -> dict:
+def view(workspace: Path, datasets=(*ARCHIVE, *PRODUCTS, BLOCKS), tables: bool = True) -> dict:
     """Return everything a reader sees, run and path names apart: for each day its version, key, report and
     the sha256 of its store's manifest; for each table its validities and manifest."""
     catalog = Catalog(workspace)

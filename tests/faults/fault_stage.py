@@ -103,6 +103,20 @@ def _reprocess(workspace, scheduler=None, **settings):
     return reprocess(Catalog(workspace), mission, settings=chosen, client=_client(scheduler))
 
 
+def _diagnose(workspace, **settings):
+    from inflight.catalog import Catalog, Workspace
+    from inflight.tasks.analysis import DiagnoseSettings, diagnose
+
+    told = []
+    found = diagnose(
+        Catalog(workspace),
+        Workspace.open(workspace).mission(),
+        settings=DiagnoseSettings(**settings),
+        progress=lambda *step: told.append(step),
+    )
+    return Report(found.as_json() | {"told": told})
+
+
 def _release(workspace, version):
     from inflight.catalog import Catalog
 
@@ -139,7 +153,13 @@ IMPORTED = (
     "zarr",
 )
 #: What a process can be told to do.
-WORK = {"ingest": _ingest, "reprocess": _reprocess, "release": _release, "gc": _collect_garbage}
+WORK = {
+    "ingest": _ingest,
+    "reprocess": _reprocess,
+    "diagnose": _diagnose,
+    "release": _release,
+    "gc": _collect_garbage,
+}
 
 
 def _carry_out(told):
