@@ -49,7 +49,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.locked
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: setup  ## simulate a month, run the whole chain, show what came out (under 2 minutes)
+demo: setup  ## simulate a month, run the whole chain, show what came out (a minute)
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
 # What a file's tests share is made by one process; tests/conftest.py names the files whose tests share nothing.
