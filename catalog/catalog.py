@@ -68,6 +68,7 @@ from inflight.catalog.validity import (
     valid_table,
 )
 from inflight.errors import CatalogError, StorageError
+from inflight.progress import Progress, silent
 
 if TYPE_CHECKING:
     import datetime as dt
@@ -607,19 +608,19 @@ class Catalog:
         """
         self._database.write(raise_baseline, baseline)
 
-    def verify(self, name: str | None = None) -> list[dict[str, str]]:
+    def verify(self, name: str | None = None, progress: Progress = silent) -> list[dict[str, str]]:
         """Hash every store in use against its manifest; list ``{"item", "fault", "path"}``."""
-        return self._database.read(find_faults, self.workspace, name)
+        return self._database.read(find_faults, self.workspace, name, progress)
 
-    def repair(self, dry_run: bool = False) -> list[Repair]:
+    def repair(self, dry_run: bool = False, progress: Progress = silent) -> list[Repair]:
         """Take what lies in damaged stores out of use, so that the next ingest and reprocess make it again.
 
         Its days are recorded as failed, its tables lose their validity, in one transaction; nothing is
         deleted and no whole store touched. `dry_run` only lists.
         """
-        return repair(self.workspace, self._database, dry_run=dry_run)
+        return repair(self.workspace, self._database, dry_run=dry_run, progress=progress)
 
-    def gc(self, dry_run: bool = True, *, past: bool = False) -> list[Garbage]:
+    def gc(self, dry_run: bool = True, *, past: bool = False, progress: Progress = silent) -> list[Garbage]:
         """List, and remove unless `dry_run`, the stores nothing refers to.
 
         Parameters
@@ -628,13 +629,15 @@ class Catalog:
         past : bool
             Also past revisions and tables that no release, no named context, no newest version and nothing
             that these were made from needs. Their records stay.
+        progress : callable, optional
+            Called with (stage, done, total).
 
         Raises
         ------
         CatalogError
             With `past`, when a run is under way.
         """
-        return collect_garbage(self.workspace, self._database, dry_run=dry_run, past=past)
+        return collect_garbage(self.workspace, self._database, dry_run=dry_run, past=past, progress=progress)
 
     def releases(self) -> list[ReleaseRecord]:
         """Return all releases, the oldest first."""
@@ -652,6 +655,7 @@ class Catalog:
         mission: Mission | None = None,
         documents: Documents | None = None,
         maturity: str = "preliminary",
+        progress: Progress = silent,
     ) -> Path:
         """Freeze the published days of some datasets as a release and copy it out.
 
@@ -677,6 +681,8 @@ class Catalog:
         maturity : str
             ``quick-look``, ``preliminary`` or ``definitive``: of its products; catalog, header and file name
             say so.
+        progress : callable, optional
+            Called with (stage, done, total).
 
         Raises
         ------
@@ -694,10 +700,14 @@ class Catalog:
             mission=mission,
             maturity=maturity,
         )
-        return freeze_release(self.workspace, self._database, request, target, documents)
+        return freeze_release(self.workspace, self._database, request, target, documents, progress)
 
     def differences(
-        self, before: str, after: str = NOW, datasets: Sequence[str] = ("l1/*", "l2/*")
+        self,
+        before: str,
+        after: str = NOW,
+        datasets: Sequence[str] = ("l1/*", "l2/*"),
+        progress: Progress = silent,
     ) -> Iterator[DayChange]:
         """Yield the days that differ between two collections, with the sizes of their changes.
 
@@ -708,6 +718,8 @@ class Catalog:
             ``now``, what is published.
         datasets : sequence of str
             Patterns, such as ``l2/*``.
+        progress : callable, optional
+            Called with ("changes", done, total).
 
         Raises
         ------
@@ -715,7 +727,7 @@ class Catalog:
             When there is no such release, or nothing was published with such a model.
         """
         old, new = self._database.read(_collections, (before, after), datasets)
-        return measured_changes(self.workspace, old, new)
+        return measured_changes(self.workspace, old, new, progress)
 
     def plan_release(
         self,
@@ -726,6 +738,7 @@ class Catalog:
         formats: Sequence[str] = ("zarr",),
         mission: Mission | None = None,
         maturity: str = "preliminary",
+        progress: Progress = silent,
     ) -> ReleasePlan:
         """Return what a release would hold and what stands against it; nothing is written.
 
@@ -744,7 +757,7 @@ class Catalog:
             mission=mission,
             maturity=maturity,
         )
-        return plan_release(self.workspace, self._database, request)
+        return plan_release(self.workspace, self._database, request, progress)
 
 
 def _collections(session: Session, names: Iterable[str], datasets: Sequence[str]) -> list[list[Day]]:

@@ -22,6 +22,7 @@ from inflight.catalog.records import Day
 from inflight.catalog.schema import ContextRow
 from inflight.catalog.spans import Span
 from inflight.errors import CatalogError
+from inflight.progress import Progress, silent, tell_each
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -140,9 +141,11 @@ def changed_days(before: Sequence[Day], after: Sequence[Day]) -> list[DayChange]
     return out
 
 
-def measured_changes(workspace: Path, before: Sequence[Day], after: Sequence[Day]) -> Iterator[DayChange]:
+def measured_changes(
+    workspace: Path, before: Sequence[Day], after: Sequence[Day], progress: Progress = silent
+) -> Iterator[DayChange]:
     """Yield `changed_days`, the changed ones with the sizes of their changes; reads one day at a time."""
-    for one in changed_days(before, after):
+    for one in tell_each(progress, "changes", changed_days(before, after)):
         if one.before is None or one.after is None:
             yield one
             continue

@@ -36,6 +36,7 @@ from inflight.catalog.schema import (
     TableRow,
 )
 from inflight.errors import CatalogError
+from inflight.progress import Progress, tell_each
 
 #: After which a release that nothing was written to any more is taken for killed, s; assumed.
 _ABANDONED_S = 86_400.0
@@ -66,15 +67,20 @@ class Garbage:
     tables: tuple[int, ...] = ()
 
 
-def collect_garbage(workspace: Path, database: Database, *, dry_run: bool, past: bool) -> list[Garbage]:
+def collect_garbage(
+    workspace: Path, database: Database, *, dry_run: bool, past: bool, progress: Progress
+) -> list[Garbage]:
     """Remove stores that nothing needs; see `Catalog.gc`."""
     # Folders are listed before the database is asked: what appears later belongs to a run that is alive.
     present = sorted((workspace / "stores").glob("*/*.zarr"))
     paths = [folder.relative_to(workspace).as_posix() for folder in present]
     garbage = database.read(_find, paths, past) if dry_run else database.write(_forget, paths, past)
     garbage = [*garbage, *(Garbage(path=path) for path in _abandoned_releases(workspace))]
-    sized = [replace(one, bytes=folder_bytes(workspace / one.path)) for one in garbage]
-    for one in () if dry_run else garbage:
+    sized = [
+        replace(one, bytes=folder_bytes(workspace / one.path))
+        for one in tell_each(progress, "measure", garbage)
+    ]
+    for one in tell_each(progress, "remove", [] if dry_run else garbage):
         folder = workspace / one.path
         shutil.rmtree(folder, ignore_errors=True)
         if one.path.startswith("stores/") and not any(folder.parent.iterdir()):

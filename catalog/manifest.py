@@ -11,27 +11,33 @@ from pathlib import Path
 from typing import Final
 
 from inflight.errors import IntegrityError
+from inflight.progress import Progress, silent, tell_each, with_progress
 
 #: Name of the manifest inside a store or a release; lines as ``sha256sum`` writes them.
 MANIFEST: Final = "MANIFEST.sha256"
 #: Files flushed at once.
 _FLUSHES: Final = 8
+#: Files that a thread flushes before progress is told; those of a store are fewer for each thread.
+_FLUSHED_TOGETHER: Final = 100
 
 
-def write_manifest(folder: Path) -> str:
+def write_manifest(folder: Path, progress: Progress = silent) -> str:
     """Hash every file below `folder`, write its manifest; return the manifest's sha256."""
     manifest = folder / MANIFEST
     with manifest.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.writelines(f"{_hash(folder / name)}  {name}\n" for name in _files(folder))
+        names = tell_each(progress, "manifest", _files(folder))
+        stream.writelines(f"{_hash(folder / name)}  {name}\n" for name in names)
     return _hash(manifest)
 
 
-def flush_files(folder: Path) -> None:
+def flush_files(folder: Path, progress: Progress = silent) -> None:
     """Put everything below `folder` on the disk: files and folders."""
     paths = [folder, *folder.rglob("*")]
     # Flushes wait for the disk, not for the processor: together they wait once. All are waited for: the first
     # failure is raised here.
-    list(_flushing().map(_flush_all, (paths[place::_FLUSHES] for place in range(_FLUSHES))))
+    parts = max(_FLUSHES, len(paths) // _FLUSHED_TOGETHER)
+    flushed = _flushing().map(_flush_all, (paths[place::parts] for place in range(parts)))
+    list(with_progress(progress, "flush", flushed, parts))
 
 
 def _flush_all(paths: Iterable[Path]) -> None:

@@ -35,6 +35,7 @@ from inflight.catalog.location import (
 from inflight.catalog.runs import close_dead_runs
 from inflight.catalog.schema import Base, RunRow, SettingRow
 from inflight.errors import CatalogError, IntegrityError
+from inflight.progress import Progress, silent
 
 #: Where `move_catalog` moves to when it is to be the database in the workspace.
 INTO_WORKSPACE: Final = "sqlite"
@@ -57,7 +58,9 @@ class Move:
     done: bool
 
 
-def move_catalog(workspace: Path, address: str, *, dry_run: bool = False) -> Move:
+def move_catalog(
+    workspace: Path, address: str, *, dry_run: bool = False, progress: Progress = silent
+) -> Move:
     """Move the catalog of a workspace to another database, and state there where it is now.
 
     Parameters
@@ -67,6 +70,8 @@ def move_catalog(workspace: Path, address: str, *, dry_run: bool = False) -> Mov
         ``postgresql://USER@HOST/DATABASE``, of a database that is empty; ``sqlite``, the workspace itself.
     dry_run : bool
         Only open both, look whether the move can be made, and count.
+    progress : callable, optional
+        Called with ("move", done, total): rows that were copied, and read back to compare them.
 
     Raises
     ------
@@ -91,7 +96,7 @@ def move_catalog(workspace: Path, address: str, *, dry_run: bool = False) -> Mov
     if dry_run:
         return Move(source=source.place, target=target.place, rows=source.read(_counts), done=False)
     if not moved:
-        source.write(_move, source, target, name)
+        source.write(_move, source, target, name, progress)
     target.write(_unmark)
     join(workspace, name)
     state_location(workspace, into)
@@ -129,16 +134,21 @@ def _require_free(session: Session, name: str) -> None:
         )
 
 
-def _move(session: Session, source: Database, target: Database, name: str) -> None:
+def _move(session: Session, source: Database, target: Database, name: str, progress: Progress) -> None:
     """Copy all rows while the source is locked, and mark it in the same transaction."""
     _require_no_runs(session)
-    target.write(_fill, session, source, target, name)
+    target.write(_fill, session, source, target, name, progress)
     session.merge(SettingRow(name=MOVED_SETTING, value=target.place))
 
 
-def _fill(session: Session, old: Session, source: Database, target: Database, name: str) -> None:
+def _fill(
+    session: Session, old: Session, source: Database, target: Database, name: str, progress: Progress
+) -> None:
     _require_free(session, name)
     tables = _tables()
+    # Each row is copied, and read back.
+    done, total = 0, 2 * sum(old.scalar(select(func.count()).select_from(table)) or 0 for table in tables)
+    progress("move", done, total)
     for table in reversed(tables):
         session.execute(delete(table))
     for table in tables:
@@ -146,9 +156,13 @@ def _fill(session: Session, old: Session, source: Database, target: Database, na
         for rows in _batches(old, table):
             copied.add(rows)
             session.execute(insert(table), rows)
+            done += len(rows)
+            progress("move", done, total)
         written = _Digest()
         for rows in _batches(session, table):
             written.add(rows)
+            done += len(rows)
+            progress("move", done, total)
         if copied != written:
             raise IntegrityError(
                 f"table '{table.name}' was not copied whole: {copied.count} rows, {written.count} arrived",

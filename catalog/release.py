@@ -52,6 +52,7 @@ from inflight.catalog.table_files import write_table_cdf, write_table_csv
 from inflight.catalog.validity import table_records
 from inflight.errors import CatalogError, IntegrityError, SettingsError, StorageError, did_you_mean
 from inflight.mission import Mission
+from inflight.progress import Progress, silent, tell_each
 from inflight.time import to_utc, utc_text
 
 #: Days of one released store: bounds the memory a release needs.
@@ -191,10 +192,12 @@ class ReleasePlan:
     next_version: str = ""
 
 
-def plan_release(workspace: Path, database: Database, request: ReleaseRequest) -> ReleasePlan:
+def plan_release(
+    workspace: Path, database: Database, request: ReleaseRequest, progress: Progress = silent
+) -> ReleasePlan:
     """Return what a release would hold; see `Catalog.plan_release`."""
     collection, objections = database.read(_considered, workspace, request)
-    parts = _parts(workspace, collection)
+    parts = _parts(workspace, collection, progress)
     return ReleasePlan(
         version=request.version,
         parts=parts,
@@ -212,6 +215,7 @@ def freeze_release(
     request: ReleaseRequest,
     destination: Path,
     documents: Documents | None = None,
+    progress: Progress = silent,
 ) -> Path:
     """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
     collection, objections = database.read(_considered, workspace, request)
@@ -220,7 +224,7 @@ def freeze_release(
     staged = destination / f".{request.version}-{uuid.uuid4().hex[:8]}"
     try:
         destination.mkdir(parents=True, exist_ok=True)
-        _write_release(workspace, staged, collection, documents or _notes_of_absent)
+        _write_release(workspace, staged, collection, documents or _notes_of_absent, progress)
         fault_point("release_written")
         return database.write(_register, collection, staged, destination / request.version)
     except OSError as error:
@@ -323,9 +327,9 @@ def _refuse_without_cause(absent: Sequence[Day]) -> None:
         )
 
 
-def _parts(workspace: Path, collection: ReleaseContents) -> tuple[dict[str, Any], ...]:
+def _parts(workspace: Path, collection: ReleaseContents, progress: Progress) -> tuple[dict[str, Any], ...]:
     """Return the days, files and bytes of each dataset in each format."""
-    parts = []
+    parts, measured = [], 0
     for name, group in groupby(collection.days, key=lambda day: day.dataset):
         days = list(group)
         common = {
@@ -338,6 +342,8 @@ def _parts(workspace: Path, collection: ReleaseContents) -> tuple[dict[str, Any]
         stored = plain = stores = 0
         for segment, members in groupby(days, key=lambda day: day.segment):
             batch = list(members)
+            progress("measure", measured, len(collection.days))
+            measured += len(batch)
             store, rows = open_store(str(workspace / segment)), sum(day.count for day in batch)
             stored += folder_bytes(workspace / segment) * rows // max(1, sum(store.counts))
             stores += -(-len(batch) // DAYS_PER_STORE)
@@ -353,6 +359,7 @@ def _parts(workspace: Path, collection: ReleaseContents) -> tuple[dict[str, Any]
                 else {"files": stores, "bytes": stored}
             )
             parts.append({**common, "format": form, **sizes})
+    progress("measure", measured, measured)
     return tuple(parts)
 
 
@@ -428,17 +435,13 @@ def _refuse_without_provenance(session: Session, days: Sequence[Day], edges: Seq
         )
 
 
-def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, documents: Documents) -> None:
+def _write_release(
+    workspace: Path, folder: Path, collection: ReleaseContents, documents: Documents, progress: Progress
+) -> None:
     request = collection.request
     folder.mkdir()
-    # Days of one segment can share a released store: their variables and units are equal.
-    for _, group in groupby(collection.days, key=lambda day: (day.dataset, day.segment)):
-        members = list(group)
-        for first in range(0, len(members) if "zarr" in request.formats else 0, DAYS_PER_STORE):
-            _copy_days(workspace, folder, members[first : first + DAYS_PER_STORE], request.maturity)
-        for day in members if request.day_files else ():
-            _write_day_files(workspace, folder, day, collection)
-    for table in collection.tables:
+    _write_days(workspace, folder, collection, progress)
+    for table in tell_each(progress, "tables", collection.tables):
         _copy_table(workspace, folder, table)
     if (folder / "stores").exists():
         for part in (folder / "stores").iterdir():
@@ -496,8 +499,25 @@ def _write_release(workspace: Path, folder: Path, collection: ReleaseContents, d
     (folder / "RELEASE_NOTES.md").write_text("\n".join(notes) + "\n", "utf-8")
     (folder / "README.md").write_text(_readme(collection, folder), "utf-8")
     (folder / MARKER).write_text(marker_text(request.version, request.mission, request.maturity), "utf-8")
-    write_manifest(folder)
-    flush_files(folder)
+    write_manifest(folder, progress)
+    flush_files(folder, progress)
+
+
+def _write_days(workspace: Path, folder: Path, collection: ReleaseContents, progress: Progress) -> None:
+    """Write all days in every format."""
+    request, written = collection.request, 0
+    # Days of one segment can share a released store: their variables and units are equal.
+    for _, group in groupby(collection.days, key=lambda day: (day.dataset, day.segment)):
+        members = list(group)
+        for first in range(0, len(members), DAYS_PER_STORE):
+            batch = members[first : first + DAYS_PER_STORE]
+            progress("write", written, len(collection.days))
+            if "zarr" in request.formats:
+                _copy_days(workspace, folder, batch, request.maturity)
+            for day in batch if request.day_files else ():
+                _write_day_files(workspace, folder, day, collection)
+            written += len(batch)
+    progress("write", written, written)
 
 
 def _notes_of_absent(folder: Path, collection: ReleaseContents) -> list[str]:

@@ -30,13 +30,16 @@ from inflight.catalog.schema import (
     TableRow,
 )
 from inflight.catalog.validity import Authority, withdraw_tables
+from inflight.progress import Progress, tell_each
 
 
-def find_faults(session: Session, workspace: Path, name: str | None) -> list[dict[str, str]]:
+def find_faults(
+    session: Session, workspace: Path, name: str | None, progress: Progress
+) -> list[dict[str, str]]:
     """Hash every store that is in use against its manifest; see `Catalog.verify`."""
     faults = [
         {"item": item, "fault": fault, "path": f"{store.path}/{file}"}
-        for store, item, found in damaged_stores(session, workspace, name)
+        for store, item, found in damaged_stores(session, workspace, name, progress)
         for file, fault in found
     ]
     if name is None:
@@ -54,7 +57,7 @@ def find_faults(session: Session, workspace: Path, name: str | None) -> list[dic
 
 
 def damaged_stores(
-    session: Session, workspace: Path, name: str | None
+    session: Session, workspace: Path, name: str | None, progress: Progress
 ) -> Iterator[tuple[StoreRow, str, list[tuple[str, str]]]]:
     """Yield the stores in use that are not as they were written: store, dataset or table, (file, fault)."""
     of_days = (
@@ -67,9 +70,10 @@ def damaged_stores(
     of_tables = select(StoreRow, TableRow.name).join(TableRow, TableRow.store_id == StoreRow.id)
     in_use = {store.path: (store, dataset) for store, dataset in session.execute(of_days)}
     in_use |= {store.path: (store, f"tables/{table}") for store, table in session.execute(of_tables)}
-    for store, item in in_use.values():
-        if name not in {None, item} or is_gone(store.notes):
-            continue
+    asked = [
+        (store, item) for store, item in in_use.values() if name in {None, item} and not is_gone(store.notes)
+    ]
+    for store, item in tell_each(progress, "verify", asked):
         if found := manifest_faults(workspace / store.path, store.sha256):
             yield store, item, found
 
@@ -93,9 +97,9 @@ class Repair:
     tables: tuple[int, ...]
 
 
-def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair]:
+def repair(workspace: Path, database: Database, *, dry_run: bool, progress: Progress) -> list[Repair]:
     """Withdraw what lies in damaged stores; see `Catalog.repair`."""
-    found = database.read(_damage, workspace)
+    found = database.read(_damage, workspace, progress)
     if dry_run or not found:
         return found
     settings = {"repaired": [asdict(store) for store in found]}
@@ -103,10 +107,10 @@ def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair
         return database.write(_withdraw, run.id, found)
 
 
-def _damage(session: Session, workspace: Path) -> list[Repair]:
+def _damage(session: Session, workspace: Path, progress: Progress) -> list[Repair]:
     return [
         _contents(session, store.path, item, tuple(file for file, _ in faults))
-        for store, item, faults in damaged_stores(session, workspace, None)
+        for store, item, faults in damaged_stores(session, workspace, None, progress)
     ]
 
 

@@ -353,7 +353,7 @@ class ExplorerSession:
                 client=client,
                 progress=progress,
             )
-        return diagnosis_sections(*examined)
+        return diagnosis_sections(*examined, progress)
 
     def write_report(self, comparison: str, progress: Progress) -> Path:
         """Write the page that `inflight report` writes, of the span of the last diagnosis; return its path.

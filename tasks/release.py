@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog, Workspace
+from inflight.progress import Progress, silent
 from inflight.tasks.report import RunReport
 
 
@@ -18,6 +19,7 @@ def make_release(
     destination: Path | None = None,
     formats: Sequence[str] = ("zarr",),
     maturity: str = "preliminary",
+    progress: Progress = silent,
 ) -> RunReport:
     """Freeze the published collection under a version and copy it out.
 
@@ -35,6 +37,8 @@ def make_release(
         ``zarr``, ``cdf`` and ``netcdf``.
     maturity : str
         ``quick-look``, ``preliminary`` or ``definitive``, for which tables must be approved.
+    progress : callable, optional
+        Called with (stage, done, total).
 
     Returns
     -------
@@ -56,8 +60,9 @@ def make_release(
         destination=destination,
         formats=formats,
         mission=workspace.mission(),
-        documents=partial(write_documents, workspace),
+        documents=partial(write_documents, workspace, progress=progress),
         maturity=maturity,
+        progress=progress,
     )
     released = (item for item in catalog.inventory() if item["dataset"].startswith(("l1/", "l2/")))
     published = sum(item["days"] for item in released)
@@ -74,6 +79,7 @@ def plan_release(
     version: str,
     formats: Sequence[str] = ("zarr",),
     maturity: str = "preliminary",
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Return what `make_release` would copy out and what stands against it; nothing is written.
 
@@ -84,7 +90,7 @@ def plan_release(
         ``next_version`` (as `ReleasePlan` has them) and ``objections``: the fields of an error each.
     """
     plan = Catalog(workspace.root).plan_release(
-        version, formats=formats, mission=workspace.mission(), maturity=maturity
+        version, formats=formats, mission=workspace.mission(), maturity=maturity, progress=progress
     )
     return {
         "command": "release",

@@ -37,6 +37,7 @@ from inflight.figures import (
     ranges,
 )
 from inflight.flags import UNUSABLE, Flag
+from inflight.progress import Progress, silent, tell_each
 from inflight.tasks.missing_spans import joined_spans, missing_spans, span_of_absent_day
 from inflight.time import GAP, SECOND, day_bounds, usual_step
 
@@ -49,7 +50,9 @@ if TYPE_CHECKING:
 _LISTED = 5
 
 
-def write_documents(workspace: Workspace, folder: Path, contents: ReleaseContents) -> list[str]:
+def write_documents(
+    workspace: Workspace, folder: Path, contents: ReleaseContents, progress: Progress = silent
+) -> list[str]:
     """Write what goes with a release into its folder and return the lines of its notes.
 
     Parameters
@@ -58,11 +61,13 @@ def write_documents(workspace: Workspace, folder: Path, contents: ReleaseContent
     folder : Path
         Of the release, not yet visible.
     contents : ReleaseContents
+    progress : callable, optional
+        Called with (stage, done, total).
     """
     catalog = Catalog(workspace.root)
-    changes = _write_changes(workspace, folder, contents)
-    checked = _write_validation(workspace, catalog, folder, contents)
-    _write_calendars(catalog, folder, contents)
+    changes = _write_changes(workspace, folder, contents, progress)
+    checked = _write_validation(workspace, catalog, folder, contents, progress)
+    _write_calendars(catalog, folder, contents, progress)
     return [
         *_data_notes(contents, changes),
         *_metadata_notes(catalog, contents),
@@ -74,11 +79,13 @@ def write_documents(workspace: Workspace, folder: Path, contents: ReleaseContent
 # What changed.
 
 
-def _write_changes(workspace: Workspace, folder: Path, contents: ReleaseContents) -> list[DayChange]:
+def _write_changes(
+    workspace: Workspace, folder: Path, contents: ReleaseContents, progress: Progress
+) -> list[DayChange]:
     """Write which days changed since the release before, and by how much; nothing for the first one."""
     if contents.previous is None:
         return []
-    changes = list(measured_changes(workspace.root, contents.previous.days, contents.days))
+    changes = list(measured_changes(workspace.root, contents.previous.days, contents.days, progress))
     with (folder / "changes.csv").open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(
@@ -241,7 +248,7 @@ def _known_problems(contents: ReleaseContents, checked: Sequence[Mapping[str, An
 
 
 def _write_validation(
-    workspace: Workspace, catalog: Catalog, folder: Path, contents: ReleaseContents
+    workspace: Workspace, catalog: Catalog, folder: Path, contents: ReleaseContents, progress: Progress
 ) -> list[dict[str, Any]]:
     """Write residual, noise floor and verdict of each comparison whose product is released."""
     released = {day.dataset for day in contents.days}
@@ -249,7 +256,7 @@ def _write_validation(
     checked = [
         one
         for name in mission.comparisons
-        if (one := _validated(workspace, catalog, name, released)) is not None
+        if (one := _validated(workspace, catalog, name, released, progress)) is not None
     ]
     if not checked:
         return []
@@ -279,7 +286,7 @@ def _write_validation(
 
 
 def _validated(
-    workspace: Workspace, catalog: Catalog, comparison: str, released: set[str]
+    workspace: Workspace, catalog: Catalog, comparison: str, released: set[str], progress: Progress
 ) -> dict[str, Any] | None:
     """Return what is known of a comparison as facts and as lines; None when its product is not released."""
     from inflight.tasks.analysis import last_diagnosis, measure_comparison
@@ -291,7 +298,7 @@ def _validated(
     out: dict[str, Any] = {"comparison": comparison, "residual": {}, "problems": [], "lines": []}
     lines, problems = out["lines"], out["problems"]
     try:
-        told = measure_comparison(catalog, mission, comparison=comparison).report.as_json()
+        told = measure_comparison(catalog, mission, comparison=comparison, progress=progress).report.as_json()
     except InflightError as error:
         problems.append(f"no comparison could be made: {error.message}")
         lines.append(f"No comparison could be made: {error.message}.")
@@ -349,7 +356,7 @@ def _validated(
 # Pictures.
 
 
-def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) -> None:
+def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents, progress: Progress) -> None:
     """Write for each product a page a year with a thumbnail a day, and a picture of each day.
 
     Each day is read once: what is missing of it goes into ``gaps.csv``, and from when to when into
@@ -359,7 +366,8 @@ def _write_calendars(catalog: Catalog, folder: Path, contents: ReleaseContents) 
     missing = []
     spans = [span_of_absent_day(day) for day in contents.absent]
     products = [day for day in contents.days if day.dataset.startswith("l2/")]
-    for (name, year), group in groupby(products, key=lambda day: (day.dataset, str(day.day)[:4])):
+    each = tell_each(progress, "pictures", products)
+    for (name, year), group in groupby(each, key=lambda day: (day.dataset, str(day.day)[:4])):
         place = folder / "calendar" / name.replace("/", "-")
         what, cells = "", {}
         for day in group:

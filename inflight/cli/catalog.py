@@ -333,7 +333,8 @@ def verify(
     catalog = command.open_catalog()
     if name is not None:
         _require_known(catalog, name)
-    faults = catalog.verify(name)
+    with command.progress() as progress:
+        faults = catalog.verify(name, progress)
 
     def show(console: Console) -> None:
         if faults:
@@ -366,7 +367,9 @@ def repair(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what is damaged.")] = False,
 ) -> None:
     """Take damaged stores out of use, so that ingest and reprocess make their days and tables again."""
-    items = [_plain_fields(repaired) for repaired in command.open_catalog().repair(dry_run=dry_run)]
+    with command.progress() as progress:
+        found = command.open_catalog().repair(dry_run, progress)
+    items = [_plain_fields(repaired) for repaired in found]
 
     def show(console: Console) -> None:
         if not items:
@@ -547,7 +550,8 @@ def diff(
     if name in {record.name for record in catalog.tables()}:
         _table_diff(command, catalog, (before, name if after == "now" else after), strength, svg)
         return
-    found = list(catalog.differences(before, after, datasets or ["l2/*"]))
+    with command.progress() as progress:
+        found = list(catalog.differences(before, after, datasets or ["l2/*"], progress))
     items = [_change_fields(one) for one in found]
     if svg is not None:
         svg.write_text(_picture_of_days(f"{before} to {after}", found), "utf-8")
@@ -694,7 +698,8 @@ def collect_garbage(
 
     What is or ever was published, and what a release holds, stays; with --past only what is needed does.
     """
-    found = command.open_catalog().gc(dry_run=dry_run, past=past)
+    with command.progress() as progress:
+        found = command.open_catalog().gc(dry_run, past=past, progress=progress)
     items = [_plain_fields(one) | {"MB": one.bytes / 1e6} for one in found]
     counts = {
         "folders": len(found),
@@ -738,7 +743,9 @@ def move(
     """Move the catalog into a PostgreSQL database that several machines can write to, or back."""
     from inflight.catalog import CATALOG_VARIABLE, move_catalog
 
-    moved = move_catalog(command.open_workspace().root.resolve(), address, dry_run=dry_run)
+    root = command.open_workspace().root.resolve()
+    with command.progress() as progress:
+        moved = move_catalog(root, address, dry_run=dry_run, progress=progress)
     fields = _plain_fields(moved) | {"rows": dict(moved.rows)}
 
     def show(console: Console) -> None:

@@ -130,6 +130,8 @@ class Command:
             def show(stage: str, done: int, total: int) -> None:
                 if stage not in tasks:
                     tasks[stage] = bars.add_task(stage, total=total)
+                elif not done:
+                    bars.reset(tasks[stage])
                 bars.update(tasks[stage], completed=done, total=total)
 
             yield show
@@ -192,12 +194,15 @@ class _ProgressLines:
     """
 
     def __init__(self) -> None:
-        self._stage, self._begun, self._next = "", 0.0, 0.0
+        self._stage, self._done, self._begun, self._next = "", 0, 0.0, 0.0
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if stage != self._stage:
-            self._stage, self._begun, self._next = stage, now, now + _FIRST_LINE_S
+        # A stage may begin again: of another table, or of another pass.
+        begins = stage != self._stage or done < self._done
+        self._stage, self._done = stage, done
+        if begins:
+            self._begun, self._next = now, now + _FIRST_LINE_S
             if not done and total == 1:
                 # One step, of which nothing is known before it ends: that it runs is all there is to say.
                 print(f"{stage}: running", file=sys.stderr, flush=True)

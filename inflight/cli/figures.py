@@ -30,7 +30,8 @@ def figures(
     """Compare published figures with what the software obtains for them, now."""
     from inflight.scorecard import SECTIONS, run_scorecard
 
-    results = [report.as_json() for report in run_scorecard(only or (), section)]
+    with command.progress() as progress:
+        results = [report.as_json() for report in run_scorecard(only or (), section, progress)]
     counts = _counts(results)
 
     def show(console: Console) -> None:

@@ -226,16 +226,19 @@ def release(
     if dry_run:
         from inflight.tasks import plan_release
 
-        plan = plan_release(workspace, version, chosen, maturity)
+        with command.progress() as progress:
+            plan = plan_release(workspace, version, chosen, maturity, progress)
         command.emit(plan, lambda console: _print_plan(console, plan))
         if plan["objections"]:
             raise typer.Exit(1)
         return
     # What can be refused is, before any server starts.
     mission = workspace.mission()
-    plans = command.open_catalog().plan_release
-    if refused := plans(version, formats=chosen, mission=mission, maturity=maturity).objections:
-        raise refused[0]
+    with command.progress() as progress:
+        plan_of = command.open_catalog().plan_release
+        found = plan_of(version, formats=chosen, mission=mission, maturity=maturity, progress=progress)
+    if found.objections:
+        raise found.objections[0]
     parameters = {"version": version, "notes": notes, "destination": destination, "formats": chosen}
     parameters["maturity"] = maturity
     report = run_flow(command, "release", parameters, workers=None, prefect=not no_prefect)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from html import escape
 from typing import Any
 
@@ -20,14 +20,14 @@ from inflight.figures.text import Section, render
 _RESOURCES = Resources(mode="inline", components=["bokeh"])
 
 
-def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
+def html_page(title: str, sections: Iterable[Section], footer: str = "") -> str:
     """Return a page.
 
     Parameters
     ----------
     title : str
         Heading.
-    sections : sequence of Section
+    sections : iterable of Section
     footer : str
         Plain text, such as an acknowledgement of the data.
     """

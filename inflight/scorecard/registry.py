@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from inflight.errors import SettingsError
+from inflight.progress import Progress, silent, tell_each
 from inflight.scorecard import (
     continuous_parameters,
     day_and_night,
@@ -89,13 +90,17 @@ def _selects(wanted: str, figure: PublishedFigure) -> bool:
     return figure.id == wanted or figure.id.startswith(f"{wanted}.")
 
 
-def run_scorecard(only: Sequence[str] = (), section: str | None = None) -> list[ScorecardResult]:
+def run_scorecard(
+    only: Sequence[str] = (), section: str | None = None, progress: Progress = silent
+) -> list[ScorecardResult]:
     """Work out figures, now: what several need is made once.
 
     Parameters
     ----------
     only, section
-        As `selected` takes them.
+        As `select_figures` takes them.
+    progress : callable, optional
+        Called with ("figures", done, total).
     """
     scene = SimulatedDays()
-    return [figure.report(scene) for figure in select_figures(only, section)]
+    return [figure.report(scene) for figure in tell_each(progress, "figures", select_figures(only, section))]

@@ -66,7 +66,8 @@ def compare(
     if output is not None:
         from inflight.figures import html_page
 
-        write_page(output, html_page(found.title, found.sections(), mission.acknowledgement))
+        sections = found.sections(progress or silent)
+        write_page(output, html_page(found.title, sections, mission.acknowledgement))
         found.report.path = output
     report: Report = found.report
     return report

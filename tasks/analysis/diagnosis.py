@@ -197,7 +197,7 @@ def make_pass(
         )
         # What follows needs the memory; where blocks are made again, other processes start.
         end_processes(client)
-        loaded = load_grams(cat, plan, blocks)
+        loaded = load_grams(cat, plan, blocks, report_progress)
         give_back_memory()
         return run, failed, loaded
 

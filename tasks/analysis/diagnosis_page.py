@@ -8,7 +8,7 @@ follows, which effect explains it, how the error falls, which parameters imitate
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ from inflight.figures import (
     waterfall_figure,
 )
 from inflight.mission import Mission
-from inflight.progress import Progress, silent
+from inflight.progress import Progress, silent, tell_each
 from inflight.residual import drawn_periods, fold_by_period, format_period
 from inflight.tasks.analysis.diagnosis import examine
 from inflight.tasks.analysis.settings import DiagnoseSettings
@@ -353,10 +353,7 @@ def report(
         As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
     """
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
-    report_progress = progress or silent
-    report_progress("report", 0, 1)
-    write_page(output, diagnosis_page(*examined))
-    report_progress("report", 1, 1)
+    write_page(output, diagnosis_page(*examined, progress or silent))
     return DiagnosisReport(examined.found, output)
 
 
@@ -366,12 +363,13 @@ def diagnosis_page(
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
 ) -> str:
     """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
     raw = search.raw
     first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
     name = f"{data.mission.mission}: what is missing from the model, {first} to {last}"
-    sections = diagnosis_sections(search, data, found, settings, facts)
+    sections = diagnosis_sections(search, data, found, settings, facts, progress)
     return html_page(name, sections, data.mission.acknowledgement)
 
 
@@ -381,6 +379,7 @@ def diagnosis_sections(
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
+    progress: Progress = silent,
 ) -> list[Section]:
     """Return everything that is shown of a finished search.
 
@@ -390,26 +389,26 @@ def diagnosis_sections(
         As `run_search` left it.
     facts : mapping, optional
         More lines of the ledger.
+    progress : callable, optional
+        Called with ("sections", done, total).
     """
-    seen = before_after(search, data)
     fields = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
-    sections: list[Section] = [
-        (
-            "Verdict",
-            [strip, *entries_html(fields), *found_effects_html(fields), *separating_blocks_html(fields)],
-            [],
-        ),
-        what_each_makes(seen, search, data, found),
-        where_it_fails(seen),
-        what_it_follows(seen, found),
-        spectrum(seen, data),
-        which_effect(search, data, found),
-        error_falls(seen, search, data, found),
-        shapes(seen, search, found),
-        imitations(search, found),
-        _ledger(search, data, found, settings, facts or {}),
+    seen = before_after(search, data)
+    text = [strip, *entries_html(fields), *found_effects_html(fields), *separating_blocks_html(fields)]
+    makers: list[Callable[[], Section]] = [
+        lambda: ("Verdict", text, []),
+        lambda: what_each_makes(seen, search, data, found),
+        lambda: where_it_fails(seen),
+        lambda: what_it_follows(seen, found),
+        lambda: spectrum(seen, data),
+        lambda: which_effect(search, data, found),
+        lambda: error_falls(seen, search, data, found),
+        lambda: shapes(seen, search, found),
+        lambda: imitations(search, found),
+        lambda: _ledger(search, data, found, settings, facts or {}),
     ]
+    sections = [make() for make in tell_each(progress, "sections", makers)]
     return [section for section in sections if section[1] or section[2]]
 
 

@@ -56,7 +56,7 @@ from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import FactoredGrams, GramArrays, GramBlocks, parts_of, prewhiten
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
-from inflight.progress import Progress
+from inflight.progress import Progress, silent, tell_each
 from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding, parse_channel
 from inflight.spin import fit_folded_samples, spinning_sensor_of
@@ -640,7 +640,7 @@ class Loaded:
 _BLOCKS = ("start", "end", "count")
 
 
-def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
+def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day], progress: Progress = silent) -> Loaded:
     """Read Gram blocks, in order of time."""
     names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
@@ -651,14 +651,14 @@ def load_grams(cat: Catalog, plan: PassPlan, days: Sequence[Day]) -> Loaded:
     given = ["given"] if plan.base else []
 
     def raw_parts() -> Iterator[xr.Dataset]:
-        for day in ordered:
+        for day in tell_each(progress, "blocks", ordered):
             part = cat.read(day, [*_BLOCKS, "rest", *given, "begins", "series"])
             kept.append((part["series"].values, part["start"].values))
             features.append(Features.of_json(part["series"].attrs["features"]))
             yield part
 
     def white_parts() -> Iterator[xr.Dataset]:
-        for day in ordered:
+        for day in tell_each(progress, "blocks", ordered):
             part = cat.read(day, [*_BLOCKS, "white_rest", *(f"white_{name}" for name in given)])
             part = part.rename({f"white_{name}": name for name in ("rest", *given)})
             yield part.assign(begins=(("block", "white_fit"), part["start"].values[:, None]))
@@ -691,7 +691,7 @@ def _joined_series(
 
 
 def load_estimate_grams(
-    cat: Catalog, plan: PassPlan, days: Sequence[Day]
+    cat: Catalog, plan: PassPlan, days: Sequence[Day], progress: Progress = silent
 ) -> tuple[FactoredGrams, Series | None]:
     """Read the Gram blocks of a plan of estimates and its series, if it has one, in order of time."""
     names, scale = (*plan.library.columns, "residual"), np.array([*plan.scale, 1.0])
@@ -702,7 +702,7 @@ def load_estimate_grams(
     features: list[Features] = []
 
     def parts() -> Iterator[xr.Dataset]:
-        for day in ordered:
+        for day in tell_each(progress, "blocks", ordered):
             part = cat.read(day, wanted)
             if plan.keeps_series:
                 kept.append((part["series"].values, part["start"].values))

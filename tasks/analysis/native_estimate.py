@@ -91,7 +91,7 @@ class NativeEstimator:
             lambda stage, done, total: self.progress("estimate", done, total),
         )
         end_processes(self.client)
-        raw, series = load_estimate_grams(self.cat, plan, blocks)
+        raw, series = load_estimate_grams(self.cat, plan, blocks, self.progress)
         if raw.start.tolist() != search.raw.start.tolist():
             return None
         return Native(search.with_grams(raw, plan.library), self.cadence_ns / SECOND, series)

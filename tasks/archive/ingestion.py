@@ -38,7 +38,7 @@ from inflight.catalog.readers import (
 from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
-from inflight.progress import Progress, silent, tell_each, with_progress
+from inflight.progress import Progress, silent, with_progress
 from inflight.tasks.batches import iter_results
 from inflight.tasks.report import RunReport, problem, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, other_cadence, parse_utc, to_tt2000, to_utc
@@ -154,6 +154,7 @@ def survey(
     client: Any = None,
     read_new: bool = True,
     only: Sequence[str] | None = None,
+    progress: Progress = silent,
 ) -> Delivery:
     """Find and index an instrument's files.
 
@@ -175,6 +176,8 @@ def survey(
         Read files that are not on record; they are only counted otherwise.
     only : sequence of str, optional
         Of the files below the folder these alone, by their paths below it.
+    progress : callable, optional
+        Called with ("index", done, total) of the files that are read.
     """
     files, instrument = mission.files(name), mission.instruments[name]
     key = content_key(files, instrument)
@@ -189,7 +192,8 @@ def survey(
     known = {file.name: _recorded_index(file, data, records.get(file.name), key) for file in listed}
     new = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
     jobs = [(data / file.name, file, files, instrument) for file in (new if read_new else [])]
-    found = {index.name: index for index in iter_results(client, index_file, jobs)}
+    results = with_progress(progress, "index", iter_results(client, index_file, jobs), len(jobs))
+    found = {index.name: index for index in results}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
     missing = None if listed or only is not None else _nothing_delivered(name, data, files)
     return Delivery(name, key, tuple(indexed), superseded | also, len(new) - len(jobs), missing)
@@ -490,9 +494,16 @@ def ingest(
     names, folder = _named_instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
     report_progress = progress or silent
-    plans = []
-    for name in tell_each(report_progress, "index", names):
-        delivery = survey(cat, mission, name, folder, span=span, client=client, only=files)
+    plans, indexed = [], 0
+
+    def tell_files(stage: str, done: int, total: int) -> None:
+        # Those of the instruments before, and of this one.
+        report_progress(stage, indexed + done, indexed + total)
+
+    for name in names:
+        how: Any = {"span": span, "client": client, "only": files, "progress": tell_files}
+        delivery = survey(cat, mission, name, folder, **how)
+        indexed += sum(not file.known for file in delivery.files)
         plans.append(_plan(cat, delivery, span))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])

@@ -69,9 +69,13 @@ def view(catalog):
 
 
 def test_a_catalog_moves_to_postgresql_and_back_and_nothing_is_lost(catalog, url):
-    workspace, before = catalog.workspace, view(catalog)
-    moved = move_catalog(workspace, url)
+    workspace, before, told = catalog.workspace, view(catalog), []
+    moved = move_catalog(workspace, url, progress=lambda *step: told.append(step))
     assert moved.done
+    # Each row is copied and read back.
+    assert told[0] == ("move", 0, told[0][2])
+    assert told[-1] == ("move", told[0][2], told[0][2])
+    assert told[0][2] >= 2 * sum(moved.rows.values())
     assert moved.rows["day"] == 9
     assert not (workspace / "catalog.db").exists()
     there = Catalog(workspace)

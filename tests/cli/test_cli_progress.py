@@ -55,3 +55,25 @@ def test_a_terminal_gets_a_bar_with_the_time_that_is_left(monkeypatch, capsys):
     printed = capsys.readouterr().err
     assert "3/3" in printed
     assert "left" in printed
+
+
+def test_the_rate_of_a_stage_that_begins_again_is_its_own(clock, capsys):
+    with command.Command().progress() as show:
+        for step in (10.0, 1.0):
+            for done in range(11):
+                show("intervals", done, 10)
+                clock[0] += step
+    lines = capsys.readouterr().err.splitlines()
+    assert "intervals: 2 of 10, 1/s, 8 s left" in lines
+
+
+def test_a_bar_that_begins_again_counts_anew(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "120")
+    with command.Command().progress() as show:
+        for done in (0, 1, 2, 0, 1):
+            show("intervals", done, 2)
+    # The time that is left is not that of a stage that has ended.
+    last = [line for line in capsys.readouterr().err.splitlines() if "intervals" in line][-1]
+    assert "1/2" in last
+    assert "-:--:--" in last

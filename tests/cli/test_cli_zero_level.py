@@ -9,6 +9,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Workspace
 from inflight.flags import Flag
 from inflight.simulate.dual import DualSettings
+from inflight.tasks.analysis import compare
 from inflight.tasks.archive import simulate
 from inflight.tasks.archive.simulated_deliveries import VENUS_EXPRESS
 
@@ -83,6 +84,9 @@ def test_a_mission_in_which_only_the_zero_level_is_wrong_goes_through_the_verbs(
         assert words in shown.out
     for words in ("Zero levels", "Each method by itself", "What the methods assume", "Steps of 2 h"):
         assert words in page.read_text(encoding="utf-8")
+    steps: list[tuple[str, int, int]] = []
+    compare(Catalog(root), quiet.mission(), comparison="zero", progress=lambda *step: steps.append(step))
+    assert steps == [("sections", done, 4) for done in range(5)]
     tables = inflight("chain", "--comparison", "zero", "--json", "-w", root).json
     value, wide = (np.array([one[name] for one in tables["steps"]]) for name in ("value_nT", "sigma_nT"))
     known = np.array([one["determined"] for one in tables["steps"]]).all(axis=1)

@@ -88,10 +88,28 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(place, tmp_path_factory):
+def steps():
+    """What was told while the report was made: (stage, done, total)."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def made(place, steps, tmp_path_factory):
     """The report of all days."""
     output = tmp_path_factory.mktemp("page") / "deep" / "report.html"
-    return report(Catalog(place.root), place.mission(), output, settings=SETTINGS)
+    how = {"settings": SETTINGS, "progress": lambda *step: steps.append(step)}
+    return report(Catalog(place.root), place.mission(), output, **how)
+
+
+@pytest.mark.usefixtures("made")
+def test_blocks_that_are_loaded_and_sections_of_the_page_are_told(steps):
+    stages = list(dict.fromkeys(stage for stage, _, _ in steps))
+    assert stages.index("pass") < stages.index("blocks") < stages.index("search") < stages.index("sections")
+    # Blocks are read in two forms, a day each.
+    assert [step for step in steps if step[0] == "blocks"][:26] == [
+        ("blocks", done, len(DAYS)) for done in range(len(DAYS) + 1)
+    ] * 2
+    assert [step for step in steps if step[0] == "sections"] == [("sections", done, 10) for done in range(11)]
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.figures import LazySection, Section, bullet_list, html_table
 from inflight.plumbing import Finding
+from inflight.progress import Progress, silent, tell_each
 from inflight.residual import Line, NoiseFloor, ParameterScatter, ResidualStatistics, above_floor, is_at_floor
 from inflight.tasks.pipelines.base.parts import TextLine, plumbing_lines
 
@@ -273,9 +274,10 @@ class CompareResult(Generic[Report_co]):
     parts: Sequence[LazySection]
     data: Any = None
 
-    def sections(self) -> list[Section]:
-        """Make everything that is shown."""
-        return [(heading, *make()) for heading, make in self.parts]
+    def sections(self, progress: Progress = silent) -> Iterator[Section]:
+        """Make everything that is shown, section by section."""
+        for heading, make in tell_each(progress, "sections", self.parts):
+            yield heading, *make()
 
 
 def tables_in_use(cat: Catalog, comparison: str, day: Day) -> tuple[xr.Dataset, xr.Dataset]:

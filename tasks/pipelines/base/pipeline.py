@@ -190,7 +190,12 @@ class Pipeline(ABC):
         return list(days)
 
     def linearise_at(
-        self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
+        self,
+        cat: Catalog,
+        plan: Plan,
+        days: Mapping[np.datetime64, Day],
+        last: Sequence[float] | None,
+        progress: Progress = silent,
     ) -> list[float] | None:
         """Return the parameters at which the statistics of all days are to be linearised anew; None for none.
 
@@ -198,8 +203,10 @@ class Pipeline(ABC):
         ----------
         last : sequence of float or None
             Those of the last pass; None for each day's own.
+        progress : callable, optional
+            Called with (stage, done, total).
         """
-        del cat, plan, days, last
+        del cat, plan, days, last, progress
         return None
 
     # --- tables -----------------------------------------------------------------------------------------

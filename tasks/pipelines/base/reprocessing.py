@@ -188,7 +188,8 @@ def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
     last: Sequence[float] | None = plan.reference
     for _ in range(_MOST_PASSES):
         with one_thread():
-            last = pipeline.linearise_at(work.cat, plan, others | current | fresh, last) if fresh else None
+            every = others | current | fresh
+            last = pipeline.linearise_at(work.cat, plan, every, last, work.progress) if fresh else None
         if last is None:
             break
         batches = plan.in_batches([day for day in plan.days if day not in work.failed])

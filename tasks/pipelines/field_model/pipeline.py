@@ -178,7 +178,7 @@ class FieldModelPipeline(Pipeline):
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the tables of days, windows and the span, and that of months when it is asked for."""
         keep, ordered, plan = self.table_stager(work, days), sorted(days), work.plan
-        parts = [work.cat.read(days[day]) for day in ordered]
+        parts = [work.cat.read(days[day]) for day in tell_each(work.progress, "statistics", ordered)]
         grams, start, end = (
             np.concatenate([one[name].values for one in parts]) for name in ("gram", "start", "end")
         )
@@ -192,7 +192,8 @@ class FieldModelPipeline(Pipeline):
             edges["monthly"] = month_edges(first, ordered[-1])
         external = stated(work.mission, plan.settings.comparison).external
         for name, bounds in edges.items():
-            keep.table(name, partial(twelve_table, grams, (start, end), plan.model, bounds, name, external))
+            what = (plan.model, bounds, name, external, work.progress)
+            keep.table(name, partial(twelve_table, grams, (start, end), *what))
         return keep.solved(plan.settings.table, plan.model)
 
     def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -361,6 +362,7 @@ def twelve_table(
     edges: Sequence[np.datetime64],
     kind: str,
     external_nT: float,
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the table of intervals between days; dims interval, parameter, other.
 
@@ -372,12 +374,15 @@ def twelve_table(
         Where blocks start and end, TT2000.
     external_nT : float
         See `inflight.calibration.field_model.fit_twelve`.
+    progress : callable, optional
+        Called with ("intervals", done, total).
     """
     import xarray as xr
 
     start, end = spans
     own, rows, bounds, learnt = own_equation(model), [], [], []
-    for first, after in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
+    between = list(itertools.pairwise(day_bounds(edge)[0] for edge in edges))
+    for first, after in tell_each(progress, "intervals", between):
         inside = np.flatnonzero((first <= start) & (start < after) & (grams[:, 3, 3] > 0))
         if not inside.size:
             continue

@@ -13,7 +13,7 @@ import numpy as np
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.mission import Mission
-from inflight.progress import Progress, silent
+from inflight.progress import Progress, silent, tell_each
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -113,7 +113,7 @@ class RelationPipeline(Pipeline):
         """Make the tables of the planned days; those that cannot be made have a note."""
         pair = Pair.of(work.mission, work.plan.settings.comparison)
         planned = {day: days[day] for day in work.plan.days if day in days}
-        read = [work.cat.read(day) for day in planned.values()]
+        read = [work.cat.read(day) for day in tell_each(work.progress, "statistics", list(planned.values()))]
         keep = self.table_stager(work, planned)
         names = (pair.first, pair.second) if pair.relation.kind == "scalar" else ()
         errors = calibration_errors(work.cat, work.mission, names, list(planned.values()))

@@ -150,7 +150,7 @@ def compare_samples(
     found = measure_dependences(coordinates.values(), rows["after"], block)
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
-    determined, directions = _determined(cat, mission, comparison, span, used)
+    determined, directions = _determined(cat, mission, comparison, span, used, progress)
     before, after = ([getattr(one, state) for one in digest.days] for state in ("before", "after"))
     floor = join_floors([one.floor for one in digest.days])
     other, old = None, None
@@ -293,7 +293,7 @@ def _dependences_of(digest: Digest, found: Sequence[Dependence], mission: Missio
 
 
 def _determined(
-    cat: Catalog, mission: Mission, comparison: str, span: slice, used: xr.Dataset
+    cat: Catalog, mission: Mission, comparison: str, span: slice, used: xr.Dataset, progress: Progress
 ) -> tuple[list[str], list[str]]:
     """Return the parameters, and the combinations of them, that the span's equations determine.
 
@@ -303,7 +303,7 @@ def _determined(
     if not days and "determined" in used:
         sure = zip(used["parameter"].values, used["determined"].values[-1], strict=True)
         return [str(name) for name, known in sure if known], []
-    equations = load_equations(cat, days)
+    equations = load_equations(cat, days, progress)
     model = current_model(cat, mission, comparison).model
     solution = span_solution(equations, model)
     names = reference_of(model, int(equations.dataset["start"].values[0])).columns

@@ -57,12 +57,17 @@ class ScalarPipeline(Pipeline):
         return calibrate_day(batch, day)
 
     def linearise_at(
-        self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
+        self,
+        cat: Catalog,
+        plan: Plan,
+        days: Mapping[np.datetime64, Day],
+        last: Sequence[float] | None,
+        progress: Progress = silent,
     ) -> list[float] | None:
         """Return the solution of all days, when the equations' linearisation error there is too large."""
         from inflight.tasks.pipelines.scalar.tables import load_equations, relinearise_at
 
-        equations = load_equations(cat, list(days.values()))
+        equations = load_equations(cat, list(days.values()), progress)
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
         value = relinearise_at(equations, plan.model, strength, last)
         return None if value is None else value.tolist()
@@ -78,7 +83,7 @@ class ScalarPipeline(Pipeline):
         )
 
         plan, stager = work.plan, self.table_stager(work, days)
-        equations, model = load_equations(work.cat, list(days.values())), plan.model
+        equations, model = load_equations(work.cat, list(days.values()), work.progress), plan.model
         keep_joined(work.cat, work.run, equations, list(days.values()))
         edges = {
             "window": window_edges(min(days), max(days), plan.settings.window_days),
@@ -87,9 +92,9 @@ class ScalarPipeline(Pipeline):
         if plan.settings.table == "monthly":
             edges["monthly"] = month_edges(min(days), max(days))
         form = estimate_of(work.mission, plan.settings.comparison)
-        finer = [stager.table("daily", partial(daily_table, equations, model, form))]
+        finer = [stager.table("daily", partial(daily_table, equations, model, form, work.progress))]
         for name, bounds in edges.items():
-            make = partial(window_table, equations, model, bounds, name, tuple(finer), form)
+            make = partial(window_table, equations, model, bounds, name, tuple(finer), form, work.progress)
             finer.insert(0, stager.table(name, make))
         return stager.solved(plan.settings.table, model)
 

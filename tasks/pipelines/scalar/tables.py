@@ -32,6 +32,7 @@ from inflight.errors import CalibrationError, CatalogError
 from inflight.lsq import BIWEIGHT_RMS_FACTOR, Solution, residual_sum
 from inflight.mission_fit import held_numbers_of, held_shifts, with_held_numbers
 from inflight.model import Model
+from inflight.progress import Progress, silent, tell_each
 from inflight.time import day_bounds
 
 #: Equations are linearised again when the linearisation error of the residual exceeds this; nT.
@@ -41,7 +42,7 @@ MAX_LINEARISATION_ERROR = 1e-3
 JOINED_DAYS = 32
 
 
-def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
+def load_equations(cat: Catalog, days: Sequence[Day], progress: Progress = silent) -> NormalEquations:
     """Read the normal equations of days, published or verified, in order of time.
 
     Raises
@@ -68,7 +69,7 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
         kept = joined.get(_key_of_joined(members)) if len(members) == JOINED_DAYS else None
         parts += members if kept is None else [kept]
     index = 0
-    for day in parts:
+    for day in tell_each(progress, "statistics", parts):
         part = cat.read(day)
         if "day_start" in part:
             part = part.isel(block=0).drop_vars("start").rename(day="block", day_start="start")
@@ -130,7 +131,9 @@ def _key_of_joined(days: Sequence[Day]) -> str:
     return idempotency_key(_joined(days), days[0].day, 0, "", [f"{day.id} {day.key}" for day in days])
 
 
-def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -> xr.Dataset:
+def daily_table(
+    equations: NormalEquations, model: Model, form: str = "exact", progress: Progress = silent
+) -> xr.Dataset:
     """Return the table of the blocks' own fits, one interval a block; `form` as `window_table`."""
     data, bare = equations.dataset, equations.bare
     fit, covariance = data["fit"].values[:, :-1], data["fit_covariance"].values[:, :-1, :-1]
@@ -145,7 +148,7 @@ def daily_table(equations: NormalEquations, model: Model, form: str = "exact") -
     )
     solutions = dict(zip(filled.tolist(), solved, strict=True))
     rows = []
-    for index, (start, end) in enumerate(spans):
+    for index, (start, end) in enumerate(tell_each(progress, "intervals", spans)):
         one = bare.of_blocks(slice(index, index + 1))
         if index not in solutions:
             rows.append(_prior_interval(one, model, start, end))
@@ -184,6 +187,7 @@ def window_table(
     kind: str,
     finer: Sequence[xr.Dataset] = (),
     form: str = "exact",
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the table of windows solved from the sums of their blocks; empty windows are skipped.
 
@@ -194,10 +198,13 @@ def window_table(
     form : str
         ``exact``, or a form of `inflight.calibration.published_fit`: the table then has `estimate`
         (interval), and in its covariance by how much one pass of that form misses the exact fit.
+    progress : callable, optional
+        Called with ("intervals", done, total).
     """
     each, rows, bare, used = [], [], equations.bare, equations.dataset["used"].values
     held = _held_products(equations)
-    for start, end in itertools.pairwise(day_bounds(edge)[0] for edge in edges):
+    spans = list(itertools.pairwise(day_bounds(edge)[0] for edge in edges))
+    for start, end in tell_each(progress, "intervals", spans):
         inside = np.flatnonzero((bare.start >= start) & (bare.end <= end))
         if inside.size:
             part, count = bare.of_blocks(inside), float(used[inside[bare.count[inside] > 0]].sum())

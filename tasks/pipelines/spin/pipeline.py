@@ -18,7 +18,7 @@ from inflight.errors import CalibrationError, MissionError
 from inflight.main_field import MainField
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.progress import Progress, silent
+from inflight.progress import Progress, silent, tell_each
 from inflight.spin import HELD
 from inflight.tasks.pipelines.base import (
     ONE_DAY,
@@ -124,13 +124,14 @@ class SpinPipeline(Pipeline):
             )
         plan, mission, keep = work.plan, work.mission, self.table_stager(work, days)
         settings, model, ordered = plan.settings, plan.model, sorted(days)
-        read = [work.cat.read(days[day]) for day in ordered]
+        read = [work.cat.read(days[day]) for day in tell_each(work.progress, "statistics", ordered)]
         first, last = ordered[0], ordered[-1]
         windows = split_at_flips(window_edges(first, last, settings.window_days), mission)
         months = split_at_flips(month_edges(first, last), mission)
         whole = split_at_flips([first, last + ONE_DAY], mission)
-        by_window = keep.table("zero-level", partial(zero_level_table, read, model, windows))
-        by_month = keep.table("zero-level-monthly", partial(zero_level_table, read, model, months))
+        along = partial(zero_level_table, read, model, progress=work.progress)
+        by_window = keep.table("zero-level", partial(along, windows))
+        by_month = keep.table("zero-level-monthly", partial(along, months))
         entry = mission.comparisons[settings.comparison]
         near_earth = entry.field_model if entry.kind == "spin" else None
         external = near_earth.external if near_earth else None
@@ -141,7 +142,8 @@ class SpinPipeline(Pipeline):
             "span": (whole, by_window),
         }
         for name, (bounds, zero) in makers.items():
-            keep.table(name, partial(spin_table, read, model, bounds, name, zero, external))
+            what = (model, bounds, name, zero, external, work.progress)
+            keep.table(name, partial(spin_table, read, *what))
         flips = {"flipper": partial(flipper_table, read, model, whole, mission)} if flips_of(mission) else {}
         return keep.solved(settings.table, model, keep.stage_possible(flips))
 

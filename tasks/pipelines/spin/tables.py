@@ -24,6 +24,7 @@ from inflight.figures import SubintervalEstimates
 from inflight.lsq import sigma_of_mean
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
+from inflight.progress import Progress, silent, tell_each
 from inflight.spin import (
     GROUND,
     HELD,
@@ -135,7 +136,7 @@ class _Row:
 
 
 def _windows(
-    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64], *, cut: bool = False
+    days: Sequence[xr.Dataset], edges: Sequence[np.datetime64], progress: Progress, *, cut: bool = False
 ) -> Iterator[tuple[int, int, list[xr.Dataset]]]:
     """Yield TT2000 start and end of each window that has days, and its days, or parts of days.
 
@@ -146,7 +147,7 @@ def _windows(
     if cut:
         inside = {int(part["start"].values[0]) for part in parts}
         bounds |= {at for at in inside if at != day_bounds(str(day_of(at)))[0]}
-    for start, end in itertools.pairwise(sorted(bounds)):
+    for start, end in tell_each(progress, "intervals", list(itertools.pairwise(sorted(bounds)))):
         inside_window = [part for part in parts if start <= int(part["start"].values[0]) < end]
         if inside_window:
             yield start, end, inside_window
@@ -159,6 +160,7 @@ def spin_table(
     kind: str,
     zero: xr.Dataset | None = None,
     external_nT: float | None = None,
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the table of windows of days; windows without a day are skipped.
 
@@ -179,6 +181,8 @@ def spin_table(
     external_nT : float, optional
         What the field model lacks that tells gains and rotation (`inflight.spin.fit_held`); without it
         they keep the ground's values.
+    progress : callable, optional
+        Called with ("intervals", done, total).
 
     Returns
     -------
@@ -192,7 +196,8 @@ def spin_table(
     entry = require_spinning(model)
     in_use = _InUse.from_ground(entry, day_bounds(edges[0])[0], external_nT)
     rows = [
-        in_use.row(inside, entry, start, end, zero) for start, end, inside in _windows(days, edges, cut=True)
+        in_use.row(inside, entry, start, end, zero)
+        for start, end, inside in _windows(days, edges, progress, cut=True)
     ]
     return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
 
@@ -454,7 +459,9 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
     return with_changes(table, [table.assign(value=own)])
 
 
-def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64]) -> xr.Dataset:
+def zero_level_table(
+    days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64], progress: Progress = silent
+) -> xr.Dataset:
     """Return the offset along the spin axis in windows of days, from the statistics of natural fluctuations.
 
     Parameters
@@ -473,7 +480,7 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
     """
     entry = require_spinning(model)
     rows = []
-    for start, end, inside in _windows(days, edges):
+    for start, end, inside in _windows(days, edges, progress):
         ground, sigma = ground_of(entry, (start + end) // 2)
         rows.append((start, end, _zero_level(inside, ground, SPIN_TABLE_SETTINGS.reach * sigma[AXIAL])))
     one, each = ("interval",), ("interval", "method_name")

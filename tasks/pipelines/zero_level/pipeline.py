@@ -19,9 +19,9 @@ from inflight.calibration import change_outside, outside_learnt
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError
 from inflight.flags import Flag
-from inflight.mission import Mission, sensors_of
+from inflight.mission import Mission, ZeroLevelComparison, sensors_of
 from inflight.model import instrument_variance
-from inflight.progress import Progress, silent
+from inflight.progress import Progress, silent, tell_each
 from inflight.tasks.archive import ArchiveIndex, split_at_flips
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.base import (
@@ -173,10 +173,14 @@ class ZeroLevelPipeline(Pipeline):
         entry, ordered = zero_level_of(mission, plan.settings.comparison), sorted(days)
         if not ordered:
             raise CalibrationError("no day has usable averages", remedy="look at the problems of the days")
-        means = [DayMeans.of(work.cat.read(days[day]), days[day].report) for day in ordered]
+        means = [
+            DayMeans.of(work.cat.read(days[day]), days[day].report)
+            for day in tell_each(work.progress, "statistics", ordered)
+        ]
         attributes = {"comparison": plan.settings.comparison, "model": plan.model.sha, "kind": "zero_level"}
         first, after = ordered[0], ordered[-1] + ONE_DAY
-        make = partial(zero_level_table, means, entry, attributes=attributes, made={})
+        how: Any = {"attributes": attributes, "made": {}, "progress": work.progress}
+        make = partial(zero_level_table, means, entry, **how)
         daily = keep.table("daily", partial(make, [*ordered, after]))
         windows = {
             "window": window_edges(first, ordered[-1], plan.settings.window_days),
@@ -274,7 +278,7 @@ class ZeroLevelPipeline(Pipeline):
         parts: list[LazySection] = [("Variation of the size", lambda: ([variation_html(report)], []))]
         parts += [
             (heading, partial(lambda text, plots: (text, plots), text, plots))
-            for heading, text, plots in self.sections(cat, mission, comparison)
+            for heading, text, plots in self.sections(cat, mission, comparison, progress)
         ]
         return CompareResult(report, title, parts)
 
@@ -298,46 +302,78 @@ class ZeroLevelPipeline(Pipeline):
             from inflight.figures import html_page
 
             title = f"{mission.mission}: zero level of {entry.vector}"
-            write_page(
-                output, html_page(title, self.sections(cat, mission, comparison), mission.acknowledgement)
-            )
+            sections = self.sections(cat, mission, comparison, progress)
+            write_page(output, html_page(title, sections, mission.acknowledgement))
         levels = rows_as_json(table, entry)
         steps = newest_table(cat, f"{comparison}-steps") if entry.step else None
         fields = {"comparison": comparison, "zero_levels": levels, "steps": steps_as_json(steps)}
         return TablesReport(fields, level_lines(comparison, levels), output)
 
-    def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+    def sections(
+        self, cat: Catalog, mission: Mission, comparison: str, progress: Progress = silent
+    ) -> list[Section]:
         """Return zero levels, what each method says, and the tests of their assumptions."""
         table = newest_table(cat, f"{comparison}-window")
         if table is None:
             return []
-        from inflight.figures import bullet_list, html_table, parameter_figures, zero_methods_figure
-
         entry, daily = zero_level_of(mission, comparison), newest_table(cat, f"{comparison}-daily")
-        levels = Part("zero_level", "Zero levels")
-        head = ("from", "to", *AXES, "methods")
-        rows = [
-            (one["start"], one["end"], *(one["sentence"][axis] for axis in AXES), one["method"])
-            for one in rows_as_json(table, entry)
-        ]
-        levels.text.append(html_table(head, rows))
-        levels.plots = [] if daily is None else list(parameter_figures(daily, table))
-        tests = Part("assumptions", "What the methods assume")
-        last = table.isel(interval=-1)
-        sentences = [str(one) for one in last["assumption_text"].values if str(one)]
-        tests.text.append(bullet_list(sentences) if sentences else str(last["reason"].values))
-        own = Part("methods", "Each method by itself")
-        own.text.append(html_table(("method", "intervals", *AXES, "remarks"), method_rows(last)))
-        told = table.assign(sigma=table["sigma"].where(table["determined"], np.inf))
-        own.plots = [
-            zero_methods_figure(told.isel(parameter=AXES.index(axis)), f"Zero level along {axis} by method")
-            for axis in entry.axes
-        ]
-        found = [levels, own, tests]
         steps = newest_table(cat, f"{comparison}-steps") if entry.step else None
-        if steps is not None and entry.step:
-            part = Part("steps", f"Steps of {entry.step / (3600 * SECOND):g} h")
-            part.add_text("Results by themselves, too uncertain to correct a field with.")
-            part.text.append(html_table(("from", *AXES), step_rows(steps)))
-            found.append(part)
-        return page_sections(found)
+        makers = [
+            partial(_levels, table, daily, entry),
+            partial(_methods, table, entry),
+            partial(_assumptions, table),
+            *([] if steps is None else [partial(_steps, steps, entry)]),
+        ]
+        return page_sections([make() for make in tell_each(progress, "sections", makers)])
+
+
+def _levels(table: xr.Dataset, daily: xr.Dataset | None, entry: ZeroLevelComparison) -> Part:
+    """Return the zero level of each window, and those of days beside them."""
+    from inflight.figures import html_table, parameter_figures
+
+    part = Part("zero_level", "Zero levels")
+    head = ("from", "to", *AXES, "methods")
+    rows = [
+        (one["start"], one["end"], *(one["sentence"][axis] for axis in AXES), one["method"])
+        for one in rows_as_json(table, entry)
+    ]
+    part.text.append(html_table(head, rows))
+    part.plots = [] if daily is None else list(parameter_figures(daily, table))
+    return part
+
+
+def _methods(table: xr.Dataset, entry: ZeroLevelComparison) -> Part:
+    """Return what each method says by itself."""
+    from inflight.figures import html_table, zero_methods_figure
+
+    part = Part("methods", "Each method by itself")
+    last = table.isel(interval=-1)
+    part.text.append(html_table(("method", "intervals", *AXES, "remarks"), method_rows(last)))
+    told = table.assign(sigma=table["sigma"].where(table["determined"], np.inf))
+    part.plots = [
+        zero_methods_figure(told.isel(parameter=AXES.index(axis)), f"Zero level along {axis} by method")
+        for axis in entry.axes
+    ]
+    return part
+
+
+def _assumptions(table: xr.Dataset) -> Part:
+    """Return the tests of what the methods assume, in the last window."""
+    from inflight.figures import bullet_list
+
+    part = Part("assumptions", "What the methods assume")
+    last = table.isel(interval=-1)
+    sentences = [str(one) for one in last["assumption_text"].values if str(one)]
+    part.text.append(bullet_list(sentences) if sentences else str(last["reason"].values))
+    return part
+
+
+def _steps(steps: xr.Dataset, entry: ZeroLevelComparison) -> Part:
+    """Return the zero levels of steps of some hours."""
+    from inflight.figures import html_table
+
+    assert entry.step is not None
+    part = Part("steps", f"Steps of {entry.step / (3600 * SECOND):g} h")
+    part.add_text("Results by themselves, too uncertain to correct a field with.")
+    part.text.append(html_table(("from", *AXES), step_rows(steps)))
+    return part

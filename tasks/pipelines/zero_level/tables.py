@@ -20,6 +20,7 @@ from inflight.calibration import with_changes, with_learnt_spans
 from inflight.errors import CalibrationError, InflightError
 from inflight.lsq import robust_sigma
 from inflight.mission import ZeroLevelComparison
+from inflight.progress import Progress, silent, tell_each
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
 from inflight.zero_level import (
     AXES,
@@ -149,6 +150,7 @@ def zero_level_table(
     attributes: Mapping[str, str],
     daily: xr.Dataset | None = None,
     made: dict[tuple[int, ...], _Row] | None = None,
+    progress: Progress = silent,
 ) -> xr.Dataset:
     """Return the zero level of each window that has a day.
 
@@ -164,6 +166,8 @@ def zero_level_table(
         The table of days: how their levels scatter beyond their errors is part of a window's error.
     made : dict, optional
         Rows of other tables of these days, by their days: what is the same is not estimated again.
+    progress : callable, optional
+        Called with ("intervals", done, total).
 
     Returns
     -------
@@ -178,7 +182,7 @@ def zero_level_table(
         kind): Alfvenic, compressional and other intervals.
     """
     rows, known = [], {} if made is None else made
-    for start, end in pairwise(day_bounds(edge)[0] for edge in edges):
+    for start, end in tell_each(progress, "intervals", list(pairwise(day_bounds(edge)[0] for edge in edges))):
         inside = [day for day in days if start <= day.start < end]
         if not inside:
             continue
