@@ -204,7 +204,7 @@ def release(
 
     place = Workspace.open(workspace)
     report: RunReport = runner().run(
-        "copy out", make_release, place, version, notes, destination, formats, maturity
+        "copy out", make_release, place, version, notes, destination, formats, maturity, runner().progress
     )
     return report.as_json()
 

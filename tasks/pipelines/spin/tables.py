@@ -144,13 +144,13 @@ def _windows(
     """
     bounds = {day_bounds(edge)[0] for edge in edges}
     parts = parts_of(days)
+    starts = np.array([int(part["start"].values[0]) for part in parts], dtype=np.int64)
     if cut:
-        inside = {int(part["start"].values[0]) for part in parts}
-        bounds |= {at for at in inside if at != day_bounds(str(day_of(at)))[0]}
+        bounds |= {at for at in starts.tolist() if at != day_bounds(str(day_of(at)))[0]}
     for start, end in tell_each(progress, "intervals", list(itertools.pairwise(sorted(bounds)))):
-        inside_window = [part for part in parts if start <= int(part["start"].values[0]) < end]
-        if inside_window:
-            yield start, end, inside_window
+        inside = [parts[place] for place in np.flatnonzero((starts >= start) & (starts < end))]
+        if inside:
+            yield start, end, inside
 
 
 def spin_table(
