@@ -450,8 +450,9 @@ def failure_cause(error: BaseException) -> str:
     """Return the catalog's cause of an exception: only failures that can pass are ``transient``."""
     if isinstance(error, InflightError):
         return error.cause
-    passing = (OSError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit)
-    return "transient" if isinstance(error, passing) else "bug"
+    # What is no `Exception` ended the work from outside: Ctrl-C, or Prefect when a run is cancelled.
+    passing = isinstance(error, OSError | MemoryError) or not isinstance(error, Exception)
+    return "transient" if passing else "bug"
 
 
 def close_run(

@@ -19,6 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import forkserver
 from typing import TYPE_CHECKING, Any, Final
 
+from inflight.errors import InflightError
 from inflight.threads import ONE_THREAD_VARIABLES, one_thread
 
 if TYPE_CHECKING:
@@ -189,6 +190,7 @@ class _LazyClient:
     def __init__(self, workers: int | None, niceness: int) -> None:
         self._settings, self._stack = (workers, niceness), ExitStack()
         self._client: Client | None = None
+        self._ended = False
         # Prefect's tasks run in threads, several of which may bring the first work.
         self._starting = threading.Lock()
         self._left = self._given = 0
@@ -200,8 +202,16 @@ class _LazyClient:
         self._left, self._took = (pieces if alone else 0), []
 
     def submit(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        """Give work to the client: see `distributed.Client.submit`."""
+        """Give work to the client: see `distributed.Client.submit`.
+
+        Raises
+        ------
+        InflightError
+            When the run has ended: Prefect's tasks that still waited when it was cancelled do nothing more.
+        """
         with self._starting:
+            if self._ended:
+                raise InflightError("the run has ended; its work is not begun any more", remedy="run again")
             if self._client is None and self._pays_to_stay():
                 begun = time.perf_counter()
                 done = _Done(work, arguments)
@@ -218,6 +228,11 @@ class _LazyClient:
         usual = sum(self._took) / max(len(self._took), 1)
         workers = min(self._settings[0] or available_cores(), self._left)
         return self._left > 0 and (1.0 - 1.0 / workers) * self._left * usual < _START_S
+
+    def end(self) -> None:
+        """End the processes for good."""
+        self._ended = True
+        self.end_processes()
 
     def end_processes(self) -> None:
         """End the processes; the next work starts others. Nothing may be under way.
@@ -245,7 +260,7 @@ def lazy_client(workers: int | None = None, niceness: int = 0) -> Iterator[Any]:
     try:
         yield client
     finally:
-        client.end_processes()
+        client.end()
 
 
 @contextmanager

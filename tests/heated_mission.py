@@ -1,6 +1,6 @@
 """The tiny mission with a heater and a boom temperature, and a field that no model of it knows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,13 +60,15 @@ def deliver_heated_day(folder: Path, day: str, hidden: Hidden, scalar: Hidden = 
     (folder / f"power_{stamp}.csv").write_text(text, encoding="utf-8")
 
 
-def make_heated_workspace(root: Path, hidden: Hidden = heater_field, scalar: Hidden = nothing) -> Workspace:
-    """Make a workspace of four heated days, ingested."""
+def make_heated_workspace(
+    root: Path, hidden: Hidden = heater_field, scalar: Hidden = nothing, days: Sequence[str] = HEATED_DAYS
+) -> Workspace:
+    """Make a workspace of heated days, ingested."""
     source = root.parent / f"{root.name}.yaml"
     source.parent.mkdir(parents=True, exist_ok=True)
     source.write_text(TINY_YAML.replace("comparisons:", HOUSEKEEPING), encoding="utf-8")
     made = Workspace.create(root, source)
-    for day in HEATED_DAYS:
+    for day in days:
         deliver_heated_day(made.data, day, hidden, scalar)
     ingest(Catalog(made.root), made.mission(), made.data)
     return made

@@ -575,9 +575,10 @@ def _has_history(search: Search, channel: str) -> bool:
 def _is_own_square(values: Floats) -> bool:
     """Return True for a channel whose square about its mean is a multiple of itself: one of two levels."""
     good = values[np.isfinite(values)].astype(np.float64)
-    centred = good - good.mean() if good.size else good
-    if not centred.any():
+    if not good.size or np.all((good == good.min()) | (good == good.max())):
+        # Of two levels held equally long the square is constant, and correlates with nothing.
         return True
+    centred = good - good.mean()
     alike = np.corrcoef(centred, centred**2)[0, 1] ** 2
     return bool(alike > VISIBILITY_SETTINGS.twin)
 

@@ -14,6 +14,7 @@ from inflight.diagnosis.forms import (
     _at_best_lag,
     _cells,
     _entry,
+    _is_own_square,
     _option,
     add_forms,
     by_one_channel,
@@ -97,6 +98,13 @@ def test_angles_and_channels_that_stand_still_are_no_channels_of_cells():
     names = scalar_channels(flown().material())
     assert set(CHANNELS) <= set(names)
     assert not {"orbit_phase", "local_time", "longitude"} & set(names)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5])
+def test_a_channel_of_two_levels_has_no_square_of_its_own_however_long_it_is_on(share):
+    on = np.arange(1000) < 1000 * share
+    assert _is_own_square(np.where(on, 500.3, 0.1))
+    assert not _is_own_square(np.where(on, 500.3, np.arange(1000.0)))
 
 
 def test_an_effect_that_becomes_one_of_the_model_in_its_best_form_is_not_taken_twice(monkeypatch):

@@ -9,15 +9,20 @@ from pathlib import Path
 
 import httpx
 import pytest
+from store_cases import unfinished_stores
 from tiny_mission import make_tiny_workspace
 
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Workspace
 from inflight.flows import scheduled_flows
+from inflight.tasks.archive import ingest
 
 pytestmark = pytest.mark.server
 
 DEPLOYMENTS = Path(__file__).parents[2] / "deployments"
 PATIENCE = 120
+#: States in which a flow run stays.
+FINAL = ("COMPLETED", "FAILED", "CRASHED", "CANCELLED")
+WORKER = ("worker", "start", "--pool", "inflight", "--install-policy", "never")
 
 
 def free_port() -> int:
@@ -72,6 +77,7 @@ def environment(tmp_path_factory, workspace) -> dict[str, str]:
         "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
         "PREFECT_SERVER_UI_ENABLED": "false",
         "PREFECT_SERVER_SERVICES_SCHEDULER_LOOP_SECONDS": "2",
+        "PREFECT_WORKER_QUERY_SECONDS": "1",
         "DO_NOT_TRACK": "1",
         "INFLIGHT_WORKSPACE": str(workspace),
     }
@@ -142,18 +148,61 @@ def test_the_server_refuses_wrong_parameters(api, parameters):
     assert answer.is_client_error, answer.text
 
 
+def end_of(api: httpx.Client, run: str) -> dict:
+    """Wait for the end of a flow run and return its state."""
+
+    def final() -> dict | None:
+        state = api.get(f"flow_runs/{run}").json()["state"]
+        return state if state["type"] in FINAL else None
+
+    return wait_for(final, "finished run")
+
+
 def test_a_worker_runs_a_backfill_and_the_catalog_has_it(api, environment, workspace):
     span = ["--param", "start=2024-03-01", "--param", "end=2024-03-03"]
     prefect("deployment", "run", "backfill/span", *span, environment=environment)
-    worker = ("worker", "start", "--pool", "inflight", "--run-once", "--install-policy", "never")
-    prefect(*worker, environment=environment)
+    prefect(*WORKER, "--run-once", environment=environment)
     question = {"deployments": {"name": {"any_": ["span"]}}}
-    run = wait_for(
-        lambda: next(
-            (run for run in api.post("flow_runs/filter", json=question).json() if run["end_time"]), None
-        ),
-        "finished run",
-    )
-    assert run["state_type"] == "COMPLETED", run["state"]
+    run = api.post("flow_runs/filter", json=question).json()[0]
+    state = end_of(api, run["id"])
+    assert state["type"] == "COMPLETED", state
     published = Catalog(workspace).days("l2/field", states=["published"])
     assert [str(day.day) for day in published] == ["2024-03-01", "2024-03-02"]
+
+
+def test_a_cancelled_run_publishes_nothing_and_the_next_one_makes_all(api, environment, tmp_path):
+    days, log = 30, tmp_path / "worker.log"
+    root = make_tiny_workspace(tmp_path / "cancelled", days)
+    place, cat = Workspace.open(root), Catalog(root)
+    ingest(cat, place.mission(), place.data)
+    # Of this deployment one run is let in at a time.
+    made = deployment(api, "reprocess/full-mission")
+
+    def ask(batch_days: int) -> str:
+        """Ask for a reprocessing of all days; return which flow run it is."""
+        settings = {"table": "span", "batch_days": batch_days}
+        request = {"parameters": {"workspace": str(root), "workers": 1, "settings": settings}}
+        return api.post(f"deployments/{made['id']}/create_flow_run", json=request).json()["id"]
+
+    def published() -> list[int]:
+        return [len(cat.days(name, states=["published"])) for name in ("equations/main/base", "l2/field")]
+
+    cancelled, command = ask(batch_days=1), [sys.executable, "-m", "prefect", *WORKER]
+    with log.open("w") as out, subprocess.Popen(command, env=environment, stdout=out, stderr=out) as worker:
+        try:
+            wait_for(lambda: any((root / "stores").glob("*-reprocess-*/*.zarr")), f"first batch; {log}")
+            # As `prefect flow-run cancel` does.
+            answer = api.post(f"flow_runs/{cancelled}/set_state", json={"state": {"type": "CANCELLING"}})
+            assert answer.json()["status"] == "ACCEPT", answer.text
+            state = end_of(api, cancelled)
+            assert state["type"] == "CANCELLED", state
+            last = cat.runs()[-1]
+            assert (last.kind, last.state, last.cause) == ("reprocess", "failed", "transient")
+            assert published() == [0, 0]
+            assert cat.verify() == []
+            state = end_of(api, ask(batch_days=days))
+            assert state["type"] == "COMPLETED", state
+        finally:
+            worker.terminate()
+    assert published() == [days, days]
+    assert unfinished_stores(root) == []

@@ -12,11 +12,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from inflight.errors import ReadError, WorkerError
+from inflight.errors import InflightError, ReadError, WorkerError
 from inflight.flows import DaySpan, available_cores, dask_client, lazy_client
 from inflight.flows import runner as runner_module
 from inflight.flows.launch import prefect_environment, prefect_settings
-from inflight.flows.runner import PrefectRunner, progress_to
+from inflight.flows.runner import PrefectRunner, is_transient, progress_to
 from inflight.flows.server import EmbeddedServer, is_own
 from inflight.tasks.batches import end_processes, iter_results
 
@@ -169,6 +169,18 @@ def test_processes_end_when_asked_and_others_start_with_the_next_work(counted_cl
         assert client.submit(abs, -2) == 2
     assert counted_clusters == ["started", "ended"] * 2
     end_processes(None)
+
+
+def test_work_that_comes_when_the_run_has_ended_is_refused_and_starts_no_processes(counted_clusters):
+    with lazy_client(2) as client:
+        client.submit(abs, -1)
+    for pieces in (1, 20):
+        # Tasks that waited when a run was cancelled still bring their work.
+        client.expect(pieces)
+        with pytest.raises(InflightError, match="run has ended") as refused:
+            client.submit(abs, -2)
+        assert not is_transient(refused.value)
+    assert counted_clusters == ["started", "ended"]
 
 
 def test_few_quick_pieces_of_work_start_no_processes(counted_clusters):

@@ -98,3 +98,22 @@ def test_a_worker_is_sent_all_days_its_blocks_are_made_from_and_few_more(tmp_pat
         few, all_days = made(block, sent), made(block, planned.index)
         for name in few.data_vars:
             np.testing.assert_array_equal(few[name].values, all_days[name].values)
+
+
+@pytest.mark.slow
+def test_a_record_that_grew_between_diagnoses_gets_the_verdict_of_one_that_came_at_once(tmp_path):
+    settings, said = DiagnoseSettings(draws=100, rounds=2), []
+    for name, later in (("grown", 3), ("at-once", 0)):
+        cat = make_long_workspace(tmp_path / name, 205 - later, later)
+        mission = Workspace.open(tmp_path / name).mission()
+        if later:
+            make_pass(cat, mission, None, None, settings)
+            add_later_days(cat, 205 - later, later)
+        said.append(diagnose(cat, mission, settings=settings).as_json())
+    grown, at_once = said
+    assert grown["verdict"] == at_once["verdict"] == "FOUND"
+    assert [one["name"] for one in grown["effects"]] == [one["name"] for one in at_once["effects"]]
+    # The first survey holds, as of an earlier part of the record: nowhere does that move a value noticeably.
+    for one, other in zip(grown["effects"], at_once["effects"], strict=True):
+        for mine, same in zip(one["coefficients"], other["coefficients"], strict=True):
+            assert mine["value"] == pytest.approx(same["value"], abs=0.2 * same["sigma"])
