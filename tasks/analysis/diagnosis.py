@@ -177,7 +177,8 @@ def make_pass(
         Makes of the plan one of fewer columns; its Gram blocks are stored in a dataset of their own.
     """
     report_progress = progress or silent
-    planned = plan_pass(cat, mission, settings, start, end, used, report_progress)
+    with one_thread():
+        planned = plan_pass(cat, mission, settings, start, end, used, report_progress)
     plan = narrow(planned.plan) if narrow else planned.plan
     context = cat.save_context(mission.text, planned.used.model.name, planned.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
