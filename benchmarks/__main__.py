@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -154,6 +156,7 @@ def main() -> None:
     parser.add_argument("--real", type=Path, help="folder of real measurements, for real_cadence")
     given = parser.parse_args()
     which = given.which or _ALL
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     for part, rows in _measurements(given).items():
         if part in which:
             _keep_each(part, rows())

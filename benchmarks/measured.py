@@ -132,7 +132,13 @@ def command(
             text=True,
         )
         watch = _Watch(process.pid)
-        printed, _ = process.communicate()
+        try:
+            printed, _ = process.communicate()
+        except BaseException:
+            # Who interrupts a run of hours finds neither its processes nor its folders.
+            process.terminate()
+            process.wait()
+            raise
         seconds.append(time.perf_counter() - begun)
         after = os.times()
         cpu = after.children_user + after.children_system - before.children_user - before.children_system
