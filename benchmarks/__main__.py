@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
+import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from benchmarks.measured import Row, keep, table
+from benchmarks.measured import Row, keep, kept_file, kept_rows, table
 
 _ALL = ["month", "growth", "fast", "ranking", "nine", "spin_fits", "spin_eight"]
 
 
-def _show(name: str, rows: Sequence[Row]) -> None:
-    print("\n".join(table(rows)), flush=True)
-    print(f"kept in {keep(name, rows)}", flush=True)
-
-
-def _show_each(name: str, measured: Iterable[Row]) -> None:
-    """Hours of work: what is measured is shown, and kept, at once."""
-    rows: list[Row] = []
+def _keep_each(part: str, measured: Iterable[Row]) -> None:
+    """Keep each row at once, and say it: hours of work may be interrupted, and go on with what is missing."""
     for row in measured:
-        rows.append(row)
-        print(f"{row.what}: {row.median:.2f} s, {row.MiB:.0f} MiB", flush=True)
-        keep(name, rows)
-    _show(name, rows)
+        keep([replace(row, part=part)])
+        told = f"{row.median:.3g} s" if row.seconds else f"{row.amount:.3g} {row.unit}"
+        told += f", {row.MiB:.0f} MiB" if row.MiB > 0 else ""
+        print(f"{part}: {row.what}: {told}", flush=True)
 
 
 def _show_coverage(kept: Path | None, seeds: int, searched: int | None, only: str) -> None:
@@ -119,6 +116,7 @@ def main() -> None:
         choices=[
             *_ALL,
             "page",
+            "table",
             "coverage",
             "table_coverage",
             "spin_coverage",
@@ -126,12 +124,20 @@ def main() -> None:
             "real_cadence",
             [],
         ],
-        help="when absent, all but page, coverage with its parts, left_out and real_cadence",
+        help="when absent, all but page, coverage with its parts, left_out and real_cadence; "
+        "table measures nothing and prints what is kept of this commit",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archives, made once and kept")
     parser.add_argument("--days", type=int, default=30, help="days of the month (30)")
     parser.add_argument(
         "--growth", type=int, nargs="*", default=[30, 100], help="lengths of growing records, days (30 100)"
+    )
+    parser.add_argument(
+        "--one-process-up-to",
+        type=int,
+        default=100,
+        metavar="DAYS",
+        help="records of so many days are measured with one process, too (100)",
     )
     parser.add_argument("--candidates", type=int, nargs="*", default=[100, 300, 1000])
     parser.add_argument(
@@ -150,36 +156,41 @@ def main() -> None:
     parser.add_argument("--real", type=Path, help="folder of real measurements, for real_cadence")
     given = parser.parse_args()
     which = given.which or _ALL
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    for part, rows in _measurements(given).items():
+        if part in which:
+            _keep_each(part, rows())
+    _show_answers(given, which)
+    if set(which) & {*_ALL, "page", "table"}:
+        print("\n".join(table(kept_rows(kept_file()))), flush=True)
+        print(f"kept in {kept_file()}", flush=True)
 
-    from benchmarks.archive import simulated_workspace
+
+def _measurements(given: argparse.Namespace) -> dict[str, Callable[[], Iterable[Row]]]:
+    """Return what measures each part of the table."""
     from benchmarks.growth import growth
     from benchmarks.month import month
     from benchmarks.nine import nine_parameters
     from benchmarks.search import ranking
-    from benchmarks.spin_eight import spin_eight
-    from benchmarks.spin_fits import spin_fit_ratios
+    from benchmarks.spin_eight import spin_eight_rows
+    from benchmarks.spin_fits import spin_fit_rows
 
-    if "month" in which:
-        _show("month", month(given.days))
-    if "growth" in which:
-        _show_each("growth", growth(given.growth, given.keep))
-    if "fast" in which:
-        _show_each("fast", growth([10], given.keep, one_process_up_to=0, vector_hz=50))
-    if "page" in which:
+    def page() -> Iterable[Row]:
         from benchmarks.page import page
 
-        _show_each("page", page(given.growth, given.keep))
-    if "ranking" in which:
-        _show("ranking", [ranking(count) for count in given.candidates])
-    if "nine" in which:
-        with tempfile.TemporaryDirectory() as scratch:
-            cat = simulated_workspace((given.keep or Path(scratch)) / "archive-10", 10)
-            _show("nine", nine_parameters(cat))
-    _show_answers(given, which)
-    if "spin_fits" in which:
-        print("\n".join(spin_fit_ratios()), flush=True)
-    if "spin_eight" in which:
-        print("\n".join(spin_eight()), flush=True)
+        return page(given.growth, given.keep)
+
+    one = given.one_process_up_to
+    return {
+        "month": lambda: month(given.days),
+        "growth": lambda: growth(given.growth, given.keep, one),
+        "fast": lambda: growth([10], given.keep, one, vector_hz=50),
+        "page": page,
+        "ranking": lambda: (row for count in given.candidates for row in ranking(count)),
+        "nine": lambda: nine_parameters(given.keep),
+        "spin_fits": spin_fit_rows,
+        "spin_eight": spin_eight_rows,
+    }
 
 
 if __name__ == "__main__":

@@ -1,133 +1,119 @@
-"""A month through the front door and every verb of the command line, against floors of the same run."""
+"""A month through the front door and every verb of the command line, against rivals of the same run."""
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
+import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cdflib
-import numpy as np
-import zarr
-
-from benchmarks.measured import Row, command, timed
-from benchmarks.nine import naive_day
+from benchmarks.measured import Row, command, first_time
+from benchmarks.rivals import copy_file, decoded, files_of, measure_rivals, naive_ingest, start_up
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate import SimulationSettings
-from inflight.tasks.analysis import DiagnoseSettings
-from inflight.tasks.analysis import diagnosis as diagnosis_steps
 from inflight.tasks.archive import simulate
-from inflight.threads import one_thread
+
+#: Asked of Prefect: at most so much of a run, or so many seconds, whichever is larger.
+_PREFECT = "10 % or 3 s"
+_FIRST = dt.date(2005, 1, 1)
 
 
-def month(days: int = 30, repeats: int = 3) -> list[Row]:
-    """Return the rows of a month at 1 Hz, 25 channels in 6 CDF files a day, with an effect hidden in it."""
+def month(days: int = 30, repeats: int = 3) -> Iterator[Row]:
+    """Yield the rows of a month at 1 Hz, 25 channels in 6 CDF files a day, with an effect hidden in it."""
     with tempfile.TemporaryDirectory() as scratch:
         workspace = Workspace.create(Path(scratch) / "w", "champ")
         empty = Workspace.create(Path(scratch) / "empty", "champ").root
         root = workspace.root
-        simulate(SimulationSettings(start="2005-01-01", days=days, hide=["day_night"]), workspace.data)
-        rows = [
-            command("inflight --help", ["--help"], root, repeats, fails=False),
+        simulate(SimulationSettings(start=_FIRST, days=days, hide=["day_night"]), workspace.data)
+        little = start_up()
+        for row in (
+            command("inflight --help", ["--help"], root, repeats),
             command("a wrong folder", ["-w", "nowhere", "compare"], root, repeats, fails=True),
             command("an empty archive: diagnose", ["diagnose"], empty, repeats, fails=True),
-            command(f"ingest, {days} days", ["ingest"], root),
-            command("ingest, nothing new", ["ingest"], root, repeats),
-            command(f"reprocess, {days} days", ["reprocess"], root),
-            command("reprocess, nothing to do", ["reprocess"], root, repeats),
-            command("catalog list", ["catalog", "list"], root, repeats),
-            command("compare", ["compare"], root, repeats),
-            command("diagnose, first time", ["diagnose"], root),
-            command("diagnose again", ["diagnose"], root, repeats),
-        ]
-        with one_thread():
-            more = _floors(Catalog(root), workspace, Path(scratch))
-    aims = [
-        "0.3 s",
-        "1 s",
-        "1 s",
-        "2 floors + 2 s",
-        "3 s",
-        "2 floors + 2 s",
-        "1.5 s",
-        "1 s",
-        "5 s",
-        "",
-        "3 s",
-    ]
-    return [replace(row, aim=aim, **found) for row, aim, found in zip(rows, aims, more, strict=True)]
+        ):
+            yield replace(row, aim="0.3 s" if row.what.endswith("--help") else "1 s", **little)
+        yield from _ingest(workspace, Path(scratch), days, repeats)
+        shown = command("catalog list", ["catalog", "list"], root, repeats)
+        yield replace(shown, aim="1 s", **little)
+        yield from _verbs(workspace, days, repeats)
+        yield from _update(workspace, Path(scratch), days, repeats)
 
 
-def _floors(cat: Catalog, workspace: Workspace, scratch: Path) -> list[dict[str, object]]:
-    """Return floor and naive way of each row of `month`, in its order."""
-    files = sorted(path for path in workspace.data.rglob("*.cdf"))
-    mission = workspace.mission()
-    archive = [day for name in mission.instruments for day in cat.days(f"l1/{name}", states=("published",))]
-    products = cat.days("l2/field", states=("published",))
-    blocks = cat.days("equations/main/library", states=("published",))
-    read_archive = timed(lambda: [cat.read(day, with_time=False) for day in archive])[0]
-    read_products = timed(lambda: [cat.read(day, with_time=False) for day in products])[0]
-    read_blocks = timed(lambda: [cat.read(day, with_time=False) for day in blocks])[0]
-    write_products = timed(
-        lambda: [_write(scratch / "l2" / str(day.day), cat.read(day, with_time=False)) for day in products]
-    )[0]
-    deliver = timed(lambda: [_copy_cdf(path, scratch / "cdf" / path.stem) for path in files])[0]
-    hashed = timed(lambda: [hashlib.sha256(path.read_bytes()).digest() for path in files])[0]
-    plan = diagnosis_steps.plan_pass(cat, mission, DiagnoseSettings()).plan
-    width = len(plan.library.columns) + 1
-    matrix = np.random.default_rng(0).normal(size=(86_400 * 10**9 // plan.cadence_ns, width))
-    blas = 2 * len(products) * min(timed(lambda: matrix.T @ matrix, 5))
-    fit = naive_day(cat, products[0].day)
-    refit = _refit(width) * len(products) * sum(not one.placebo for one in plan.library.candidates)
-    return [
-        {},
-        {},
-        {},
-        {"floor_s": deliver, "floor": "ingest: cdflib reads the files, zarr writes the same arrays"},
-        {"floor_s": hashed, "floor": "ingest, nothing new: sha256 of the files"},
-        {
-            "floor_s": read_archive + write_products - read_products,
-            "floor": "reprocess: the archive decoded, the products' arrays written by zarr",
-            "naive_s": fit * len(products),
-            "naive": "reprocess: scipy's least_squares with a numerical Jacobian, a day at a time",
-        },
-        {},
-        {},
-        {"floor_s": read_products, "floor": "compare: the products decoded"},
-        {
-            "floor_s": read_archive + blas,
-            "floor": "diagnose, first time: the archive decoded, X'X of all columns in two forms",
-            "naive_s": refit,
-            "naive": "diagnose: the model fitted anew to every sample with each candidate (lstsq), once",
-        },
-        {
-            "floor_s": read_blocks,
-            "floor": "diagnose again: the statistics decoded",
-            "naive_s": refit,
-        },
-    ]
+def _ingest(workspace: Workspace, scratch: Path, days: int, repeats: int) -> Iterator[Row]:
+    """Yield the rows of taking files in, and of finding nothing new."""
+    copied = files_of(workspace.data, copy_file, scratch / "copied")
+    naive = files_of(workspace.data, naive_ingest, scratch / "naive")
+    hashed = files_of(workspace.data, lambda path, _: hashlib.sha256(path.read_bytes()).digest(), scratch)
+    shutil.rmtree(scratch / "copied")
+    shutil.rmtree(scratch / "naive")
+    against = {"naive_s": naive, "naive": "ingest: cdflib reads each file, xarray.to_zarr writes it"}
+    row = first_time(f"ingest, {days} days", ["ingest"], workspace.root, repeats)
+    floor = "ingest: cdflib reads the files, zarr writes the same arrays"
+    yield replace(row, floor_s=copied, floor=floor, aim="2 floors + 2 s", **against)
+    row = command("ingest, nothing new", ["ingest"], workspace.root, repeats)
+    floor = "ingest, nothing new: sha256 of the files"
+    yield replace(row, floor_s=hashed, floor=floor, aim="3 s", **against)
 
 
-def _copy_cdf(path: Path, target: Path) -> None:
-    source = cdflib.CDF(path)
-    names = source.cdf_info().zVariables
-    group = zarr.open_group(target, mode="w")
-    for name in names:
-        values = np.asarray(source.varget(name))
-        if values.dtype.kind in "iuf":
-            group.create_array(name, data=values)
+def _verbs(workspace: Workspace, days: int, repeats: int) -> Iterator[Row]:
+    """Yield the rows of reprocess, compare and diagnose, and what Prefect costs of the first and the last."""
+    root, cat = workspace.root, Catalog(workspace.root)
+    plain = first_time(
+        f"reprocess, {days} days, --no-prefect", ["reprocess", "--no-prefect"], root, repeats, undone=True
+    )
+    usual = first_time(f"reprocess, {days} days", ["reprocess"], root, repeats)
+    rivals = measure_rivals(cat)
+    yield replace(usual, aim="2 floors + 2 s", **rivals.of_reprocess())
+    yield replace(plain, **rivals.of_reprocess())
+    yield prefect_share("reprocess", usual, plain)
+    nothing = command("reprocess, nothing to do", ["reprocess"], root, repeats)
+    yield replace(nothing, aim="1.5 s", **rivals.of_reprocess() | _start_up_floor())
+    row = first_time("compare, first time", ["compare"], root, repeats)
+    yield replace(row, aim="5 s", **rivals.of_compare())
+    row = command("compare again", ["compare"], root, repeats)
+    yield replace(row, aim="5 s", **rivals.of_compare())
+    plain = first_time("diagnose, --no-prefect", ["diagnose", "--no-prefect"], root, repeats, undone=True)
+    usual = first_time("diagnose, first time", ["diagnose"], root, repeats)
+    yield replace(usual, **rivals.of_diagnose())
+    yield replace(plain, **rivals.of_diagnose())
+    yield prefect_share("diagnose", usual, plain)
+    yield replace(
+        command("diagnose again", ["diagnose"], root, repeats),
+        aim="3 s",
+        **rivals.of_diagnose() | _start_up_floor(),
+    )
+    blocks = decoded(cat, cat.days("equations/main/library", states=("published",)))
+    yield replace(
+        first_time("diagnose --search again", ["diagnose", "--search"], root, repeats, undone=True),
+        aim="3 s",
+        **rivals.of_diagnose()
+        | {"floor_s": blocks, "floor": "diagnose --search again: the statistics decoded"},
+    )
 
 
-def _write(target: Path, dataset: object) -> None:
-    group = zarr.open_group(target, mode="w")
-    for name, variable in dataset.data_vars.items():  # type: ignore[attr-defined]
-        group.create_array(str(name), data=np.asarray(variable.values))
+def _start_up_floor() -> dict[str, object]:
+    little = start_up()
+    return {name: little[name] for name in ("floor_s", "floor")}
 
 
-def _refit(width: int) -> float:
-    """Return the seconds of fitting nine parameters and three more to a day's samples."""
-    del width
-    generator = np.random.default_rng(0)
-    columns, residual = generator.normal(size=(86_400, 12)), generator.normal(size=86_400)
-    return min(timed(lambda: np.linalg.lstsq(columns, residual, rcond=None), 3))
+def _update(workspace: Workspace, scratch: Path, days: int, repeats: int) -> Iterator[Row]:
+    """Yield the rows of a new day, and what Prefect costs of it."""
+    root, new = workspace.root, scratch / "new"
+    simulate(SimulationSettings(start=_FIRST + dt.timedelta(days=days), days=1, hide=["day_night"]), new)
+    floor, naive = (files_of(new, work, scratch) for work in (copy_file, naive_ingest))
+    against = measure_rivals(Catalog(root)).of_update(floor, naive, days)
+    shutil.copytree(new, workspace.data, dirs_exist_ok=True)
+    plain = first_time("update, --no-prefect", ["update", "--no-prefect"], root, repeats, undone=True)
+    usual = first_time("update: a new day, from file to verdict", ["update"], root, repeats)
+    yield replace(usual, aim="10 s", **against)
+    yield replace(plain, **against)
+    yield prefect_share("update", usual, plain)
+
+
+def prefect_share(verb: str, usual: Row, plain: Row) -> Row:
+    """Return the row of what Prefect costs of a verb: the difference of medians with and without it, s."""
+    cost = usual.median - plain.median
+    return Row(what=f"{verb}: of it Prefect's", amount=cost, whole=usual.median, unit="s", aim=_PREFECT)

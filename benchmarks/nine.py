@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.optimize import least_squares
+import tempfile
+from pathlib import Path
 
+import numpy as np
+
+from benchmarks.archive import simulated_workspace
 from benchmarks.measured import Row, timed
-from inflight.arrays import Floats
+from benchmarks.rivals import naive_fit
 from inflight.calibration import ParameterPrior, fit_block, reference_of, remove_other_effects, usable_samples
 from inflight.catalog import Catalog, Day, Workspace
 from inflight.tasks import current_model
@@ -18,30 +21,13 @@ from inflight.time import day_bounds
 _AWAY = np.array([2e-5, -2e-5, 2e-5, 2e-3, -2e-3, 2e-3, 0.5, -0.5, 0.5])
 
 
-def naive(reading: Floats, additive: Floats, scalar: Floats, start: Floats) -> Floats:
-    """Fit with scipy's default least squares, numerical Jacobian and no scaling but the units'."""
-
-    def residual(p: Floats) -> Floats:
-        cos = np.cos(np.deg2rad(p[3:6]))
-        k = np.array([[p[0], cos[0], cos[1]], [0.0, p[1], cos[2]], [0.0, 0.0, p[2]]])
-        return np.linalg.norm((reading - p[6:]) @ k.T - additive, axis=1) - scalar
-
-    return np.asarray(least_squares(residual, start, x_scale=[1e-5] * 3 + [1e-3] * 3 + [1.0] * 3).x)
+def nine_parameters(keep: Path | None = None) -> list[Row]:
+    """Return the row of the fit of a day; `keep` is the folder of simulated archives."""
+    with tempfile.TemporaryDirectory() as scratch:
+        return [_fitted(simulated_workspace((keep or Path(scratch)) / "archive-10", 10))]
 
 
-def naive_day(cat: Catalog, day: np.datetime64) -> float:
-    """Return the seconds of `naive` on a day's samples, which are there already."""
-    mission = Workspace.open(cat.workspace).mission()
-    model = current_model(cat, mission).model
-    needs = needs_of(mission, model)
-    samples = load_samples(cat, mission, model, day, needs, ArchiveIndex.of(cat, needs))
-    reading, additive, scalar = remove_other_effects(model, samples)
-    good = usable_samples(samples, reading, additive, scalar)
-    start = reference_of(model, sum(day_bounds(day)) // 2).value
-    return timed(lambda: naive(reading[good], additive[good], scalar[good], start))[0]
-
-
-def nine_parameters(cat: Catalog, days: int = 6) -> list[Row]:
+def _fitted(cat: Catalog, days: int = 6) -> Row:
     """Return the row of the fit of a day of 86 400 samples, one thread."""
     mission = Workspace.open(cat.workspace).mission()
     model = current_model(cat, mission).model
@@ -57,21 +43,19 @@ def nine_parameters(cat: Catalog, days: int = 6) -> list[Row]:
             fit = fit_block(reading, additive, scalar, good, prior)
             near = ParameterPrior(fit.value + _AWAY, prior.sigma)
             own = timed(lambda: fit_block(reading, additive, scalar, good, near, prior), 9)  # noqa: B023
-            slow = timed(lambda: naive(reading[good], additive[good], scalar[good], near.value))  # noqa: B023
+            slow = timed(lambda: naive_fit(reading[good], additive[good], scalar[good], near.value))  # noqa: B023
             records = [index.days[("l1/fgm", day)], index.days[("l1/ovm", day)]]
             read = timed(lambda: _read(cat, records), 9)  # noqa: B023
             rows.append((np.median(own), np.median(slow), np.median(read)))
     own_s, slow_s, read_s = np.array(rows).T
-    return [
-        Row(
-            what="nine parameters of a day, one thread",
-            seconds=own_s.tolist(),
-            floor_s=float(np.median(read_s)),
-            floor="nine parameters: field and scalar of the day read and decoded",
-            naive_s=float(np.median(slow_s)),
-            naive="nine parameters: scipy's least_squares with a numerical Jacobian",
-        )
-    ]
+    return Row(
+        what="nine parameters of a day, one thread",
+        seconds=own_s.tolist(),
+        floor_s=float(np.median(read_s)),
+        floor="nine parameters: field and scalar of the day read and decoded",
+        naive_s=float(np.median(slow_s)),
+        naive="nine parameters: scipy's least_squares with a numerical Jacobian",
+    )
 
 
 def _read(cat: Catalog, records: list[Day]) -> None:

@@ -1,17 +1,19 @@
 """A day of spin fits against the loop people write, and against reading the day's memory.
 
 ``python -m benchmarks spin_fits`` prints it: 28 800 spins of 12 readings, three components. The loop makes
-one ``numpy.linalg.lstsq`` a spin for all three components at once; rivals take turns, and the least of
-several processor times counts, because the machine may be shared.
+one ``numpy.linalg.lstsq`` a spin for all three components at once; rivals take turns, and processor times
+count, because the machine may be shared.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from benchmarks.measured import Row, table
 from inflight.arrays import Floats
 from inflight.spin import fit_spins
 from inflight.time import SECOND, Int64
@@ -42,11 +44,11 @@ def loop(field: Floats, phase: Floats) -> Floats:
     return out
 
 
-def spin_fit_ratios() -> list[str]:
-    """Return what was measured, a line each."""
+def spin_fit_rows() -> list[Row]:
+    """Return what was measured: processor times, a row each."""
     stamps, field, phase = day()
     rivals: dict[str, Callable[[], object]] = {
-        "lstsq a spin": lambda: loop(field, phase),
+        "one lstsq a spin": lambda: loop(field, phase),
         "all at once": lambda: fit_spins(stamps, field, phase, robust=False),
         "all at once, robust": lambda: fit_spins(stamps, field, phase),
         # What has to be looked at once: times, readings and phase.
@@ -54,21 +56,21 @@ def spin_fit_ratios() -> list[str]:
         "sin and cos alone": lambda: (np.sin(phase), np.cos(phase)),
     }
     fit_spins(stamps[:600], field[:600], phase[:600])
-    least = dict.fromkeys(rivals, np.inf)
+    took: dict[str, list[float]] = {name: [] for name in rivals}
     for _ in range(_ROUNDS):
         for name, rival in rivals.items():
             before = time.process_time()
             rival()
-            least[name] = min(least[name], time.process_time() - before)
+            took[name].append(time.process_time() - before)
     apart = np.abs(fit_spins(stamps, field, phase, robust=False).value - loop(field, phase)).max()
-    slow = least["lstsq a spin"]
-    rows = [f"{name:>20}: {1e3 * took:8.2f} ms, {slow / took:6.1f} x" for name, took in least.items()]
-    return [
-        f"{SPINS} spins of {READINGS} readings, 3 components",
-        *rows,
-        f"largest difference {apart:.1e} nT",
-    ]
+    against: dict[str, Any] = {
+        "floor_s": float(np.median(took["reading the memory"])),
+        "floor": "spin fits: times, readings and phase summed in memory; processor times",
+        "naive_s": float(np.median(took["one lstsq a spin"])),
+        "naive": f"spin fits: one numpy.linalg.lstsq a spin; largest difference {apart:.1e} nT",
+    }
+    return [Row(what=f"{SPINS} spins, {name}", seconds=spent, **against) for name, spent in took.items()]
 
 
 if __name__ == "__main__":
-    print("\n".join(spin_fit_ratios()))
+    print("\n".join(table(spin_fit_rows())))
