@@ -195,6 +195,7 @@ class _ProgressLines:
 
     def __init__(self) -> None:
         self._stage, self._done, self._begun, self._next = "", 0, 0.0, 0.0
+        self._said = set[str]()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.monotonic()
@@ -203,8 +204,9 @@ class _ProgressLines:
         self._stage, self._done = stage, done
         if begins:
             self._begun, self._next = now, now + _FIRST_LINE_S
-            if not done and total == 1:
+            if not done and total == 1 and stage not in self._said:
                 # One step, of which nothing is known before it ends: that it runs is all there is to say.
+                self._said.add(stage)
                 print(f"{stage}: running", file=sys.stderr, flush=True)
         if now < self._next or not 0 < done < total:
             return

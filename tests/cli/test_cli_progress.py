@@ -30,12 +30,13 @@ def test_a_short_stage_writes_no_line(clock, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_a_stage_of_one_step_says_that_it_runs(clock, capsys):
+def test_a_stage_of_one_step_says_once_that_it_runs(clock, capsys):
     with command.Command().progress() as show:
-        show("search", 0, 1)
-        clock[0] += 60.0
-        show("search", 1, 1)
-    assert capsys.readouterr().err.splitlines() == ["search: running"]
+        for stage in ("tables", "intervals", "tables"):
+            show(stage, 0, 1)
+            clock[0] += 60.0
+            show(stage, 1, 1)
+    assert capsys.readouterr().err.splitlines() == ["tables: running", "intervals: running"]
 
 
 def test_a_program_gets_no_progress(clock, capsys):
