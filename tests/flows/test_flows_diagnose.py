@@ -22,7 +22,7 @@ def test_a_diagnosis_by_flow_is_that_of_the_plain_functions(embedded, tmp_path):
     assert found["residual"] == same["residual"]
     ended = list(dict.fromkeys(name for name, done, total in told if done == total))
     assert set(ended) == {name for name, _, _ in told}
-    assert ended[:3] == ["survey", "pass", "search"]
+    assert ended[:4] == ["survey", "pass", "blocks", "search"]
     assert {"rivals", "verdict"} <= set(ended)
     assert len(Catalog(first.root).days("equations/main/library", states=("published",))) == 4
     with pytest.raises(SettingsError, match="rounds"):
