@@ -84,7 +84,7 @@ def reports() -> dict[str, ScorecardResult]:
 
 def test_the_command_prints_the_promised_shape_for_every_figure(reports, monkeypatch, capsys):
     """``inflight figures --json``, with the figures that were worked out already."""
-    monkeypatch.setattr("inflight.scorecard.run_scorecard", lambda only, section: list(reports.values()))
+    monkeypatch.setattr("inflight.scorecard.run_scorecard", lambda *_: list(reports.values()))
     with pytest.raises(SystemExit) as left:
         main(["figures", "--json"])
     told = json.loads(capsys.readouterr().out)
