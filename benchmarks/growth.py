@@ -15,7 +15,15 @@ from pathlib import Path
 
 from benchmarks.archive import simulated_workspace
 from benchmarks.measured import Row, command, first_time, in_process, timed
-from benchmarks.rivals import Rivals, copy_file, decoded, files_of, measure_rivals, naive_ingest, start_up
+from benchmarks.rivals import (
+    Rivals,
+    copy_file,
+    decoded,
+    files_of,
+    measure_rivals,
+    naive_ingest,
+    start_up_floor,
+)
 from benchmarks.search import evidence_pass, native_pass
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate import SimulationSettings
@@ -69,8 +77,7 @@ def _rows(folder: Path, days: int, processes: Sequence[int], *, new_day: bool) -
     yield evidence_pass(cat, rivals)
     for row in _by_processes("diagnose", folder, processes, repeats):
         yield replace(row, aim=_AIMS.get((days, "diagnose"), ""), **rivals.of_diagnose())
-    little = start_up()
-    again = rivals.of_diagnose() | {name: little[name] for name in ("floor_s", "floor")}
+    again = rivals.of_diagnose() | start_up_floor()
     yield replace(command("diagnose again", ["diagnose"], folder, 3), aim="3 s", **again)
     yield from in_process(native_pass, folder, rivals.align / days)
     # Before the model has other versions, of which no day is yet.

@@ -11,7 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.measured import Row, command, first_time
-from benchmarks.rivals import copy_file, decoded, files_of, measure_rivals, naive_ingest, start_up
+from benchmarks.rivals import (
+    copy_file,
+    decoded,
+    files_of,
+    measure_rivals,
+    naive_ingest,
+    start_up,
+    start_up_floor,
+)
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate import SimulationSettings
 from inflight.tasks.archive import simulate
@@ -70,7 +78,7 @@ def _verbs(workspace: Workspace, days: int, repeats: int) -> Iterator[Row]:
     yield replace(plain, **rivals.of_reprocess())
     yield prefect_share("reprocess", usual, plain)
     nothing = command("reprocess, nothing to do", ["reprocess"], root, repeats)
-    yield replace(nothing, aim="1.5 s", **rivals.of_reprocess() | _start_up_floor())
+    yield replace(nothing, aim="1.5 s", **rivals.of_reprocess() | start_up_floor())
     row = first_time("compare, first time", ["compare"], root, repeats)
     yield replace(row, aim="5 s", **rivals.of_compare())
     row = command("compare again", ["compare"], root, repeats)
@@ -83,7 +91,7 @@ def _verbs(workspace: Workspace, days: int, repeats: int) -> Iterator[Row]:
     yield replace(
         command("diagnose again", ["diagnose"], root, repeats),
         aim="3 s",
-        **rivals.of_diagnose() | _start_up_floor(),
+        **rivals.of_diagnose() | start_up_floor(),
     )
     blocks = decoded(cat, cat.days("equations/main/library", states=("published",)))
     yield replace(
@@ -92,11 +100,6 @@ def _verbs(workspace: Workspace, days: int, repeats: int) -> Iterator[Row]:
         **rivals.of_diagnose()
         | {"floor_s": blocks, "floor": "diagnose --search again: the statistics decoded"},
     )
-
-
-def _start_up_floor() -> dict[str, object]:
-    little = start_up()
-    return {name: little[name] for name in ("floor_s", "floor")}
 
 
 def _update(workspace: Workspace, scratch: Path, days: int, repeats: int) -> Iterator[Row]:
