@@ -39,12 +39,15 @@ _KEEP_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
 }
 
+#: Numpy and the system read these before any task can set them.
+_WORKERS_ENVIRONMENT: Final = ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"}
+
 #: Imported once for all processes.
 _PRELOAD = ["inflight.flows.preload"]
 
 #: What processes take to start, s, about; and how many pieces of work are few. Of more, the first is not
-#: tried here: it would keep all processes waiting.
-_START_S, _FEW = 3.0, 6
+#: tried here: it would keep all processes waiting. For very few, nothing gets ready before it pays.
+_START_S, _FEW, _VERY_FEW = 3.0, 6, 2
 #: Pieces of work that only a long record has.
 _MUCH = 12
 
@@ -100,6 +103,10 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
     niceness : int
         How far the processes stand behind others of this machine.
     """
+    address = os.environ.get(SCHEDULER_VARIABLE)
+    if not address:
+        # First: it imports on another core what they need, while this process imports what it does.
+        _start_fork_server(_WORKERS_ENVIRONMENT)
     import dask
     from distributed import Client, LocalCluster
 
@@ -112,10 +119,6 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
         "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
         **_LESS_ASIDE,
     }
-    address = os.environ.get(SCHEDULER_VARIABLE)
-    if not address:
-        # Numpy and the system read these before any task can set them.
-        _start_fork_server(ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"})
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:
         scheduler: Any = address or stack.enter_context(
             LocalCluster(  # type: ignore[no-untyped-call]
@@ -131,6 +134,12 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
             _living.append(scheduler)
             stack.callback(_living.remove, scheduler)
         yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
+
+
+def start_early() -> None:
+    """Start the process that workers will be forks of, to import meanwhile what they need."""
+    if SCHEDULER_VARIABLE not in os.environ:
+        _start_fork_server(_WORKERS_ENVIRONMENT)
 
 
 #: Schedulers of clusters that live in this process: their workers are forks of one process.
@@ -200,6 +209,9 @@ class _LazyClient:
         """Tell how many pieces of work come, before the first of them."""
         alone = SCHEDULER_VARIABLE not in os.environ and pieces <= _FEW
         self._left, self._took = (pieces if alone else 0), []
+        if pieces > _VERY_FEW and not self._ended:
+            # Meanwhile the first is tried here, or what a client needs is imported.
+            start_early()
 
     def submit(self, work: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Give work to the client: see `distributed.Client.submit`.

@@ -20,6 +20,7 @@ from pydantic import ValidationError, validate_call
 
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import InflightError, SettingsError
+from inflight.flows.cluster import start_early
 from inflight.flows.runner import PlainRunner, progress_to, using_runner
 from inflight.flows.server import embedded_server, is_own
 from inflight.flows.span import DaySpan
@@ -44,6 +45,8 @@ _NEEDED_TO_SEARCH = ("inflight.tasks.analysis.revise", "inflight.tasks.analysis.
 _SEARCHES = ("update", "diagnose")
 #: Flows that begin with the days of the archive.
 _BEGIN_WITH_DAYS = (*_SEARCHES, "reprocess", "backfill", "monthly")
+#: Flows with work for several processes, more often than not.
+_IN_PROCESSES = ("ingest", "reprocess", "backfill", "monthly", "diagnose")
 #: Set in both modes: no telemetry, no log traffic.
 _QUIET = {
     "DO_NOT_TRACK": "1",
@@ -270,6 +273,10 @@ def _get_ready(name: str, workspace: Workspace) -> None:
             catalog = Catalog(workspace.root)
             for dataset in catalog.dataset_names():
                 catalog.days(dataset, states=["published"])
+    if name in _IN_PROCESSES:
+        # Last: what is above keeps one core busy, and the server another one.
+        start_early()
+        import_module("distributed")
 
 
 def _is_embedded() -> bool:

@@ -5,7 +5,9 @@ flows report to. Prefect starts such a server by itself at the first flow, after
 server into the caller as well; here both begin at once, and the caller imports the client only.
 
 A new home takes its database from a copy that was migrated once on this machine: migrating takes as long as
-all the rest of a start.
+all the rest of a start. What a server would do at each start with a database that is as it should be is left
+out: to look whether it has to be migrated, to register kinds of blocks that no flow of ours has, and, while
+it is small, to look for old events.
 """
 
 from __future__ import annotations
@@ -29,6 +31,10 @@ from inflight.errors import WorkerError
 
 #: How long a server may take to answer, and between two questions, s.
 _PATIENCE_S, _PAUSE_S = 120.0, 0.05
+#: Up to this size a database keeps its old events, bytes: those of some hundred runs.
+_SMALL = 64_000_000
+#: No kind of rows to remove, as Prefect reads its list.
+_REMOVE_NOTHING = ","
 
 #: What the process of the server runs. It ends with whoever started it, for then its standard input does: a
 #: command that is killed cannot end it. A fifth of its start was Python looking through all that is imported
@@ -72,12 +78,13 @@ class EmbeddedServer:
         port = _free_port()
         self.url = f"http://127.0.0.1:{port}/api"
         home.mkdir(parents=True, exist_ok=True)
-        _prepare_database(home, environment)
+        prepared = _prepare_database(home, environment)
+        self._mark = None if prepared else _mark_of(home)
         self._log = home / "server.log"
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", _SERVE, str(port)],
-                env=_server_environment(environment),
+                env=_server_environment(environment) | _not_at_start(home, prepared=prepared),
                 # Closed by the system when this process ends, however it does.
                 stdin=subprocess.PIPE,
                 # What it says while it is ended under way is no news of the command.
@@ -102,6 +109,8 @@ class EmbeddedServer:
                 urllib.request.urlopen(f"{self.url}/health", timeout=5) as answer,
             ):
                 if answer.status == 200:
+                    if self._mark is not None:
+                        self._mark.touch()
                     return
             time.sleep(_PAUSE_S)
         raise WorkerError(
@@ -146,10 +155,33 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _prepare_database(home: Path, environment: Mapping[str, str]) -> None:
-    """Give a new home a copy of the migrated database; without one the server migrates its own."""
+def _not_at_start(home: Path, *, prepared: bool) -> dict[str, str]:
+    """Return the settings that leave out of a server's start what its database does not need."""
+    left_out = {"PREFECT_SERVER_REGISTER_BLOCKS_ON_START": "false"}
+    if prepared:
+        left_out["PREFECT_SERVER_DATABASE_MIGRATE_ON_START"] = "false"
+    database = home / "prefect.db"
+    if not database.exists() or database.stat().st_size < _SMALL:
+        left_out["PREFECT_SERVER_SERVICES_DB_VACUUM_ENABLED"] = _REMOVE_NOTHING
+    return left_out
+
+
+def _mark_of(home: Path) -> Path:
+    """Return the file that is there when the database of a home has the tables of this Prefect."""
+    return home / f"tables-of-prefect-{version('prefect')}"
+
+
+def _prepare_database(home: Path, environment: Mapping[str, str]) -> bool:
+    """Give a new home a copy of the migrated database.
+
+    Returns
+    -------
+    bool
+        Whether its tables are known to be those of this Prefect; otherwise the server looks, and migrates.
+    """
+    mark = _mark_of(home)
     if (home / "prefect.db").exists():
-        return
+        return mark.exists()
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "inflight"
     kept = cache / f"prefect-{version('prefect')}.db"
     try:
@@ -159,8 +191,10 @@ def _prepare_database(home: Path, environment: Mapping[str, str]) -> None:
         part = home / f"prefect.db.{os.getpid()}"
         shutil.copyfile(kept, part)
         part.rename(home / "prefect.db")
+        mark.touch()
     except (OSError, subprocess.CalledProcessError):
-        return
+        return False
+    return True
 
 
 def _migrate(kept: Path, environment: Mapping[str, str]) -> None:

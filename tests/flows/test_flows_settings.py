@@ -1,6 +1,7 @@
 """How Prefect and Dask are set up: quiet, private, and giving way to what a team has already."""
 
 import os
+import sqlite3
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from inflight.flows import DaySpan, available_cores, dask_client, lazy_client
 from inflight.flows import runner as runner_module
 from inflight.flows.launch import prefect_environment, prefect_settings
 from inflight.flows.runner import PrefectRunner, is_transient, progress_to
-from inflight.flows.server import EmbeddedServer, is_own
+from inflight.flows.server import EmbeddedServer, _not_at_start, _prepare_database, is_own
 from inflight.tasks.batches import end_processes, iter_results
 
 
@@ -55,6 +56,34 @@ def test_a_second_workspace_in_one_process_has_a_server_of_its_own(embedded, mon
         assert second != first
         assert (tmp_path / "prefect.db").exists()
     assert get_current_settings().api.url == first
+
+
+def test_a_home_of_another_prefect_is_migrated_once_and_a_new_one_is_not(monkeypatch, tmp_path):
+    def settings_of(home):
+        prepared = _prepare_database(home, {"PREFECT_HOME": str(home)})
+        return _not_at_start(home, prepared=prepared)
+
+    migrate, vacuum = "PREFECT_SERVER_DATABASE_MIGRATE_ON_START", "PREFECT_SERVER_SERVICES_DB_VACUUM_ENABLED"
+    new, old = tmp_path / "new", tmp_path / "old"
+    for home in (new, old):
+        home.mkdir()
+    assert settings_of(new)[migrate] == "false"
+    # Without tables: a server that does not migrate would fail at its first question.
+    sqlite3.connect(old / "prefect.db").close()
+    assert migrate not in settings_of(old)
+    server = EmbeddedServer(old, {"PREFECT_HOME": str(old)})
+    server.wait()
+    asked = urllib.request.Request(
+        f"{server.url}/flows/count", data=b"{}", headers={"Content-Type": "application/json"}
+    )
+    with urllib.request.urlopen(asked, timeout=30) as answer:
+        assert answer.read() == b"0"
+    server.stop()
+    assert settings_of(old)[migrate] == "false"
+    # Old events of a small database stay, those of a large one go.
+    assert vacuum in settings_of(old)
+    monkeypatch.setattr("inflight.flows.server._SMALL", 1)
+    assert vacuum not in settings_of(old)
 
 
 def test_a_server_that_cannot_start_is_told_with_its_log_and_the_way_around_it(monkeypatch, tmp_path, capfd):
@@ -149,6 +178,7 @@ def counted_clusters(monkeypatch):
 
     monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     monkeypatch.setattr("inflight.flows.cluster.dask_client", start)
+    monkeypatch.setattr("inflight.flows.cluster.start_early", lambda: None)
     return told
 
 
@@ -189,6 +219,20 @@ def test_few_quick_pieces_of_work_start_no_processes(counted_clusters):
         # One more than was told of is no longer little.
         assert client.submit(abs, -4) == 4
     assert counted_clusters == ["started", "ended"]
+
+
+def test_what_processes_are_forks_of_gets_ready_while_the_first_of_some_pieces_is_tried(
+    counted_clusters, monkeypatch
+):
+    asked = []
+    monkeypatch.setattr("inflight.flows.cluster.start_early", lambda: asked.append(1))
+    with lazy_client(2) as client:
+        client.expect(2)
+        assert not asked
+        client.expect(3)
+        assert asked == [1]
+    client.expect(3)
+    assert asked == [1]
 
 
 def test_processes_start_when_the_first_of_few_pieces_took_long(counted_clusters, monkeypatch):
