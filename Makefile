@@ -61,8 +61,8 @@ test: setup  ## run the tests
 test-slow: setup  ## run the long physics cases and real records that 'make test' leaves out
 	$(PYTEST) -m slow $(ARGS)
 
-cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
-	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)
+cases: setup  ## diagnose missions with hidden effects, print scores and the verdicts kept beside them (half an hour)
+	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS) --against tests/physics_cases/verdicts.json
 
 coverage: setup  ## print how often the truth lies within the stated sigmas: tables, products, effects (an hour)
 	$(BIN)/python -m benchmarks coverage

@@ -26,6 +26,7 @@ from benchmarks.rivals import (
 )
 from benchmarks.search import evidence_pass, native_pass
 from inflight.catalog import Catalog, Workspace
+from inflight.flows.cluster import WORKERS_ENVIRONMENT
 from inflight.simulate import SimulationSettings
 from inflight.tasks import Workbench
 from inflight.tasks.archive import simulate
@@ -74,12 +75,12 @@ def _rows(folder: Path, days: int, processes: Sequence[int], *, new_day: bool) -
     rivals = measure_rivals(cat)
     for row in made:
         yield replace(row, aim=_AIMS.get((days, "reprocess"), ""), **rivals.of_reprocess())
-    yield evidence_pass(cat, rivals)
+    yield from in_process(evidence_pass, folder, rivals, environment=WORKERS_ENVIRONMENT)
     for row in _by_processes("diagnose", folder, processes, repeats):
         yield replace(row, aim=_AIMS.get((days, "diagnose"), ""), **rivals.of_diagnose())
     again = rivals.of_diagnose() | start_up_floor()
     yield replace(command("diagnose again", ["diagnose"], folder, 3), aim="3 s", **again)
-    yield from in_process(native_pass, folder, rivals.align / days)
+    yield from in_process(native_pass, folder, rivals.align / days, environment=WORKERS_ENVIRONMENT)
     # Before the model has other versions, of which no day is yet.
     if new_day:
         yield _new_day(folder, days, repeats, rivals)

@@ -139,22 +139,24 @@ def _ranking(candidates: int, draws: int) -> list[Row]:
     return [before, row]
 
 
-def evidence_pass(cat: Catalog, rivals: Rivals, days: int = 8) -> Row:
+def evidence_pass(folder: Path, rivals: Rivals, days: int = 8) -> list[Row]:
     """Return the row of the pass of a search, a day on one core."""
-    mission = Workspace.open(cat.workspace).mission()
+    cat, mission = Catalog(folder), Workspace.open(folder).mission()
     made = plan_pass(cat, mission, DiagnoseSettings())
     width = len(made.plan.library.columns) + 1
     row = _pass(cat, mission, made, made.plan, days)
     count = len(made.plan.days)
-    return replace(
-        row,
-        what=f"statistics of a day, {width} columns at {made.plan.cadence_ns / SECOND:g} s",
-        floor_s=row.floor_s + rivals.blas / count,
-        floor="statistics: the day read, decoded and aligned, X'X in two forms, one core",
-        naive_s=(rivals.align + rivals.candidates * rivals.refit) / count,
-        naive="statistics: xarray opens and interpolates, each candidate fitted anew with the model",
-        aim="0.3 s",
-    )
+    return [
+        replace(
+            row,
+            what=f"statistics of a day, {width} columns at {made.plan.cadence_ns / SECOND:g} s",
+            floor_s=row.floor_s + rivals.blas / count,
+            floor="statistics: the day read, decoded and aligned, X'X in two forms, one core",
+            naive_s=(rivals.align + rivals.candidates * rivals.refit) / count,
+            naive="statistics: xarray opens and interpolates, each candidate fitted anew with the model",
+            aim="0.3 s",
+        )
+    ]
 
 
 def native_pass(folder: Path, align_s: float, effect: str = "day_night", days: int = 4) -> list[Row]:

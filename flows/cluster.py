@@ -40,7 +40,7 @@ _KEEP_MEMORY = {
 }
 
 #: Numpy and the system read these before any task can set them.
-_WORKERS_ENVIRONMENT: Final = ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"}
+WORKERS_ENVIRONMENT: Final = ONE_THREAD_VARIABLES | _KEEP_MEMORY | {"PYTHONSAFEPATH": "1"}
 
 #: Imported once for all processes.
 _PRELOAD = ["inflight.flows.preload"]
@@ -106,7 +106,7 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
     address = os.environ.get(SCHEDULER_VARIABLE)
     if not address:
         # First: it imports on another core what they need, while this process imports what it does.
-        _start_fork_server(_WORKERS_ENVIRONMENT)
+        _start_fork_server(WORKERS_ENVIRONMENT)
     import dask
     from distributed import Client, LocalCluster
 
@@ -139,7 +139,7 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
 def start_early() -> None:
     """Start the process that workers will be forks of, to import meanwhile what they need."""
     if SCHEDULER_VARIABLE not in os.environ:
-        _start_fork_server(_WORKERS_ENVIRONMENT)
+        _start_fork_server(WORKERS_ENVIRONMENT)
 
 
 #: Schedulers of clusters that live in this process: their workers are forks of one process.

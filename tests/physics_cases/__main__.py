@@ -19,8 +19,8 @@ from rich.table import Table
 from .run import Outcome, run_cases
 from .scenarios import scenarios
 from .score import is_named
+from .verdicts import MARKS, side_by_side, verdict_of
 
-MARKS = {True: "[green]yes[/]", False: "[red]NO[/]", None: "[dim]-[/]"}
 COLUMNS = ("case", "seed", "hidden", "verdict", "named", "family", "channel", "coeff. pull", "lag", "period")
 COLUMNS += ("held out / floor", "false", "confident wrong", "passed", "s")
 
@@ -50,9 +50,12 @@ def main() -> int:
     console.print(_timing_table(outcomes) if given.simulate_only else score_table(outcomes))
     if not given.simulate_only:
         console.print(family_table(outcomes))
+    verdicts = [verdict_of(one) for one in outcomes]
     if given.against:
-        before = json.loads(given.against.read_text(encoding="utf-8"))["cases"]
-        console.print(side_by_side(before, outcomes))
+        console.print(side_by_side(json.loads(given.against.read_text(encoding="utf-8")), verdicts))
+    if given.verdicts:
+        lines = ",\n".join(json.dumps(one) for one in verdicts)
+        given.verdicts.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
     told = summary(outcomes)
     console.print(json.dumps(told, indent=1))
     return int(bool(told["confident_wrong"] or told["errors"]))
@@ -65,7 +68,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--only", action="append", metavar="NAME", help="this case; may be given again")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--json", type=Path, help="write truths, diagnoses and scores here")
-    parser.add_argument("--against", type=Path, help="JSON of an earlier run, shown beside this one")
+    parser.add_argument("--verdicts", type=Path, help="write what a later run can be held against here")
+    parser.add_argument("--against", type=Path, help="verdicts of an earlier run, shown beside these")
     parser.add_argument("--keep", type=Path, help="folder that keeps the workspaces")
     parser.add_argument("--simulate-only", action="store_true", help="make the cases, diagnose nothing")
     parser.add_argument("--width", type=int, default=None, help="of the table, characters")
@@ -109,28 +113,6 @@ def _row(one: Outcome) -> list[str]:
     answers = [MARKS[found.family], MARKS[found.channel], pull, MARKS[found.lag], MARKS[found.period], floor]
     end = [", ".join(found.false_additions), wrong, MARKS[found.passed], f"{one.diagnose_s:.1f}"]
     return [one.name, str(one.seed), hidden, verdict, named, *answers, *end]
-
-
-def side_by_side(before: list[dict[str, Any]], outcomes: list[Outcome]) -> Table:
-    """Return verdicts, names and times of an earlier run of the cases beside those of this one."""
-    earlier = {(one["name"], one["seed"]): one for one in before}
-    pairs = ("verdict", "taken", "passed", "confident wrong", "s")
-    table = Table("case", "seed", *(f"{name}, {when}" for name in pairs for when in ("before", "now")))
-    for outcome in outcomes:
-        now = outcome.as_json()
-        then = earlier.get((outcome.name, outcome.seed))
-        cells = [_cells(then) if then else ["not run"] * len(pairs), _cells(now)]
-        row = [text for both in zip(*cells, strict=True) for text in both]
-        table.add_row(outcome.name, str(outcome.seed), *row)
-    return table
-
-
-def _cells(case: dict[str, Any]) -> list[str]:
-    """Return what `side_by_side` shows of a case, from its JSON."""
-    score, told = case["score"] or {}, case["told"] or {}
-    taken = ", ".join(effect["name"] for effect in told.get("effects") or [])
-    marks = [MARKS[score.get("passed")], "[red]YES[/]" if score.get("confident_wrong") else "no"]
-    return [score.get("verdict", "error"), taken, *marks, f"{case['seconds']['diagnose']:.0f}"]
 
 
 def family_table(outcomes: list[Outcome]) -> Table:

@@ -1,10 +1,14 @@
 """The scorer itself, on truths and diagnoses written by hand."""
 
+import io
 import math
 
 import pytest
+from rich.console import Console
 
+from .run import Outcome
 from .score import base_channels, in_set, score, unit_factor
+from .verdicts import side_by_side, verdict_of
 
 BATTERY = {
     "name": "battery_current field",
@@ -235,3 +239,23 @@ def test_the_field_of_the_sun_may_be_told_by_any_of_its_coordinates():
     for channels in (("sunlit",), ("sun_phase",), ()):
         assert score(truth(lit), diagnosis("FOUND", effect("day_night", channels))).passed
     assert score(truth(lit), diagnosis("FOUND", effect("day_night", ("solar_current",)))).confident_wrong
+
+
+def test_a_run_stands_beside_an_earlier_one_and_what_differs_is_counted():
+    hidden = truth(BATTERY)
+
+    def verdict(name, told):
+        return verdict_of(Outcome(name, 1, 30, 0.0, 0.0, 7.0, hidden, told, score(hidden, told)))
+
+    found, unnamed = diagnosis("FOUND", effect()), diagnosis("UNKNOWN_EFFECT")
+    broken = verdict_of(Outcome("broken", 1, 30, 0.0, 0.0, 1.0, hidden, error="no such channel"))
+    assert (broken["verdict"], broken["passed"], broken["taken"]) == ("error", None, [])
+    before = [verdict("same", found), verdict("other", unnamed)]
+    console = Console(width=200, file=io.StringIO())
+    console.print(side_by_side(before, [verdict("same", found), verdict("other", found), broken]))
+    text = console.file.getvalue()
+    assert "1 of 3 cases with the verdict and effects of the earlier run" in text
+    rows = {name: line for line in text.splitlines() for name in ("same", "other", "broken") if name in line}
+    assert "UNKNOWN_EFFECT" in rows["other"]
+    assert "FOUND" in rows["other"].replace("UNKNOWN_EFFECT", "")
+    assert "not run" in rows["broken"]
