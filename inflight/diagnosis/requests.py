@@ -338,12 +338,14 @@ def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
     """Return what an effect is, its name and its values not counted, and its lag, seconds."""
     given = dict(entry.effect.given)
     lag = 0.0
-    if "channel" in given and entry.effect.channels:
+    if entry.effect.channels and {"channel", "lag"} & set(given):
         parts = parse_channel(entry.effect.channels[0]).parts
         if len(parts) == 1 and parts[0].lag_s:
             lag = float(parts[0].lag_s)
             given.pop("lag", None)
-            given["channel"] = str(given["channel"]).partition("@lag=")[0]
+            # An effect whose channel is its own states a lag alone.
+            if "channel" in given:
+                given["channel"] = str(given["channel"]).partition("@lag=")[0]
     options = tuple(sorted((key, str(value)) for key, value in given.items()))
     return (entry.effect.label(), entry.sensor.name, options), lag
 

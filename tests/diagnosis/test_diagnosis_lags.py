@@ -4,12 +4,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from effect_cases import SENSORS
 from row_cases import DAY_NS
 
 from inflight.diagnosis import ModelColumns, make_folds
 from inflight.diagnosis.candidates import BANK_SETTINGS
 from inflight.diagnosis.refine import best_lag, lag_weights, profile_lag
+from inflight.diagnosis.requests import _identity
 from inflight.lsq import GramArrays
+from inflight.model import make_effect
 from inflight.samples import slow_response
 
 STEP_S, BLOCKS = 60.0, 30
@@ -116,3 +119,22 @@ def test_the_best_lag_is_found_wherever_the_banks_own_answer_lies(lag, about):
 
     found, _ = best_lag(None, SimpleNamespace(series=SimpleNamespace(step_s=STEP_S)), loss, about)
     assert found == pytest.approx(lag, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"effect": "channel_field", "channel": "coil_temperature"},
+        # Its channel is its own: only the lag is stated.
+        {"effect": "day_night"},
+    ],
+)
+def test_an_effect_is_itself_whatever_its_lag(effect):
+    """What the model has is found among the candidates again, without a pass for its columns."""
+    plain = make_effect({"sensor": "fgm", **effect}, SENSORS)
+    late = make_effect({"sensor": "fgm", **effect, "lag": "1224.5 s"}, SENSORS)
+    identity, lag = _identity(plain)
+    assert lag == 0.0
+    assert _identity(late) == (identity, 1224.5)
+    other = make_effect({"sensor": "ovm", **effect, "lag": "1224.5 s"}, SENSORS)
+    assert _identity(other)[0] != identity
