@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+import timeit
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
@@ -26,6 +27,8 @@ from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_info
+
+from inflight.flows.cluster import environment_of
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -191,16 +194,13 @@ def in_process(
     environment : mapping, optional
         Variables of that process: what it reads when it starts, such as how it keeps memory.
     """
-    before = dict(os.environ)
-    os.environ.update(environment or {})
-    try:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            watch = _Watch(pool.submit(os.getpid).result())
-            rows = pool.submit(work, *arguments).result()
-            watch.end()
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+    with (
+        environment_of(environment or {}),
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+    ):
+        watch = _Watch(pool.submit(os.getpid).result())
+        rows = pool.submit(work, *arguments).result()
+        watch.end()
     return [replace(row, MiB=watch.most, peaks=watch.peaks) for row in rows]
 
 
@@ -312,9 +312,8 @@ def keep(rows: Sequence[Row], folder: Path = RESULTS) -> Path:
     Rows of another machine stay in a file of their own.
     """
     path = kept_file(folder)
-    if any(np.isnan(row.additions_s) for row in rows):
-        now = min(timed(_add, 3))
-        rows = [replace(row, additions_s=now) if np.isnan(row.additions_s) else row for row in rows]
+    now = min(timeit.repeat("for one in range(3_000_000): total += one", "total = 0", number=1, repeat=3))
+    rows = [replace(row, additions_s=now) for row in rows]
     # A row that was measured again stays where it was, and a part's rows together.
     both = {(row.part, row.what): row for row in [*kept_rows(path), *rows]}
     parts = list(dict.fromkeys(part for part, _ in both))
@@ -330,13 +329,6 @@ def keep(rows: Sequence[Row], folder: Path = RESULTS) -> Path:
     written.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     written.replace(path)
     return path
-
-
-def _add() -> int:
-    total = 0
-    for number in range(3_000_000):
-        total += number
-    return total
 
 
 def kept_file(folder: Path = RESULTS) -> Path:

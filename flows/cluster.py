@@ -103,10 +103,8 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
     niceness : int
         How far the processes stand behind others of this machine.
     """
-    address = os.environ.get(SCHEDULER_VARIABLE)
-    if not address:
-        # First: it imports on another core what they need, while this process imports what it does.
-        _start_fork_server(WORKERS_ENVIRONMENT)
+    # First: it imports on another core what they need, while this process imports what it does.
+    start_early()
     import dask
     from distributed import Client, LocalCluster
 
@@ -119,6 +117,7 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
         "distributed.admin.low-level-log-length": _MESSAGES_KEPT,
         **_LESS_ASIDE,
     }
+    address = os.environ.get(SCHEDULER_VARIABLE)
     with dask.config.set(settings), _quiet_log(), ExitStack() as stack:
         scheduler: Any = address or stack.enter_context(
             LocalCluster(  # type: ignore[no-untyped-call]
@@ -136,26 +135,32 @@ def dask_client(workers: int | None = None, niceness: int = 0) -> Iterator[Clien
         yield stack.enter_context(Client(scheduler, set_as_default=False))  # type: ignore[no-untyped-call]
 
 
-def start_early() -> None:
-    """Start the process that workers will be forks of, to import meanwhile what they need."""
-    if SCHEDULER_VARIABLE not in os.environ:
-        _start_fork_server(WORKERS_ENVIRONMENT)
-
-
 #: Schedulers of clusters that live in this process: their workers are forks of one process.
 _living: list[object] = []
 
 
-def _start_fork_server(environment: Mapping[str, str]) -> None:
-    """Start the process that workers are forks of, unless it runs; it ends with this one."""
+@contextmanager
+def environment_of(variables: Mapping[str, str]) -> Iterator[None]:
+    """Let processes that start inside have these variables, too."""
     before = dict(os.environ)
-    multiprocessing.set_forkserver_preload(_PRELOAD)
-    os.environ.update(environment)
+    os.environ.update(variables)
     try:
-        forkserver.ensure_running()
+        yield
     finally:
         os.environ.clear()
         os.environ.update(before)
+
+
+def start_early() -> None:
+    """Start the process that workers are forks of, unless it runs: it imports what they need.
+
+    Nothing starts where ``INFLIGHT_DASK_SCHEDULER`` names a running scheduler.
+    """
+    if os.environ.get(SCHEDULER_VARIABLE):
+        return
+    multiprocessing.set_forkserver_preload(_PRELOAD)
+    with environment_of(WORKERS_ENVIRONMENT):
+        forkserver.ensure_running()
     # It would end by itself, a moment later than its command.
     atexit.unregister(_end_fork_server)
     atexit.register(_end_fork_server)

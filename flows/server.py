@@ -6,8 +6,7 @@ server into the caller as well; here both begin at once, and the caller imports 
 
 A new home takes its database from a copy that was migrated once on this machine: migrating takes as long as
 all the rest of a start. What a server would do at each start with a database that is as it should be is left
-out: to look whether it has to be migrated, to register kinds of blocks that no flow of ours has, and, while
-it is small, to look for old events.
+out: to look whether it has to be migrated, and, while it is small, to look for old events.
 """
 
 from __future__ import annotations
@@ -157,13 +156,15 @@ def _free_port() -> int:
 
 def _not_at_start(home: Path, *, prepared: bool) -> dict[str, str]:
     """Return the settings that leave out of a server's start what its database does not need."""
-    left_out = {"PREFECT_SERVER_REGISTER_BLOCKS_ON_START": "false"}
-    if prepared:
+    left_out = {}
+    # A database of the user's own is elsewhere: its server looks.
+    named = any(name.startswith(("PREFECT_SERVER_DATABASE_", "PREFECT_API_DATABASE_")) for name in os.environ)
+    if prepared and not named:
         left_out["PREFECT_SERVER_DATABASE_MIGRATE_ON_START"] = "false"
     database = home / "prefect.db"
     if not database.exists() or database.stat().st_size < _SMALL:
         left_out["PREFECT_SERVER_SERVICES_DB_VACUUM_ENABLED"] = _REMOVE_NOTHING
-    return left_out
+    return {name: value for name, value in left_out.items() if name not in os.environ}
 
 
 def _mark_of(home: Path) -> Path:

@@ -84,6 +84,9 @@ def test_a_home_of_another_prefect_is_migrated_once_and_a_new_one_is_not(monkeyp
     assert vacuum in settings_of(old)
     monkeypatch.setattr("inflight.flows.server._SMALL", 1)
     assert vacuum not in settings_of(old)
+    # What the user has set wins, and a database that is elsewhere is looked at by its server.
+    monkeypatch.setenv("PREFECT_SERVER_DATABASE_CONNECTION_URL", "sqlite+aiosqlite:////elsewhere.db")
+    assert migrate not in settings_of(old)
 
 
 def test_a_server_that_cannot_start_is_told_with_its_log_and_the_way_around_it(monkeypatch, tmp_path, capfd):
