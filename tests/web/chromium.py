@@ -53,21 +53,19 @@ window.press = (selector, label) => { const found = window.pick(selector).filter
   if (found.length) found[0].click(); return found.length };
 """
 #: Left, top, width and height of the first figure of the left column, or of the first below what it is drawn
-#: against; pixels of the page. A curve of what was chosen before is none: the newest axis tells, for a page
-#: keeps those that it showed.
+#: against; pixels of the page. A curve of what was chosen before is none: its own axis tells. Models of the
+#: page tell nothing: their order changes when the page has rested for half a minute.
 _PLACE = """(() => { const top = (one) => one.getBoundingClientRect().top;
   const select = pick('select').find((one) => one.getBoundingClientRect().left < 200 && top(one) > 250);
-  if (FIGURE === 'curve') {
-    const models = Bokeh.documents.flatMap((one) => [...one._all_models.values()]);
-    const axes = models.flatMap((one) => one.below || []);
-    const names = axes.map((axis) => (axis.axis_label || '').split(' (')[0]);
-    const listed = [...select.options].map((one) => one.value);
-    if (names.filter((name) => listed.includes(name)).at(-1) !== select.value) return null }
   const below = FIGURE === 'curve' ? top(select) : 0;
-  const found = pick('canvas').filter((one) => one.clientWidth > 200)
-    .map((one) => one.getBoundingClientRect()).filter((one) => one.left < 200 && one.top > below)
-    .sort((one, other) => one.top - other.top)[0];
-  return found ? [found.left, found.top, found.width, found.height] : null })()"""
+  const views = [...Bokeh.index.query((one) => one.model.type === 'Figure' && shown(one.el))];
+  const found = views.map((view) => [view, view.el.getBoundingClientRect()])
+    .filter(([view, box]) => box.width > 200 && box.left < 200 && box.top > below)
+    .sort((one, other) => one[1].top - other[1].top)[0];
+  if (!found) return null;
+  const [view, box] = found, label = view.model.below[0].axis_label || '';
+  if (FIGURE === 'curve' && label.split(' (')[0] !== select.value) return null;
+  return [box.left, box.top, box.width, box.height] })()"""
 
 
 def find_chromium() -> str | None:
