@@ -417,7 +417,7 @@ class FactoredGrams:
         return self.taken is None and self.dead is not None
 
     def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
-        """Return [E; H] and [H; E] of some blocks; (block, 2 * fit * base, column) each."""
+        """Return E and H of some blocks; (block, fit * base, column) each."""
         kept = self._kept_factors if self.taken is not None else None
         if kept is None:
             both = self._made_factors(columns, blocks)
@@ -425,7 +425,7 @@ class FactoredGrams:
             both = kept[blocks[:, None], :, columns].swapaxes(1, 2) if columns.size < _FEW else kept[blocks]
             both = both if columns.size < _FEW else both.take(columns, axis=2)
         half = both.shape[1] // 2
-        return both, np.concatenate([both[:, half:], both[:, :half]], axis=1)
+        return both[:, :half], both[:, half:]
 
     @cached_property
     def _kept_factors(self) -> Floats | None:
@@ -447,20 +447,21 @@ class FactoredGrams:
 
     def _made_factors(self, columns: Indices, blocks: Indices) -> Floats:
         """Return [E; H] of columns in some blocks; (block, 2 * fit * base, column)."""
-        at = self.places[columns]
-        fitted, given = (
-            np.moveaxis(array[blocks[:, None], ..., at], 1, -1)
-            if at.size < _FEW
-            else array[blocks].take(at, axis=3)
-            for array in (self.shared.fitted, self.shared.given)
-        )
-        taken: Floats | float = 0.0
+        at, k = self.places[columns], self.shared.base
+        both = np.empty((blocks.size, 2, self.fits, k, columns.size))
+        fitted, given = (_part_of(array, blocks, at) for array in (self.shared.fitted, self.shared.given))
+        total = fitted
         if self.taken is not None and self.interval is not None:
-            taken = self.taken[self.interval[blocks]][:, None, :, columns]
-        both = np.stack([fitted - taken, given - 0.5 * self.shared.own[blocks] @ (fitted + taken)], axis=1)
-        if self.dead is not None:
+            taken = _part_of(self.taken, self.interval[blocks], columns)[:, None]
+            np.subtract(fitted, taken, out=both[:, 0])
+            total = fitted + taken
+        else:
+            both[:, 0] = fitted
+        np.matmul(-0.5 * self.shared.own[blocks], total, out=both[:, 1])
+        both[:, 1] += given
+        if self.dead is not None and self.dead.any():
             both[..., self.dead[columns]] = 0.0
-        return np.asarray(both.reshape(blocks.size, 2 * self.fits * self.shared.base, columns.size))
+        return both.reshape(blocks.size, 2 * self.fits * k, columns.size)
 
     # Products.
 
@@ -499,8 +500,8 @@ class FactoredGrams:
                 # Whole rows lie together in memory.
                 out[some] = matrix[blocks[:, None], places[own]].take(places[other], axis=2)
             if factored:
-                first, second = self._factors(own, blocks)[0], self._factors(other, blocks)[1]
-                out[some] += first.swapaxes(1, 2) @ second
+                (e, h), (others_e, others_h) = self._factors(own, blocks), self._factors(other, blocks)
+                out[some] += e.swapaxes(1, 2) @ others_h + h.swapaxes(1, 2) @ others_e
         self._clear(out, own, other)
         return out
 
@@ -559,11 +560,12 @@ class FactoredGrams:
             part = which[some]
             out[some] = matrix[part[:, None, None, None], at[:, :, None], at[:, None, :]]
             if factored:
-                first, second = (
+                e, h = (
                     one.reshape(*one.shape[:2], *groups.shape).transpose(0, 2, 3, 1)
                     for one in self._factors(groups.ravel(), part)
                 )
-                out[some] += first @ second.swapaxes(2, 3)
+                product = e @ h.swapaxes(2, 3)
+                out[some] += product + product.swapaxes(2, 3)
         if self.dead is not None and self.dead.any():
             dead = self.dead[groups]
             out *= ~(dead[:, :, None] | dead[:, None, :])
@@ -578,8 +580,8 @@ class FactoredGrams:
         out = np.einsum("bii->bi", self.shared.rest)[:, self.places[columns]].astype(np.float64)
         for some in _in_parts(len(self), 4 * self.fits * max(self.shared.base, 1) * columns.size):
             if not self._is_rest:
-                first, second = self._factors(columns, np.arange(len(self))[some])
-                out[some] += np.einsum("bmi,bmi->bi", first, second)
+                e, h = self._factors(columns, np.arange(len(self))[some])
+                out[some] += 2.0 * np.einsum("bmi,bmi->bi", e, h)
         if self.dead is not None:
             out[:, self.dead[columns]] = 0.0
         return np.asarray(out)
@@ -604,8 +606,9 @@ class FactoredGrams:
                 for place, fold in enumerate(folds):
                     for some in _in_parts(len(fold), size):
                         pair = self._factors(every, np.asarray(fold)[some])
-                        first, second = (part.reshape(-1, every.size) for part in pair)
-                        out[place] += first.T @ second
+                        e, h = (part.reshape(-1, every.size) for part in pair)
+                        product = e.T @ h
+                        out[place] += product + product.T
             for one in out:
                 self._clear(one, every, every)
             self._sums[key] = out
@@ -923,6 +926,21 @@ def _sum_of(matrix: npt.NDArray[np.float32], blocks: Indices, width: int) -> Flo
     for block in np.asarray(blocks).tolist():
         out += matrix[block, used, used]
     return out
+
+
+def _part_of(array: Floats, blocks: Indices, columns: Indices) -> Floats:
+    """Return some columns (the last axis) of some blocks (the first one); of neighbours nothing is copied."""
+    if columns.size < _FEW and not _are_neighbours(columns):
+        return np.asarray(np.moveaxis(array[blocks[:, None], ..., columns], 1, -1))
+    some = array[blocks[0] : blocks[-1] + 1] if _are_neighbours(blocks) else array[blocks]
+    if _are_neighbours(columns):
+        return some[..., columns[0] : columns[-1] + 1]
+    return some.take(columns, axis=-1)
+
+
+def _are_neighbours(places: Indices) -> bool:
+    """Return whether places follow each other."""
+    return bool(places.size and np.all(np.diff(places) == 1))
 
 
 def _in_parts(blocks: int, size: int) -> Iterator[slice]:
