@@ -316,9 +316,11 @@ class JointNumbers:
                 if name in fields and np.abs(fields[name][:, axis]).max(initial=0.0) > _NEGLIGIBLE
             }
             places = list(own)
-            moved = np.stack([*own.values(), np.zeros(len(slope))], axis=1)[:, :-1]
-            change = 2.0 * slope @ self.shift[places][:, index].T
-            parts.append(np.sum((change + moved @ self.correlation[np.ix_(places, places)]) * moved, axis=1))
+            # A row for each number: what is summed lies together in memory.
+            moved = np.array(list(own.values())).reshape(len(own), len(slope))
+            change = 2.0 * self.shift[places][:, index] @ slope.T
+            change += self.correlation[np.ix_(places, places)].T @ moved
+            parts.append(np.einsum("nt,nt->t", change, moved))
         return np.stack(parts, axis=1)
 
 
@@ -488,7 +490,7 @@ def _variance(reading: Floats, known: DayParameters, fields: Mapping[str, Floats
     out, slopes = np.empty_like(reading), _derivatives(reading, known)
     for axis, (index, derivative) in enumerate(slopes):
         own = known.covariance[np.ix_(index, index)]
-        out[:, axis] = np.einsum("ti,ij,tj->t", derivative, own, derivative, optimize=True)
+        out[:, axis] = np.einsum("ti,ti->t", derivative @ own, derivative)
     if known.joint is not None:
         out += known.joint.variance(slopes, fields)
     return np.asarray(np.maximum(out, 0.0) + known.noise**2)
@@ -520,7 +522,7 @@ def _derivatives(reading: Floats, known: DayParameters) -> list[tuple[list[int],
         ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * ones, -cos[2] * ones]),
         ([2, 8], [e[:, 2], -k[2] * ones]),
     )
-    return [(index, np.stack(parts, axis=1)) for index, parts in rows]
+    return [(index, np.stack(parts).T) for index, parts in rows]
 
 
 def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag: _Flags) -> _Flags:

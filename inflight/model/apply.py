@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -230,10 +231,19 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     return samples.drop_vars(_FIELD, errors="ignore").assign(made)
 
 
-def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
+def correct_plain(
+    effects: Effects,
+    samples: xr.Dataset | PlainSamples,
+    values_of: Callable[[ModelEffect], dict[str, Floats]] | None = None,
+) -> PlainSamples:
     """Return what `correct` does as plain variables: a Dataset would check each of them again.
 
-    Parameters and errors are those of `correct`.
+    Other parameters and errors are those of `correct`.
+
+    Parameters
+    ----------
+    values_of : callable, optional
+        Returns an effect's parameters at the samples' times, for who corrects the same samples many times.
     """
     known = samples if isinstance(samples, PlainSamples) else PlainSamples.of(samples)
     effects = at_all_sensors(effects)
@@ -255,9 +265,8 @@ def correct_plain(effects: Effects, samples: xr.Dataset | PlainSamples) -> Plain
         raw = known[role]
         reading = np.asarray(raw.values, dtype=np.float64)
         for entry in entries:
-            reading = entry.effect.correct(
-                reading, cast("xr.Dataset", known), entry.values(times), entry.sensor
-            )
+            values = entry.values(times) if values_of is None else values_of(entry)
+            reading = entry.effect.correct(reading, cast("xr.Dataset", known), values, entry.sensor)
         known = known.assign({role: (raw.dims, reading, raw.attrs)})
         if role in VECTOR_ROLES:
             known = cast("PlainSamples", with_field(cast("xr.Dataset", known), reading))
@@ -377,31 +386,70 @@ def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, flo
         nT, vector sensor axes. An effect inside the sensor's equation follows the field, which is smooth: it
         is computed at some 1440 samples.
     """
-    times = _times(samples)
-    few = samples.isel(time=slice(None, None, max(1, times.size // _ROWS)))
-    known: Floats | None = None
+    times, effects = _times(samples), [entry for entry in effects if entry.sensor.role in VECTOR_ROLES]
+    few = _FewSamples(effects, samples)
     found = {}
     for place, entry in enumerate(effects):
-        if entry.sensor.role not in VECTOR_ROLES:
-            continue
         before: Floats | None = None
         for timed in entry.parameters.values():
             for name, value in zip(timed.columns, timed.value.ravel(), strict=True):
                 if name not in sigma:
                     continue
                 moved = entry.with_columns({name: float(value) + sigma[name]}, {})
-                if entry.is_additive:
-                    if before is None:
-                        before = entry.effect.field(samples, entry.values(times), entry.sensor)
-                    after = moved.effect.field(samples, moved.values(times), entry.sensor)
-                    found[name] = np.asarray(before - after)
+                if not entry.is_additive:
+                    found[name] = few.change(place, moved)
                     continue
-                if known is None:
-                    known = np.asarray(correct_plain(effects, few)["field"].values)
-                changed = correct_plain([*effects[:place], moved, *effects[place + 1 :]], few)["field"].values
-                slope = np.nan_to_num(changed - known)
-                found[name] = np.stack([np.interp(times, _times(few), one) for one in slope.T], axis=1)
+                if before is None:
+                    before = entry.effect.field(samples, entry.values(times), entry.sensor)
+                after = moved.effect.field(samples, moved.values(times), entry.sensor)
+                found[name] = np.asarray(before - after)
     return found
+
+
+class _FewSamples:
+    """What a change of one effect does to the corrected field, computed at some samples and drawn between.
+
+    Parameters
+    ----------
+    effects : sequence of ModelEffect
+        Of vector sensors.
+    samples : xarray.Dataset
+        Raw samples.
+    """
+
+    def __init__(self, effects: Sequence[ModelEffect], samples: xr.Dataset) -> None:
+        times = _times(samples)
+        self._effects = effects
+        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, times.size // _ROWS))))
+        self._times = _times(cast("xr.Dataset", self._few))
+        self._since, self._every = (
+            np.asarray(one - times[:1], dtype=np.float64) for one in (self._times, times)
+        )
+
+    def change(self, place: int, moved: ModelEffect) -> Floats:
+        """Return by how much the field changes with another effect in the place of one; (time, axis) nT."""
+        changed = self._corrected([*self._effects[:place], moved, *self._effects[place + 1 :]])
+        rows = np.zeros((changed.shape[1], self._every.size))
+        for row, slope in zip(rows, np.nan_to_num(changed - self._field).T, strict=True):
+            if slope.any():
+                row[:] = np.interp(self._every, self._since, slope)
+        return rows.T
+
+    @cached_property
+    def _field(self) -> Floats:
+        return self._corrected(self._effects)
+
+    @cached_property
+    def _values(self) -> dict[int, dict[str, Floats]]:
+        """Parameters at the samples' times, by the identity of their effect."""
+        return {id(entry): entry.values(self._times) for entry in self._effects}
+
+    def _corrected(self, effects: Effects) -> Floats:
+        def values_of(entry: ModelEffect) -> dict[str, Floats]:
+            known = self._values.get(id(entry))
+            return entry.values(self._times) if known is None else known
+
+        return np.asarray(correct_plain(effects, self._few, values_of)["field"].values)
 
 
 def instrument_variance(
