@@ -46,7 +46,7 @@ from inflight.diagnosis.search import VISIBILITY_SETTINGS, Option, ScoreTable, S
 from inflight.diagnosis.stepwise import channels_under
 from inflight.effects import family_of, known_effects
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import GramArrays, hac_t, inverse_square_root, solve_scaled
+from inflight.lsq import GramArrays, hac_t, in_turns, inverse_square_root, solve_scaled
 from inflight.model import ModelEffect
 from inflight.samples import base_channels, slow_response
 
@@ -335,6 +335,7 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     kept = search.with_accepted([one for one in search.accepted if one not in taken])
     trials, folds = FormTrials(kept, data, None), make_folds(len(search.raw), interleaved=True)
     own = [np.concatenate([trials.columns(trials.terms[key]) for key in one.terms]) for one in taken]
+    data.columns.clear()
     edges = np.cumsum([0, *map(len, own)]).tolist()
     places = [np.arange(first, last) for first, last in pairwise(edges)]
     # An effect that follows no channel is something of its own.
@@ -652,6 +653,10 @@ def _shortlisted(rows: CellRows, label: str, cells: Sequence[Followed]) -> list[
     ]
 
 
+#: Numbers of the series of cells that are formed at once: a bound on memory, 128 MB.
+_AT_ONCE = 16_000_000
+
+
 class CellRows:
     """The series' rows that the cells of every row of the table share.
 
@@ -670,24 +675,26 @@ class CellRows:
         series = data.series
         rows, names, columns = model_columns(search, series, data.sensor_matrices, search.accepted)
         places = [names.index(one) for one in [*search.base()[0], *search.model_columns()]]
-        root = np.sqrt(series["weight"])[:, None, None]
-        residual = np.where(root > 0, np.nan_to_num(rows.residual)[:, :, None], 0.0)
-        self.left = np.concatenate([columns[:, :, places], residual], axis=2) * root
+        root = np.sqrt(series["weight"])[:, None]
+        # Column by column: of a long record all of them together are hundreds of megabytes.
+        self.left = np.empty((*rows.residual.shape, len(places) + 1))
+        for at, place in enumerate(places):
+            np.multiply(columns[:, :, place], root, out=self.left[:, :, at])
+        self.left[:, :, -1] = np.where(root > 0, np.nan_to_num(rows.residual), 0.0) * root
+        del columns
         edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
         self.parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         flat = [self.left[part].reshape(-1, self.left.shape[2]) for part in self.parts]
         self.given = np.stack([one.T @ one for one in flat])
-        self._series: dict[str, Floats] = {}
 
     def followed(self, cells: Sequence[Followed], about_mean: bool) -> Floats:
         """Return the series that follow channels; (sample, cell). What is constant anyway loses its mean."""
         series = self.data.series
-        derived = derived_channels(series, {one.name for one in cells} - self._series.keys())
-        self._series |= {name: np.asarray(one.values) for name, one in derived.items()}
+        derived = derived_channels(series, {one.name for one in cells})
         # Cell by cell in memory, as they are written.
         out = np.empty((len(cells), len(series.tt2000)))
         for own, one in zip(out, cells, strict=True):
-            values = self._series[one.name] if one.name in self._series else series[one.name]
+            values = np.asarray(derived[one.name].values) if one.name in derived else series[one.name]
             known = np.isfinite(values)
             own[:] = values - values[known].mean() if about_mean else values
             own[~known] = 0.0
@@ -722,16 +729,17 @@ class CellProducts:
         search, data, left = rows.search, rows.data, rows.left
         root = np.sqrt(data.series["weight"])[:, None, None]
         acting = _acting_columns(data, entry) * root
-        values = rows.followed(cells, entry.effect.label() in _HAS_CONSTANT)
         k, m, b = acting.shape[2], left.shape[2], len(search.base()[0])
         cross = np.zeros((len(rows.parts), m, k, len(cells)))
         inner = np.zeros((len(rows.parts), k, k, len(cells)))
-        for block, part in enumerate(rows.parts):
-            own, on, f = left[part], acting[part], values[part]
-            both = np.einsum("trm,trk->tmk", own, on).reshape(len(f), -1)
-            cross[block] = (both.T @ f).reshape(m, k, -1)
-            square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
-            inner[block] = (square.T @ f**2).reshape(k, k, -1)
+        for some in in_turns(slice(0, len(cells)), max(1, _AT_ONCE // max(len(left), 1))):
+            values = rows.followed(cells[some], entry.effect.label() in _HAS_CONSTANT)
+            for block, part in enumerate(rows.parts):
+                own, on, f = left[part], acting[part], values[part]
+                both = np.einsum("trm,trk->tmk", own, on).reshape(len(f), -1)
+                cross[block][..., some] = (both.T @ f).reshape(m, k, -1)
+                square = np.einsum("trk,trl->tkl", on, on).reshape(len(f), -1)
+                inner[block][..., some] = (square.T @ f**2).reshape(k, k, -1)
         given = rows.given.copy()
         # Cell by cell: (block, left, cell * k).
         flat_cross = np.ascontiguousarray(cross.transpose(0, 1, 3, 2)).reshape(len(rows.parts), m, -1)

@@ -705,7 +705,8 @@ class FormTrials:
         """Return what the rest of the model leaves of columns (column, row)."""
         if not len(self.model):
             return values
-        left = values - (values @ self.model.T @ self._inverse) @ self.model
+        left = (values @ self.model.T @ self._inverse) @ self.model
+        np.subtract(values, left, out=left)
         # What is left of a combination of the model's columns is rounding.
         remaining, whole = (np.einsum("cr,cr->c", one, one) for one in (left, values))
         left[remaining <= LEAST_KEPT * whole] = 0.0

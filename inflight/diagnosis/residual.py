@@ -293,14 +293,16 @@ def model_columns(
     """
     chosen, rows = _terms_and_rows(search, series, sensor_matrices, options)
     names = [name for term in chosen for name in term.columns]
-    columns = design_matrix(chosen, rows)
+    columns, changing = design_matrix(chosen, rows), dict[str, Floats]()
     for option in options:
         if option.change is not None:
             for name, (column, factor) in option.change.functions.items():
-                own = columns[:, :, names.index(column)] * np.asarray(factor)[series.block][:, None]
-                columns = np.concatenate([columns, own[:, :, None]], axis=2)
-                names.append(name)
-    return rows, names, columns
+                of = changing[column] if column in changing else columns[:, :, names.index(column)]
+                changing[name] = of * np.asarray(factor)[series.block][:, None]
+    if changing:
+        # At once: of a long record all columns together are hundreds of megabytes.
+        columns = np.concatenate([columns, *(one[:, :, None] for one in changing.values())], axis=2)
+    return rows, [*names, *changing], columns
 
 
 def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[str]]]:

@@ -306,6 +306,8 @@ def held_against_others(
     left = left_follows_field(search, data) | left_follows(search, data) if remaining.is_there else {}
     shared = share_line(search, data, residual, remaining.signature)
     instead = of_one_direction(effects) | of_one_response(effects) | by_one_channel(search, data)
+    # Of a long record all columns together are hundreds of megabytes: each of these makes its own.
+    data.columns.clear()
     instead |= instead_of_several(search, data)
     alike = alike_but_for_noise(search, data)
     out = []
