@@ -335,6 +335,7 @@ def by_one_channel(search: Search, data: DiagnosisData) -> dict[str, str]:
     kept = search.with_accepted([one for one in search.accepted if one not in taken])
     trials, folds = FormTrials(kept, data, None), make_folds(len(search.raw), interleaved=True)
     own = [np.concatenate([trials.columns(trials.terms[key]) for key in one.terms]) for one in taken]
+    # No further trial is made here.
     data.columns.clear()
     edges = np.cumsum([0, *map(len, own)]).tolist()
     places = [np.arange(first, last) for first, last in pairwise(edges)]

@@ -419,11 +419,7 @@ class FactoredGrams:
     def _factors(self, columns: Indices, blocks: Indices) -> tuple[Floats, Floats]:
         """Return E and H of some blocks; (block, fit * base, column) each."""
         kept = self._kept_factors if self.taken is not None else None
-        if kept is None:
-            both = self._made_factors(columns, blocks)
-        else:
-            both = kept[blocks[:, None], :, columns].swapaxes(1, 2) if columns.size < _FEW else kept[blocks]
-            both = both if columns.size < _FEW else both.take(columns, axis=2)
+        both = self._made_factors(columns, blocks) if kept is None else _part_of(kept, blocks, columns)
         half = both.shape[1] // 2
         return both[:, :half], both[:, half:]
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -387,7 +386,7 @@ def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, flo
         is computed at some 1440 samples.
     """
     times, effects = _times(samples), [entry for entry in effects if entry.sensor.role in VECTOR_ROLES]
-    few = _FewSamples(effects, samples)
+    few: _FewSamples | None = None
     found = {}
     for place, entry in enumerate(effects):
         before: Floats | None = None
@@ -397,6 +396,7 @@ def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, flo
                     continue
                 moved = entry.with_columns({name: float(value) + sigma[name]}, {})
                 if not entry.is_additive:
+                    few = few or _FewSamples(effects, samples)
                     found[name] = few.change(place, moved)
                     continue
                 if before is None:
@@ -425,6 +425,9 @@ class _FewSamples:
         self._since, self._every = (
             np.asarray(one - times[:1], dtype=np.float64) for one in (self._times, times)
         )
+        # By identity: a changed effect has the name of the one in whose place it is.
+        self._values = {id(entry): entry.values(self._times) for entry in effects}
+        self._field = self._corrected(effects)
 
     def change(self, place: int, moved: ModelEffect) -> Floats:
         """Return by how much the field changes with another effect in the place of one; (time, axis) nT."""
@@ -434,15 +437,6 @@ class _FewSamples:
             if slope.any():
                 row[:] = np.interp(self._every, self._since, slope)
         return rows.T
-
-    @cached_property
-    def _field(self) -> Floats:
-        return self._corrected(self._effects)
-
-    @cached_property
-    def _values(self) -> dict[int, dict[str, Floats]]:
-        """Parameters at the samples' times, by the identity of their effect."""
-        return {id(entry): entry.values(self._times) for entry in self._effects}
 
     def _corrected(self, effects: Effects) -> Floats:
         def values_of(entry: ModelEffect) -> dict[str, Floats]:
