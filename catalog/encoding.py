@@ -79,22 +79,6 @@ class Encoding:
         labels = tuple(described.pop("labels", ()))
         return cls(stored=stored, fill=0, labels=labels, **described)
 
-    def encode(self, values: Array) -> Array:
-        """Return the stored form of `values`, same shape."""
-        if self.kind == "packed":
-            absent = np.isnan(values)
-            finite = np.where(absent, 0.0, values) if absent.any() else values
-            steps: Array = _steps(finite, self.resolution).astype(self.stored)
-            steps[absent] = self.missing
-            return steps
-        if self.kind == "labels":
-            index = {label: number for number, label in enumerate(self.labels)}
-            codes = [index[str(value)] for value in values.ravel()]
-            return np.array(codes, dtype=self.stored).reshape(values.shape)
-        if self.kind == "stamps":
-            return values.astype(self.dtype).view(np.int64)
-        return values
-
     def decode(self, stored: Array) -> Array:
         """Return the values of a stored array, same shape."""
         if self.kind == "packed":
@@ -106,8 +90,8 @@ class Encoding:
         return stored
 
 
-def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> Encoding:
-    """Choose how a variable is stored, from all its values.
+def encode(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> tuple[Encoding, list[Array]]:
+    """Choose how a variable is stored, from all its values, and return them so.
 
     Parameters
     ----------
@@ -122,45 +106,56 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
     -------
     Encoding
         With a `note` when packing was asked for and would have lost something.
+    list of ndarray
+        The stored form of each piece, same shape.
     """
     dtype = pieces[0].dtype
     if dtype.kind in "UOT":
         labels = sorted({str(value) for piece in pieces for value in piece.ravel()})
-        return Encoding(kind="labels", dtype="str", stored="uint32", fill=0, labels=tuple(labels))
+        number = {label: place for place, label in enumerate(labels)}
+        codes = [[number[str(value)] for value in piece.ravel()] for piece in pieces]
+        encoding = Encoding(kind="labels", dtype="str", stored="uint32", fill=0, labels=tuple(labels))
+        shaped = zip(codes, pieces, strict=True)
+        return encoding, [np.array(one, dtype=encoding.stored).reshape(piece.shape) for one, piece in shaped]
     if dtype.kind in "mM":
         unit = "datetime64[ns]" if dtype.kind == "M" else "timedelta64[ns]"
-        return Encoding(kind="stamps", dtype=unit, stored="int64", fill=int(TT2000_FILL), delta=True)
+        encoding = Encoding(kind="stamps", dtype=unit, stored="int64", fill=int(TT2000_FILL), delta=True)
+        return encoding, [piece.astype(unit).view(np.int64) for piece in pieces]
     fill: int | float | bool = np.nan if dtype.kind in "fc" else False if dtype.kind == "b" else 0
     plain = Encoding(kind="plain", dtype=dtype.name, stored=dtype.name, fill=fill)
     if name == "tt2000":
-        return replace(plain, fill=int(TT2000_FILL), delta=True)
+        return replace(plain, fill=int(TT2000_FILL), delta=True), list(pieces)
     resolution = attributes.get("resolution")
     if resolution is None or dtype.kind != "f" or not float(resolution) > 0:
-        return plain
-    return _packed(pieces, float(resolution)) or replace(
-        plain,
-        note=f"{name}: stored as {dtype.name}: its values are no multiples of the resolution {resolution:g}",
-    )
+        return plain, list(pieces)
+    packed = _packed(pieces, float(resolution))
+    if packed is not None:
+        return packed
+    note = f"{name}: stored as {dtype.name}: its values are no multiples of the resolution {resolution:g}"
+    return replace(plain, note=note), list(pieces)
 
 
-def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
-    """Return the encoding as multiples of the resolution; None unless it keeps all values."""
-    largest = 0.0
+def _packed(pieces: Sequence[Array], resolution: float) -> tuple[Encoding, list[Array]] | None:
+    """Return the encoding as multiples of the resolution, and these; None unless it keeps all values."""
+    largest, packed = 0.0, []
     for piece in pieces:
-        finite = piece if np.isfinite(piece).all() else piece[~np.isnan(piece)]
+        absent = None if np.isfinite(piece).all() else np.isnan(piece)
+        finite = piece if absent is None else np.where(absent, 0.0, piece).astype(piece.dtype, copy=False)
         if finite.size:
             largest = max(largest, float(finite.max()) / resolution, -float(finite.min()) / resolution)
         # An infinity has no integer.
         if not largest < 2**53:
             return None
         # Whole numbers of steps are what is stored, whatever their type: as floats they need no copy.
-        decoded = _values(_steps(finite, resolution), resolution, None, finite.dtype)
+        steps = _steps(finite, resolution)
+        decoded = _values(steps, resolution, None, finite.dtype)
         if not np.array_equal(decoded, finite):
             error, allowed = np.abs(decoded - finite), PACKING_SETTINGS.value_tolerance * np.abs(finite)
             if np.any((error > PACKING_SETTINGS.step_tolerance * resolution) | (error > allowed)):
                 return None
+        packed.append((steps, absent))
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
-    return Encoding(
+    encoding = Encoding(
         kind="packed",
         dtype=pieces[0].dtype.name,
         stored=stored,
@@ -169,6 +164,11 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
         resolution=resolution,
         missing=missing,
     )
+    whole = [steps.astype(stored) for steps, _ in packed]
+    for values, (_, absent) in zip(whole, packed, strict=True):
+        if absent is not None:
+            values[absent] = missing
+    return encoding, whole
 
 
 def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:

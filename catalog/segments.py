@@ -27,7 +27,7 @@ import numcodecs.blosc
 import numpy as np
 import numpy.typing as npt
 
-from inflight.catalog.encoding import Encoding, choose_encoding
+from inflight.catalog.encoding import Encoding, encode
 from inflight.catalog.faultpoints import fault_point
 from inflight.catalog.layout import (
     LAYOUT_ATTRIBUTE,
@@ -260,8 +260,8 @@ def _write_store(
     fault_point("segment_begun")
     notes, written = [], []
     for item in contents:
-        encoding = choose_encoding(item.name, item.pieces, item.attributes)
-        blocks = _blocks(item, encoding, layout)
+        encoding, pieces = encode(item.name, item.pieces, item.attributes)
+        blocks = _blocks(item, pieces, encoding, layout)
         _write_array(folder, group, item, encoding, blocks, packing)
         written.append(blocks[0])
         if encoding.note:
@@ -273,14 +273,19 @@ def _write_store(
     return notes
 
 
-def _blocks(item: Variable, encoding: Encoding, layout: Layout | None) -> list[Array]:
+def _blocks(
+    item: Variable, pieces: Sequence[Array], encoding: Encoding, layout: Layout | None
+) -> list[Array]:
     """Return the stored values, one block of `chunk` rows for each day, the rest of it filled."""
     if layout is None or not item.in_rows:
-        return [np.ascontiguousarray(encoding.encode(item.pieces[0]))]
+        return [np.ascontiguousarray(pieces[0])]
     blocks = []
-    for piece in item.pieces:
+    for piece in pieces:
+        if piece.shape[0] == layout.chunk:
+            blocks.append(piece)
+            continue
         block = np.full((layout.chunk, *piece.shape[1:]), encoding.fill, dtype=encoding.stored)
-        block[: piece.shape[0]] = encoding.encode(piece)
+        block[: piece.shape[0]] = piece
         blocks.append(block)
     return blocks
 

@@ -176,7 +176,7 @@ def plan_span(
         "context": planned.context,
         "cost": cost,
         "days": {"planned": len(days), "unchanged": len(unchanged), "no_work": len(planned.no_work)},
-        "batches": [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.in_batches(days)],
+        "batches": [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.product_batches(days)],
     }
 
 

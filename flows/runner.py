@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 RETRY_DELAYS: list[float] = [1.0, 10.0, 60.0]
 
 #: Prefect tasks of a stage at most; assumed: enough to show how far a run is, and to try little again.
-TASKS_OF_A_STAGE = 100
+TASKS_OF_A_STAGE = 40
 
 R = TypeVar("R")
 

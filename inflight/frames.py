@@ -205,9 +205,14 @@ def itrf_to_nec(field: Floats, position: Floats) -> Floats:
     position : ndarray, shape (time, 3)
         Where they were measured, itrf, any length unit.
     """
-    latitude, longitude = (np.deg2rad(angle) for angle in latitude_longitude(position))
-    sin_lat, cos_lat = np.sin(latitude), np.cos(latitude)
-    sin_lon, cos_lon = np.sin(longitude), np.cos(longitude)
+    x, y, z = position.T
+    from_axis = np.hypot(x, y)
+    distance = np.hypot(from_axis, z)
+    # At a pole any longitude does.
+    on_axis = from_axis == 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sin_lat, cos_lat = z / distance, from_axis / distance
+        sin_lon, cos_lon = np.where(on_axis, 0.0, y / from_axis), np.where(on_axis, 1.0, x / from_axis)
     fx, fy, fz = field.T
     along = fx * cos_lon + fy * sin_lon
     north = -sin_lat * along + cos_lat * fz

@@ -260,6 +260,9 @@ def edge_gain(period: int) -> Floats:
 #: A field smaller than this is in no uncertainty, nT: readings have a coarser resolution.
 _NEGLIGIBLE = 1e-4
 
+#: Samples whose uncertainties are computed at once.
+_AT_ONCE = 8192
+
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
@@ -308,20 +311,29 @@ class JointNumbers:
         fields : mapping of str to ndarray, shape (time, axis)
             As `inflight.model.number_fields`.
         """
-        parts = []
+        rows = len(slopes[0][1])
+        out = np.empty((rows, len(slopes)))
         for axis, (index, slope) in enumerate(slopes):
             own = {
                 place: fields[name][:, axis]
                 for place, name in enumerate(self.sigma)
-                if name in fields and np.abs(fields[name][:, axis]).max(initial=0.0) > _NEGLIGIBLE
+                if name in fields and _largest(fields[name][:, axis]) > _NEGLIGIBLE
             }
             places = list(own)
-            # A row for each number: what is summed lies together in memory.
-            moved = np.array(list(own.values())).reshape(len(own), len(slope))
-            change = 2.0 * self.shift[places][:, index] @ slope.T
-            change += self.correlation[np.ix_(places, places)].T @ moved
-            parts.append(np.einsum("nt,nt->t", change, moved))
-        return np.stack(parts, axis=1)
+            shift = 2.0 * self.shift[places][:, index]
+            correlation = self.correlation[np.ix_(places, places)].T
+            # A row for each number, of some hours: what is summed lies together, and near the processor.
+            for start in range(0, rows, _AT_ONCE):
+                some = slice(start, start + _AT_ONCE)
+                change = shift @ slope[some].T
+                moved = np.array([field[some] for field in own.values()]).reshape(change.shape)
+                change += correlation @ moved
+                out[some, axis] = np.einsum("nt,nt->t", change, moved)
+        return out
+
+
+def _largest(values: Floats) -> float:
+    return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
 
 
 @dataclass(frozen=True)

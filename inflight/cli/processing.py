@@ -60,7 +60,12 @@ ComparisonOption = Annotated[str, typer.Option(help="What is compared with what.
 DetailsOption = Annotated[bool, typer.Option("--details", help="List everything that was found.")]
 ReasonOption = Annotated[str, typer.Option(help="Why; kept with the runs: see 'catalog runs'.")]
 BatchOption = Annotated[
-    int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
+    int | None,
+    typer.Option(
+        min=1,
+        help="Days a batch; bounds the memory (default: 5 to 15, by length and cadence)",
+        show_default=False,
+    ),
 ]
 
 

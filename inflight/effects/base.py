@@ -525,7 +525,8 @@ class Effect:
             factor, offset = factor_and_offset(str(series.attrs.get("units", unit)), unit)
         except ValueError as error:
             raise SamplesError(str(error), channel=name, remedy="correct the channel's unit") from None
-        return np.asarray(series.values, dtype=np.float64) * factor + offset
+        values = np.asarray(series.values, dtype=np.float64)
+        return values * factor + offset if offset else values * factor
 
 
 def _rebuild(kind: type[Effect] | tuple[EffectOrigin, str], state: dict[str, Any]) -> Effect:

@@ -52,8 +52,6 @@ class AlignmentSettings:
         a low orbit, an error of less than a picotesla (derived).
     same_cadence : float
         Cadences that differ by less than this part are the same cadence (assumed).
-    probe : int
-        Targets that are tried first, for speed: one that lies between stamps decides.
     usual_step_of : int
         Stamps the usual distance is taken from, for speed.
     moments : int
@@ -65,7 +63,6 @@ class AlignmentSettings:
     kaiser_beta: float = 10.0
     same_stamp: float = 2e-5
     same_cadence: float = 1e-3
-    probe: int = 64
     usual_step_of: int = 2001
     moments: int = 3
 
@@ -235,7 +232,8 @@ def _resample(name: str, series: Series, places: _Places, lag: int) -> tuple[Flo
     if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
         plain = Series(continuous_sign(values), series.stamps, series.attrs)
         found, method = _resample_values(name, plain, places, lag)
-        return found / np.linalg.norm(found, axis=1, keepdims=True), method
+        x, y, z, w = found.T
+        return found / np.sqrt(x * x + y * y + z * z + w * w)[:, None], method
     return _resample_values(name, replace(series, values=values), places, lag)
 
 
@@ -323,25 +321,13 @@ def _slice_of(stamps: Int64, target: Int64) -> slice | None:
 
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
     """Return where the targets are among the stamps, or None when they run between them."""
-    if (
-        target.size > ALIGNMENT_SETTINGS.probe
-        and _pick(
-            stamps, target[:: target.size // ALIGNMENT_SETTINGS.probe][: ALIGNMENT_SETTINGS.probe], cadence
-        )
-        is None
-    ):
-        return None
-    right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
-    left = right - 1
-    right = np.minimum(right, stamps.size - 1)
-    nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
-    off = np.abs(stamps[nearest] - target)
-    there = off <= ALIGNMENT_SETTINGS.same_stamp * cadence
+    from inflight.samples.interpolation import nearest
+
     # A target in a gap of the channel has no stamp near it and cannot decide.
-    between = (off > ALIGNMENT_SETTINGS.same_stamp * cadence) & (
-        off < 0.5 * cadence * (1 + ALIGNMENT_SETTINGS.same_cadence)
-    )
-    return None if between.any() else (nearest.astype(np.int64), there)
+    same = ALIGNMENT_SETTINGS.same_stamp * cadence
+    between = 0.5 * cadence * (1 + ALIGNMENT_SETTINGS.same_cadence)
+    index, there, all_picked = nearest(stamps, target, same, between)
+    return (index, there) if all_picked else None
 
 
 def _flags_at(series: Series, target: Int64) -> npt.NDArray[np.uint32]:

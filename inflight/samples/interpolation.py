@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.time import GAP, Int64
@@ -31,6 +32,29 @@ def linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Float
                 before = values[j - 1, column]
                 out[i, column] = before + part * (values[j, column] - before)
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest(
+    stamps: Int64, target: Int64, same: float, between: float
+) -> tuple[Int64, npt.NDArray[np.bool_], bool]:  # pragma: no cover
+    """Return which stamp is nearest to each target, and whether it is within `same`, ns.
+
+    The third is False where a target is farther from its stamp than that, yet nearer than `between`: what is
+    behind it is not looked at then.
+    """
+    index, there = np.zeros(target.size, np.int64), np.zeros(target.size, np.bool_)
+    j = 0
+    for i in range(target.size):
+        # Both increase: what is past for one target is past for the next.
+        while j < stamps.size - 1 and stamps[j] < target[i]:
+            j += 1
+        k = j if j == 0 or abs(stamps[j] - target[i]) < abs(target[i] - stamps[j - 1]) else j - 1
+        off = abs(stamps[k] - target[i])
+        index[i], there[i] = k, off <= same
+        if same < off < between:
+            return index, there, False
+    return index, there, True
 
 
 @numba.njit(cache=True, nogil=True)

@@ -39,9 +39,15 @@ from inflight.tasks.models import (
     preflight_of,
     version_as_it_was,
 )
-from inflight.time import DayLike, as_day, day_range
+from inflight.time import SECOND, DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
+#: A record is cut into so many batches, as far as their length allows it.
+_BATCHES = 20
+#: Days of a batch.
+_FEWEST_DAYS, _MOST_DAYS = 5, 15
+#: Days of a batch of products at most, at one reading a second.
+_MOST_DAYS_AT_1_HZ = 8
 
 
 class ReprocessSettings(BaseModel):
@@ -57,8 +63,9 @@ class ReprocessSettings(BaseModel):
         once, with scale factors that follow a trend in time.
     window_days : int
         Length of a window; windows lie on a fixed grid from 2000-01-01.
-    batch_days : int
-        Days of one segment and one worker's task; it bounds the memory.
+    batch_days : int, optional
+        Days of one segment and one worker's task; it bounds the memory. When absent it follows from the
+        number of days and the cadence: see `Plan.statistics_batches` and `Plan.product_batches`.
     min_coverage : float
         Part of a day that must be usable for a fit; with priors in place even little data does no harm.
     trend : str
@@ -83,7 +90,7 @@ class ReprocessSettings(BaseModel):
     comparison: str = "main"
     table: Literal["daily", "window", "monthly", "span", "continuous"] = "window"
     window_days: int = Field(15, ge=1, le=3660)
-    batch_days: int = Field(5, ge=1, le=60)
+    batch_days: int | None = Field(None, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
     trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
     origin: dt.date | None = None
@@ -177,7 +184,7 @@ class Plan:
     def batches(self) -> list[list[np.datetime64]]:
         """Days whose statistics are missing or out of date."""
         known = set(self.unchanged)
-        return self.in_batches([day for day in self.keys if day not in known])
+        return self.statistics_batches([day for day in self.keys if day not in known])
 
     @property
     def reference(self) -> list[float] | None:
@@ -187,9 +194,25 @@ class Plan:
                 return [float(value) for value in self.published[day].report["reference"]]
         return None
 
-    def in_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
-        """Return days in batches, one a worker's task and a segment."""
-        size = self.settings.batch_days
+    def statistics_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
+        """Return days in batches, one a worker's task and a segment of their statistics."""
+        return self._in_batches(days, _MOST_DAYS)
+
+    def product_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
+        """Return days in batches, one a worker's task and a segment of their products.
+
+        A batch holds the products of all its days before it writes them: 27 MB for each day of 1 Hz.
+        """
+        cadence = min((need.cadence_ns for need in self.needs if need.channel == "field"), default=SECOND)
+        return self._in_batches(days, int(np.clip(_MOST_DAYS_AT_1_HZ * cadence // SECOND, 1, _MOST_DAYS)))
+
+    def _in_batches(self, days: Sequence[np.datetime64], most: int) -> list[list[np.datetime64]]:
+        """Return days in batches of the size that was chosen, or in some twenty of at most so many days.
+
+        What begins and ends a batch takes as long as a good half of a day; a short record is shared by more
+        processes in small ones.
+        """
+        size = self.settings.batch_days or int(np.clip(len(days) // _BATCHES, min(_FEWEST_DAYS, most), most))
         return [list(days[at : at + size]) for at in range(0, len(days), size)]
 
     def product_inputs(self, day: np.datetime64) -> list[str]:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from inflight.arrays import Floats
 from inflight.calibration import CHANGE, LEARNT, outside_learnt
 from inflight.catalog import Catalog, Day, Run, TableRecord
+from inflight.compiled import compiled
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
@@ -280,8 +282,15 @@ def rounded(product: xr.Dataset) -> xr.Dataset:
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
-            values = variable.values / step
-            np.rint(values, out=values)
-            values /= round(1.0 / step)
+            values = _in_steps(variable.values.ravel(), step, round(1.0 / step)).reshape(variable.shape)
             variables[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
     return product.assign(variables)
+
+
+@compiled
+def _in_steps(values: Floats, step: float, per_unit: int) -> Floats:  # pragma: no cover
+    """Return values rounded to a step, of which so many make a unit, in one look at each."""
+    out = np.empty_like(values)
+    for place in range(values.size):
+        out[place] = np.rint(values[place] / step) / per_unit
+    return out

@@ -192,7 +192,7 @@ def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
             last = pipeline.linearise_at(work.cat, plan, every, last, work.progress) if fresh else None
         if last is None:
             break
-        batches = plan.in_batches([day for day in plan.days if day not in work.failed])
+        batches = plan.statistics_batches([day for day in plan.days if day not in work.failed])
         fresh = _make_pass(pipeline, work, batches, last)
     return _Statistics(others | current | fresh, list(fresh))
 
@@ -280,7 +280,7 @@ def _make_products(pipeline: Pipeline, work: Reprocessing, solved: TablesToPubli
     arguments = []
     for number in sorted({solved.used[day].number for day in todo}):
         days = [day for day in todo if solved.used[day].number == number]
-        for job in work.jobs(plan.in_batches(days), plan.product, keys):
+        for job in work.jobs(plan.product_batches(days), plan.product, keys):
             parents = {day: (*ids, f"table:{number}", *lineage) for day, ids in job.parents.items()}
             batch = ProductBatch(
                 cat=cat,
