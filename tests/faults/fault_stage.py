@@ -179,7 +179,10 @@ def _carry_out(told):
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     from inflight.tasks import to_json
 
-    Path(told["outcome"]).write_text(to_json(outcome))
+    # Whoever is killed while it writes has told nothing.
+    unfinished = Path(told["outcome"] + ".part")
+    unfinished.write_text(to_json(outcome))
+    unfinished.rename(told["outcome"])
     return code
 
 
