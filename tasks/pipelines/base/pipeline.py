@@ -190,23 +190,19 @@ class Pipeline(ABC):
         return list(days)
 
     def linearise_at(
-        self,
-        cat: Catalog,
-        plan: Plan,
-        days: Mapping[np.datetime64, Day],
-        last: Sequence[float] | None,
-        progress: Progress = silent,
+        self, work: Reprocessing, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
     ) -> list[float] | None:
         """Return the parameters at which the statistics of all days are to be linearised anew; None for none.
 
         Parameters
         ----------
+        work : Reprocessing
+        days : mapping of datetime64[D] to Day
+            As of `solve`.
         last : sequence of float or None
             Those of the last pass; None for each day's own.
-        progress : callable, optional
-            Called with (stage, done, total).
         """
-        del cat, plan, days, last, progress
+        del work, days, last
         return None
 
     # --- tables -----------------------------------------------------------------------------------------

@@ -45,6 +45,8 @@ class Reprocessing:
         The one that batches run on.
     failed : dict of datetime64[D] to dict
         Problems as `RunReport` lists them.
+    statistics : tuple, optional
+        Ids of days and what a pipeline read of these, until its tables are made.
     """
 
     cat: Catalog
@@ -55,6 +57,7 @@ class Reprocessing:
     progress: Progress = silent
     client: Any = None
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
+    statistics: tuple[frozenset[str], Any] | None = None
 
     def jobs(
         self, batches: Iterable[Sequence[np.datetime64]], dataset: str, keys: Mapping[np.datetime64, str]

@@ -82,6 +82,7 @@ def run_plan(
             progress("tables", 0, 1)
             with one_thread():
                 solved = pipeline.solve(work, statistics.days)
+            work.statistics = None
             tables = max(len(solved.kept), 1)
             progress("tables", tables, tables)
         made = (
@@ -189,7 +190,7 @@ def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
     for _ in range(_MOST_PASSES):
         with one_thread():
             every = others | current | fresh
-            last = pipeline.linearise_at(work.cat, plan, every, last, work.progress) if fresh else None
+            last = pipeline.linearise_at(work, every, last) if fresh else None
         if last is None:
             break
         batches = plan.statistics_batches([day for day in plan.days if day not in work.failed])

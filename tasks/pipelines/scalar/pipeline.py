@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from inflight.tasks.pipelines.base import (
     ONE_DAY,
     Batch,
     Pipeline,
-    Plan,
     ProductBatch,
     Reprocessing,
     ReprocessSettings,
@@ -31,6 +30,7 @@ from inflight.tasks.pipelines.base import (
 if TYPE_CHECKING:
     import xarray as xr
 
+    from inflight.calibration import NormalEquations
     from inflight.figures import Section
     from inflight.tasks.pipelines.base import CompareResult, EarlierProducts, Report
 
@@ -57,33 +57,22 @@ class ScalarPipeline(Pipeline):
         return calibrate_day(batch, day)
 
     def linearise_at(
-        self,
-        cat: Catalog,
-        plan: Plan,
-        days: Mapping[np.datetime64, Day],
-        last: Sequence[float] | None,
-        progress: Progress = silent,
+        self, work: Reprocessing, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
     ) -> list[float] | None:
         """Return the solution of all days, when the equations' linearisation error there is too large."""
-        from inflight.tasks.pipelines.scalar.tables import load_equations, relinearise_at
+        from inflight.tasks.pipelines.scalar.tables import relinearise_at
 
-        equations = load_equations(cat, list(days.values()), progress)
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
-        value = relinearise_at(equations, plan.model, strength, last)
+        value = relinearise_at(_equations(work, days), work.plan.model, strength, last)
         return None if value is None else value.tolist()
 
     def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TablesToPublish:
         """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
         from inflight.tasks.pipelines.scalar.day import estimate_of
-        from inflight.tasks.pipelines.scalar.tables import (
-            daily_table,
-            keep_joined,
-            load_equations,
-            window_table,
-        )
+        from inflight.tasks.pipelines.scalar.tables import daily_table, keep_joined, window_table
 
         plan, stager = work.plan, self.table_stager(work, days)
-        equations, model = load_equations(work.cat, list(days.values()), work.progress), plan.model
+        equations, model = _equations(work, days), plan.model
         keep_joined(work.cat, work.run, equations, list(days.values()))
         edges = {
             "window": window_edges(min(days), max(days), plan.settings.window_days),
@@ -144,3 +133,13 @@ class ScalarPipeline(Pipeline):
         from inflight.tasks.pipelines.scalar.sections import table_sections
 
         return table_sections(cat, comparison)
+
+
+def _equations(work: Reprocessing, days: Mapping[np.datetime64, Day]) -> NormalEquations:
+    """Return the equations of days: read once, though they are asked for where they are linearised, too."""
+    from inflight.tasks.pipelines.scalar.tables import load_equations
+
+    these = frozenset(day.id for day in days.values())
+    if work.statistics is None or work.statistics[0] != these:
+        work.statistics = these, load_equations(work.cat, list(days.values()), work.progress)
+    return cast("NormalEquations", work.statistics[1])
