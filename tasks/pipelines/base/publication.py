@@ -46,7 +46,7 @@ class Reprocessing:
     failed : dict of datetime64[D] to dict
         Problems as `RunReport` lists them.
     statistics : tuple, optional
-        Ids of days and what a pipeline read of these, until its tables are made.
+        Segments and rows of days, and what a pipeline read of these, until its tables are made.
     """
 
     cat: Catalog
@@ -57,7 +57,7 @@ class Reprocessing:
     progress: Progress = silent
     client: Any = None
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
-    statistics: tuple[frozenset[str], Any] | None = None
+    statistics: tuple[frozenset[tuple[str, tuple[int, int]]], Any] | None = None
 
     def jobs(
         self, batches: Iterable[Sequence[np.datetime64]], dataset: str, keys: Mapping[np.datetime64, str]

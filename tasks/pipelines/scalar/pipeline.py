@@ -139,7 +139,8 @@ def _equations(work: Reprocessing, days: Mapping[np.datetime64, Day]) -> NormalE
     """Return the equations of days: read once, though they are asked for where they are linearised, too."""
     from inflight.tasks.pipelines.scalar.tables import load_equations
 
-    these = frozenset(day.id for day in days.values())
+    # Where the rows lie, not the days' ids: days linearised anew in a run keep theirs.
+    these = frozenset((day.segment, day.rows) for day in days.values())
     if work.statistics is None or work.statistics[0] != these:
         work.statistics = these, load_equations(work.cat, list(days.values()), work.progress)
     return cast("NormalEquations", work.statistics[1])
