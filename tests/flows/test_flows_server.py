@@ -93,7 +93,7 @@ def api(environment):
     with (
         log.open("w") as out,
         subprocess.Popen(command, env=environment, stdout=out, stderr=out) as server,
-        httpx.Client(base_url=environment["PREFECT_API_URL"], timeout=30) as client,
+        httpx.Client(base_url=environment["PREFECT_API_URL"], timeout=60) as client,
     ):
         try:
             wait_for(lambda: healthy(client), f"server; {log}")

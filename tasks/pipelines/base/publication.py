@@ -226,8 +226,9 @@ def table_row_hashes(table: xr.Dataset, instants: Sequence[int]) -> list[str]:
     """Return the hash of a table's row at each instant, empty where there is none; each row is read once."""
     start, end, times = table["start"].values, table["end"].values, np.array(instants, dtype=np.int64)
     # The last row that holds an instant; -1 is none.
-    holds = [np.flatnonzero((start <= time) & (time < end)) for time in times]
-    place = np.array([found[-1] if found.size else -1 for found in holds], dtype=np.int64)
+    place = np.full(times.size, -1)
+    for index, (first, last) in enumerate(zip(start, end, strict=True)):
+        place[(first <= times) & (times < last)] = index
     hashes = [""] * times.size
     for index in np.unique(place[place >= 0]).tolist():
         row, here = table.isel(interval=index), np.flatnonzero(place == index)

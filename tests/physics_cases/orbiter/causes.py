@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ FAMILY |= {"solar_current": "solar", "battery_current": "battery", "camera_curre
 FAMILY |= {"torquer_current": "torquer", "sunlight": "day_night", "sun_direction": "sun_angle"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class World:
     """Everything causes are made from: flight, true field in sensor axes (time, 3) nT, channels."""
 
@@ -41,7 +42,7 @@ class World:
     house: dict[str, Channel]
     orbit_period: float
 
-    @property
+    @cached_property
     def direction(self) -> np.ndarray:
         """Unit vector of the field; (time, 3)."""
         return self.field / self.strength[:, None]

@@ -49,9 +49,10 @@ class HeldCause:
 
 def wrong_value(held: HeldCause, world: World, vector: np.ndarray, wanted: float) -> tuple[float, Cause]:
     """Return a value so wrong that the calibration leaves an rms of what it misses, nT, and what that is."""
+    right = held.cause(world, held.true, vector)
     for part in PARTS:
         value = held.true + part * (held.farthest - held.true)
-        right, wrong = (held.cause(world, one, vector) for one in (held.true, value))
+        wrong = held.cause(world, value, vector)
         key = "gain" if held.gain else "field_vector"
         missed = Cause(
             right.name, right.families, right.channels, coefficients=wrong.coefficients,
