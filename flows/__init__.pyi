@@ -1,5 +1,5 @@
-from .cluster import available_cores, dask_client, lazy_client
-from .launch import plan_lines, plan_span, run_with_prefect, run_without_prefect
+from .cluster import available_cores, dask_client, lazy_client, start_early
+from .launch import plan_lines, plan_span, run_with_prefect, run_without_prefect, start_server_early
 from .schedule import ScheduledFlow, scheduled_flows
 from .span import DaySpan
 
@@ -14,4 +14,6 @@ __all__ = [
     "run_with_prefect",
     "run_without_prefect",
     "scheduled_flows",
+    "start_early",
+    "start_server_early",
 ]

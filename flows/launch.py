@@ -218,6 +218,13 @@ def prefect_environment(home: Path) -> dict[str, str]:
     return environment | {name: os.environ[name] for name in environment if name in os.environ}
 
 
+def start_server_early(workspace: Workspace) -> None:
+    """Start the embedded server for the flows to come, if they have no other; nothing waits for it here."""
+    if _is_embedded():
+        environment = prefect_environment(workspace.prefect_home)
+        embedded_server(Path(environment["PREFECT_HOME"]), environment)
+
+
 @contextmanager
 def prefect_settings(home: Path, get_ready: Callable[[], None] | None = None) -> Iterator[None]:
     """Run what is inside with the project's Prefect settings.

@@ -163,14 +163,19 @@ def write_deliveries(
     progress: Progress,
 ) -> list[Path]:
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
-    from inflight.flows import available_cores
+    from inflight.flows import available_cores, start_early
+
+    workers = workers or available_cores()
+    if workers > 1:
+        # What these processes are forks of imports while this one does; the flows of a demo go on with it.
+        start_early()
     from inflight.tasks.archive import simulate as simulate_days
 
     return simulate_days(
         _settings_of(mission).model_validate(settings),
         folder,
         progress=lambda done, total: progress("simulate", done, total),
-        workers=workers or available_cores(),
+        workers=workers,
     )
 
 
@@ -212,6 +217,10 @@ def demo(
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
     if not exists:
         _state_cadence(workspace.mission_file, cadence)
+    if not no_prefect:
+        from inflight.flows import start_server_early
+
+        start_server_early(workspace)
     story = _Story(command)
     settings = {"start": DEMO_START, "days": days, "cadence": cadence, "seed": seed, **DEMO_HIDDEN}
     with command.progress() as progress:
