@@ -165,14 +165,14 @@ def write_deliveries(
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
     from inflight.flows import available_cores, start_early
 
-    workers = workers or available_cores()
-    if workers > 1:
+    checked, workers = _settings_of(mission).model_validate(settings), workers or available_cores()
+    if min(workers, checked.days) > 1:
         # What these processes are forks of imports while this one does; the flows of a demo go on with it.
         start_early()
     from inflight.tasks.archive import simulate as simulate_days
 
     return simulate_days(
-        _settings_of(mission).model_validate(settings),
+        checked,
         folder,
         progress=lambda done, total: progress("simulate", done, total),
         workers=workers,
@@ -217,10 +217,11 @@ def demo(
     workspace = Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
     if not exists:
         _state_cadence(workspace.mission_file, cadence)
-    if not no_prefect:
-        from inflight.flows import start_server_early
+        if not no_prefect:
+            from inflight.flows import start_server_early
 
-        start_server_early(workspace)
+            # In a new workspace there is work for it.
+            start_server_early(workspace)
     story = _Story(command)
     settings = {"start": DEMO_START, "days": days, "cadence": cadence, "seed": seed, **DEMO_HIDDEN}
     with command.progress() as progress:
