@@ -15,6 +15,7 @@ from inflight.catalog.database import Database
 from inflight.catalog.days import (
     DatabaseDays,
     days_by_id,
+    hash_of_days,
     maturities,
     revisions_of_days,
     stored_together,
@@ -221,6 +222,10 @@ class Catalog:
         What is quick where `days`, which has all that is known of each, takes long.
         """
         return [(np.datetime64(day, "D"), context) for day, context in self._days.published(name)]
+
+    def hash_of_days(self, names: Iterable[str]) -> str:
+        """Return a hash of the days of some datasets; another one when any was published or went since."""
+        return self._database.read(hash_of_days, list(names))
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:
         """Return every published revision of each day in a span, past ones too, the oldest first."""

@@ -6,6 +6,7 @@ Each takes a database session and the name of a dataset, and returns `Day` recor
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -199,6 +200,21 @@ def dataset_names(session: Session, patterns: Iterable[str]) -> list[str]:
     """Return the names of the datasets that match one of some patterns, such as ``l2/*``, in order."""
     names = session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
     return [name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns)]
+
+
+def hash_of_days(session: Session, names: Iterable[str]) -> str:
+    """Return a hash of which days of some datasets there are: of every revision, its state and its store."""
+    query = (
+        select(DayRow.id, DayRow.state, DayRow.store_id, CurrentRow.day_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .outerjoin(CurrentRow, CurrentRow.day_id == DayRow.id)
+        .where(DatasetRow.name.in_(list(names)), DayRow.revision.is_not(None))
+        .order_by(DayRow.id)
+    )
+    found = hashlib.sha256()
+    for row in session.execute(query):
+        found.update(repr(tuple(row)).encode())
+    return found.hexdigest()
 
 
 def published_days(session: Session, name: str, span: Span, context: str | None) -> list[Day]:

@@ -71,15 +71,16 @@ def compare_span(
 ) -> Report:
     """Compare and write the page, into the workspace's reports unless `output` is given.
 
-    A workspace that can only be read gets no page unless `output` names a place for it.
+    While nothing has changed since the last comparison, that one is given back. A workspace that can only be
+    read gets no page unless `output` names a place for it.
 
     Raises
     ------
     StorageError
         When the page cannot be written to `output`.
     """
-    from inflight.flows import DaySpan, lazy_client
-    from inflight.tasks.analysis import compare as measure
+    from inflight.flows import DaySpan
+    from inflight.tasks.analysis import compare_if_unchanged
 
     mission = workspace.mission()
     _require_comparison(mission, comparison)
@@ -92,6 +93,11 @@ def compare_span(
             raise
         page = None
     catalog = command.open_catalog()
+    if unchanged := compare_if_unchanged(catalog, mission, *span, comparison, page, against):
+        return unchanged
+    from inflight.flows import lazy_client
+    from inflight.tasks.analysis import compare as measure
+
     with command.progress() as progress, lazy_client() as client:
         return measure(
             catalog,

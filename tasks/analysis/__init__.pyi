@@ -2,6 +2,7 @@ from .comparing import compare, measure_comparison
 from .diagnosis import diagnose, examine
 from .diagnosis_page import DiagnosisReport, diagnosis_sections, report
 from .gram_pass import block_grams
+from .kept_comparison import compare_if_unchanged
 from .kept_diagnosis import diagnose_if_unchanged, last_diagnosis
 from .plumbing import check_plumbing
 from .revise import Revision, Workbench, diagnose_span, open_workbench, require_change
@@ -15,6 +16,7 @@ __all__ = [
     "block_grams",
     "check_plumbing",
     "compare",
+    "compare_if_unchanged",
     "diagnose",
     "diagnose_if_unchanged",
     "diagnose_span",

@@ -10,6 +10,7 @@ from inflight.catalog import Catalog
 from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.progress import Progress, silent
+from inflight.tasks.analysis.kept_comparison import comparison_made_from, keep_comparison
 from inflight.tasks.analysis.plumbing import check_plumbing
 from inflight.tasks.report import write_page
 from inflight.time import DayLike
@@ -59,6 +60,7 @@ def compare(
     SettingsError
         When no product was made with the version `against`.
     """
+    made_from = comparison_made_from(cat, mission, start, end, comparison, against) if output else ""
     found = measure_comparison(cat, mission, start, end, comparison, progress, client, against)
     # A workspace of products alone has no archive to ask.
     with suppress(InflightError):
@@ -69,6 +71,7 @@ def compare(
         sections = found.sections(progress or silent)
         write_page(output, html_page(found.title, sections, mission.acknowledgement))
         found.report.path = output
+        keep_comparison(cat, found.report, comparison, made_from)
     report: Report = found.report
     return report
 

@@ -1,5 +1,6 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
+import json
 import shutil
 from dataclasses import replace
 from io import StringIO
@@ -14,12 +15,13 @@ from inflight.catalog import Catalog, Workspace
 from inflight.cli.diagnose import print_diagnosis
 from inflight.errors import CatalogError
 from inflight.flows import launch, run_with_prefect, run_without_prefect
-from inflight.tasks import ModelHistory, analysis, ingest, reprocess
+from inflight.tasks import ModelHistory, analysis, ingest, reprocess, to_json
 from inflight.tasks.analysis import (
     DiagnoseSettings,
     Workbench,
     diagnose_if_unchanged,
     diagnose_span,
+    kept_comparison,
     later_days,
     revise,
 )
@@ -289,3 +291,120 @@ def test_a_comparison_without_a_residual_to_search_is_updated_without_a_verdict(
     report = run_without_prefect("update", workspace, {}, workers=1)
     assert report.exit_code == 0
     assert "diagnosis" not in report.extra
+
+
+@pytest.fixture
+def compared(done):
+    """A workspace that was compared, with the report, and the comparison as it is asked again."""
+    place, _ = done
+    page = place.reports / "compare-main.html"
+    first = analysis.compare(Catalog(place.root), place.mission(), output=page)
+
+    def again(output=page, **asked):
+        return analysis.compare_if_unchanged(Catalog(place.root), place.mission(), output=output, **asked)
+
+    return place, first, again
+
+
+def test_the_same_comparison_again_draws_nothing(compared):
+    place, first, again = compared
+    page = first.path.read_bytes()
+    stamp, runs = first.path.stat().st_mtime_ns, len(Catalog(place.root).runs())
+    found = again()
+    told, before = found.as_json(), json.loads(to_json(first.as_json()))
+    assert told.pop("unchanged") is True
+    assert told == before
+    assert found.summary()[1:] == first.summary()
+    assert "last comparison" in found.summary()[0].text
+    assert (first.path.read_bytes(), first.path.stat().st_mtime_ns) == (page, stamp)
+    assert len(Catalog(place.root).runs()) == runs
+
+
+def test_its_page_is_copied_to_where_it_is_asked_for(compared, tmp_path):
+    _, first, again = compared
+    found = again(tmp_path / "elsewhere" / "page.html")
+    assert found.path == tmp_path / "elsewhere" / "page.html"
+    assert found.path.read_bytes() == first.path.read_bytes()
+
+
+def _other_model(place):
+    cat = Catalog(place.root)
+    name, version, text = cat.model_text()
+    cat.save_model(name, f"{text}# as flown\n", parent=version, message="set")
+
+
+def _new_day(place):
+    cat = Catalog(place.root)
+    deliver_tiny_day(place.data, "2024-03-05")
+    ingest(cat, place.mission(), place.data)
+
+
+def _other_mission(place):
+    path = place.root / "mission.yaml"
+    path.write_text(path.read_text(encoding="utf-8") + "acknowledgement: thanks\n", encoding="utf-8")
+
+
+def _other_table(place):
+    reprocess(Catalog(place.root), place.mission(), settings=ReprocessSettings(table="daily"))
+
+
+def _without_validity(place):
+    cat = Catalog(place.root)
+    cat.decertify(cat.tables("main-daily")[-1].id, author="ada", reason="looked odd")
+
+
+def _damaged(place):
+    cat = Catalog(place.root)
+    day = cat.days("l2/field", states=("published",))[0]
+    chunk = next(path for path in (cat.workspace / day.segment).rglob("c/*") if path.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:-3])
+    cat.repair()
+
+
+def _page_changed(place):
+    page = place.reports / "compare-main.html"
+    page.write_text(page.read_text(encoding="utf-8") + "<!-- mine -->", encoding="utf-8")
+
+
+def _page_gone(place):
+    (place.reports / "compare-main.html").unlink()
+
+
+def _kept_damaged(place):
+    (place.reports / "comparison-main.json").write_text("{", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        _other_model,
+        _new_day,
+        _other_mission,
+        _other_table,
+        _without_validity,
+        _damaged,
+        _page_changed,
+        _page_gone,
+        _kept_damaged,
+    ],
+)
+def test_a_comparison_is_made_anew_when_what_it_is_made_from_changed(compared, change):
+    place, _, again = compared
+    change(place)
+    assert again() is None
+
+
+def test_a_comparison_of_something_else_is_made_anew(compared, monkeypatch):
+    _, first, again = compared
+    day = first.by_day[1]["day"]
+    assert again(start=day) is None
+    assert again(against=1) is None
+    monkeypatch.setattr(kept_comparison, "hash_of_software", lambda packages: "newer")
+    assert again() is None
+
+
+def test_what_searches_and_comparisons_keep_for_themselves_changes_no_comparison(compared):
+    place, _, again = compared
+    analysis.compare(Catalog(place.root), place.mission())
+    diagnose_span(place, None, None, DiagnoseSettings())
+    assert again() is not None
