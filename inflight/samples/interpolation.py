@@ -1,10 +1,12 @@
-"""Loops that interpolate a series at given times: straight lines, and a windowed sinc.
+"""Loops that interpolate a series at given times: straight lines, and a windowed sinc; running means.
 
 Takes stamps and values of a series and the times asked for; makes the values there, NaN where too many
 samples are missing. `inflight.samples.alignment` chooses between them.
 """
 
 from __future__ import annotations
+
+from functools import cache
 
 import numba
 import numpy as np
@@ -58,53 +60,43 @@ def nearest(
 
 
 @numba.njit(cache=True, nogil=True)
-def _bessel_i0(x: float) -> float:  # pragma: no cover
-    total, term, k = 1.0, 1.0, 1.0
-    while term > 1e-17 * total:
-        term *= (x / (2.0 * k)) ** 2
-        total += term
-        k += 1.0
-    return total
+def running_means(stamps: Int64, values: Floats, reach: int) -> Floats:  # pragma: no cover
+    """Return the mean of the samples within `reach`, ns, on either side of each sample.
+
+    Both sides have equally many samples: as many as the side with fewer.
+    """
+    columns = values.shape[1]
+    sums = np.zeros((stamps.size + 1, columns))
+    for i in range(stamps.size):
+        for column in range(columns):
+            sums[i + 1, column] = sums[i, column] + (values[i, column] - values[0, column])
+    out = np.empty_like(values)
+    first, last = 0, 0
+    for i in range(stamps.size):
+        # Both ends only move on.
+        while stamps[first] < stamps[i] - reach:
+            first += 1
+        while last + 1 < stamps.size and stamps[last + 1] <= stamps[i] + reach:
+            last += 1
+        each = min(i - first, last - i)
+        for column in range(columns):
+            total = sums[i + each + 1, column] - sums[i - each, column]
+            out[i, column] = total / (2 * each + 1) + values[0, column]
+    return out
 
 
-@numba.njit(cache=True, nogil=True)
-def _whole(
-    stamps: Int64, first: int, last: int, target: int, half: float, cadence: float
-) -> bool:  # pragma: no cover
-    """Return True when no sample is missing under a window of half-width `half`, ns."""
-    edge = half - GAP * cadence
-    if target - stamps[first] < edge or stamps[last] - target < edge:
-        return False
-    for j in range(first, last):  # noqa: SIM110, numba knows no generator expressions
-        if stamps[j + 1] - stamps[j] > GAP * cadence:
-            return False
-    return True
+#: Values of the windowed sinc in each of its lobes, between which cubics run: exact to 1e-10 (derived).
+_PER_LOBE = 512
 
 
-@numba.njit(cache=True, nogil=True)
-def _sinc_weight(x: float, cutoff: float, half: float, kaiser_beta: float) -> float:  # pragma: no cover
-    """Return the weight of a sample `x` cadences away, of a window of half-width `half`."""
-    window = _bessel_i0(kaiser_beta * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / _bessel_i0(kaiser_beta)
-    return float(np.sinc(cutoff * x) * window)
+@cache
+def _kernel(lobes: float, kaiser_beta: float) -> Floats:
+    """Return the windowed sinc from its middle to its end, `_PER_LOBE` values a lobe."""
+    from_middle = np.arange(round(lobes * _PER_LOBE) + 1) / _PER_LOBE
+    window = np.i0(kaiser_beta * np.sqrt(np.maximum(0.0, 1.0 - (from_middle / lobes) ** 2)))
+    return np.asarray(np.sinc(from_middle) * window / np.i0(kaiser_beta), dtype=np.float64)
 
 
-@numba.njit(cache=True, nogil=True)
-def _under_window(
-    stamps: Int64, middle: int, target: int, half: float, cadence: float
-) -> tuple[int, int]:  # pragma: no cover
-    """Return the first and last sample closer to a target than `half`, ns; (0, -1) where one is missing."""
-    first, last = middle, middle - 1
-    while first > 0 and target - stamps[first - 1] < half:
-        first -= 1
-    while last + 1 < stamps.size and stamps[last + 1] - target < half:
-        last += 1
-    whole = last - first + 1 >= int(2 * half / cadence) - 1 and _whole(
-        stamps, first, last, target, half, cadence
-    )
-    return (first, last) if whole else (0, -1)
-
-
-@numba.njit(cache=True, nogil=True)
 def sinc(
     stamps: Int64,
     values: Floats,
@@ -113,44 +105,113 @@ def sinc(
     cutoff: float,
     lobes: float,
     kaiser_beta: float,
-) -> Floats:  # pragma: no cover
+) -> Floats:
     """Windowed-sinc interpolation at each target.
 
     Weights are normalised to keep a constant, and the line through the ends of the window is taken
-    off and put back, so that the main field's slope along the orbit leaves no error. A weight holds for
-    the next target, too, where the sample lies as far from it: always, where both are regular.
+    off and put back, so that the main field's slope along the orbit leaves no error. Weights hold for
+    the next target, too, where its samples lie alike: always, where both are regular.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (sample,)
+    values : ndarray, shape (sample, column)
+    target : ndarray of int64, shape (time,)
+        Increasing, as `stamps`.
+    cadence : float
+        Usual distance of samples, ns.
+    cutoff : float
+        What passes, in Nyquist frequencies of the samples.
+    lobes, kaiser_beta : float
+        Half-width of the window, in lobes of the sinc, and its parameter.
+
+    Returns
+    -------
+    ndarray, shape (time, column)
+        NaN where samples are missing under the window.
     """
-    columns = values.shape[1]
+    half = lobes / cutoff * cadence
+    across = np.ascontiguousarray(values.T)
+    return _sinc(stamps, across, target, cadence, cutoff, half, _kernel(lobes, kaiser_beta))
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _weighted(weights: Floats, values: Floats) -> float:  # pragma: no cover
+    """Return the weighted sum of values; in an order that the processor's vectors are used in."""
+    total = 0.0
+    for j in range(values.size):
+        total += weights[j] * values[j]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _weights_of(
+    weights: Floats, stamps: Int64, first: int, count: int, target: int, scale: float, kernel: Floats
+) -> tuple[float, float]:  # pragma: no cover
+    """Write the weights of samples about a target; return their sum, and that times the time from the first.
+
+    A sample's place in the kernel is its distance from the target, ns, times `scale`.
+    """
+    total, moment = 0.0, 0.0
+    for j in range(count):
+        place = abs(target - stamps[first + j]) * scale
+        k = min(max(int(place), 1), kernel.size - 3)
+        t = place - k
+        # The cubic through four values of the kernel.
+        ahead, after = t - 1.0, t - 2.0
+        weights[j] = (
+            -t * ahead * after * kernel[k - 1] / 6.0
+            + (t + 1.0) * ahead * after * kernel[k] / 2.0
+            - (t + 1.0) * t * after * kernel[k + 1] / 2.0
+            + (t + 1.0) * t * ahead * kernel[k + 2] / 6.0
+        )
+        total += weights[j]
+        moment += weights[j] * (stamps[first + j] - stamps[first])
+    return total, moment
+
+
+@numba.njit(cache=True, nogil=True)
+def _sinc(
+    stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float, half: float, kernel: Floats
+) -> Floats:  # pragma: no cover
+    """Interpolate `values`, (column, sample), under a window of half-width `half`, ns."""
+    columns = values.shape[0]
     out = np.full((target.size, columns), np.nan)
-    half = lobes / cutoff
-    weights = np.zeros(2 * int(half) + 4)
-    distances = np.full(weights.size, np.iinfo(np.int64).max)
-    slope, sums = np.zeros(columns), np.zeros(columns)
-    middle = np.searchsorted(stamps, target)
+    # So many steps up to each sample are gaps, and so many are not as long as the one before.
+    gaps, uneven = np.zeros(stamps.size, np.int64), np.zeros(stamps.size, np.int64)
+    for j in range(1, stamps.size):
+        step = stamps[j] - stamps[j - 1]
+        gaps[j] = gaps[j - 1] + (step > GAP * cadence)
+        uneven[j] = uneven[j - 1] + (j == 1 or step != stamps[j - 1] - stamps[j - 2])
+    least, edge = int(2 * half / cadence) - 1, half - GAP * cadence
+    scale = cutoff / cadence * _PER_LOBE
+    weights, total, moment = np.zeros(least + 4), 0.0, 0.0
+    # Of the samples that the weights are for: their number, distance, and that of the first to the target.
+    known_count, known_step, known_lead = 0, 0, 0
+    first, last = 0, -1
     for i in range(target.size):
-        first, last = _under_window(stamps, middle[i], target[i], half * cadence, cadence)
-        if last < first:
+        # Both increase: what is past for one target is past for the next.
+        while first < stamps.size and target[i] - stamps[first] >= half:
+            first += 1
+        while last + 1 < stamps.size and stamps[last + 1] - target[i] < half:
+            last += 1
+        count = last - first + 1
+        if count < max(least, 2) or gaps[last] != gaps[first]:
             continue
-        if last - first >= weights.size:
-            # Stamps closer than the cadence: more of them are under the window.
-            weights = np.zeros(2 * (last - first))
-            distances = np.full(weights.size, np.iinfo(np.int64).max)
-        total = 0.0
+        if target[i] - stamps[first] < edge or stamps[last] - target[i] < edge:
+            continue
+        step, lead = stamps[first + 1] - stamps[first], target[i] - stamps[first]
+        even = uneven[last] == uneven[first + 1]
+        if not even or count != known_count or step != known_step or lead != known_lead:
+            if count > weights.size:
+                # Stamps closer than the cadence: more of them are under the window.
+                weights = np.zeros(2 * count)
+            total, moment = _weights_of(weights, stamps, first, count, target[i], scale, kernel)
+            known_count, known_step, known_lead = (count, step, lead) if even else (0, 0, 0)
         width = float(stamps[last] - stamps[first])
         for column in range(columns):
-            slope[column] = (values[last, column] - values[first, column]) / width
-            sums[column] = 0.0
-        for j in range(first, last + 1):
-            tap, distance = j - first, target[i] - stamps[j]
-            if distances[tap] != distance:
-                weights[tap] = _sinc_weight(distance / cadence, cutoff, half, kaiser_beta)
-                distances[tap] = distance
-            total += weights[tap]
-            along = float(stamps[j] - stamps[first])
-            for column in range(columns):
-                above = values[j, column] - values[first, column] - slope[column] * along
-                sums[column] += weights[tap] * above
-        along = float(target[i] - stamps[first])
-        for column in range(columns):
-            out[i, column] = sums[column] / total + values[first, column] + slope[column] * along
+            begin = values[column, first]
+            slope = (values[column, last] - begin) / width
+            found = _weighted(weights, values[column, first : last + 1])
+            out[i, column] = (found - slope * moment) / total + slope * lead
     return out

@@ -144,20 +144,14 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
 
     Both sides reach equally far, so that at a gap or an end nothing is shifted in time.
     """
-    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    known = np.isfinite(flat).all(axis=1)
-    own, readings = stamps[known], flat[known]
-    sums = np.concatenate([np.zeros((1, readings.shape[1])), np.cumsum(readings - readings[:1], axis=0)])
-    place = np.arange(own.size)
-    steps = np.diff(own)
-    if own.size > 1 and steps[0] > 0 and np.all(steps == steps[0]):
-        each = np.minimum(np.minimum(place, place[::-1]), over_ns // 2 // steps[0])
+    from inflight.samples.interpolation import running_means  # compiled: who only plans does not wait for it
+
+    out = np.array(values, dtype=np.float64).reshape(len(values), -1)
+    known = finite_rows(out)
+    if known.all():
+        out = running_means(stamps, out, over_ns // 2)
     else:
-        after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
-        before = place - np.searchsorted(own, own - over_ns // 2)
-        each = np.minimum(after, before)
-    out = flat.copy()
-    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + readings[:1]
+        out[known] = running_means(stamps[known], out[known], over_ns // 2)
     return out.reshape(np.shape(values))
 
 
