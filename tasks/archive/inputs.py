@@ -50,9 +50,9 @@ class InputSettings:
         Other days are searched this far on both sides (assumed).
     readings_per_turn : int
         A channel resolves the spin with this many readings a turn (derived: twice the second harmonic).
-    cached_arrays : int
-        Arrays kept by `inflight.tasks.archive.samples.cached_readings`: channels and stamps of some three
-        days (assumed).
+    cached_arrays, cached_bytes : int
+        Arrays kept by `inflight.tasks.archive.samples.cached_readings`, and what they hold in all: channels
+        and stamps of some three days, of fast instruments those of two (assumed).
     cached_days : int
         Days kept by `inflight.tasks.archive.channels.ChannelReader`: a day, its history, and those of
         placebos (assumed).
@@ -63,6 +63,7 @@ class InputSettings:
     typical_value_days: int = 15
     readings_per_turn: int = 4
     cached_arrays: int = 72
+    cached_bytes: int = 512 * 2**20
     cached_days: int = 12
 
 

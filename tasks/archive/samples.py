@@ -187,9 +187,14 @@ class _ReadingCache(threading.local):
             self.found.move_to_end(key)
         else:
             self.found[key] = make()
-            if len(self.found) > INPUT_SETTINGS.cached_arrays:
+            while len(self.found) > 1 and self._is_too_much():
                 self.found.popitem(last=False)
         return cast("_Read", self.found[key])
+
+    def _is_too_much(self) -> bool:
+        kept = [one[0] if isinstance(one, tuple) else one for one in (self.found or {}).values()]
+        most = INPUT_SETTINGS.cached_bytes
+        return len(kept) > INPUT_SETTINGS.cached_arrays or sum(array.nbytes for array in kept) > most
 
 
 _CACHE = _ReadingCache()
