@@ -32,7 +32,7 @@ from inflight.diagnosis.refine import (
     can_add_columns,
     join_terms,
 )
-from inflight.diagnosis.residual import DiagnosisData, derived_channels, model_columns
+from inflight.diagnosis.residual import DiagnosisData, derived_channels, iter_model_columns
 from inflight.diagnosis.scoring import (
     Index,
     ModelColumns,
@@ -180,6 +180,8 @@ def add_forms(search: Search, data: DiagnosisData) -> tuple[Search, bool]:
         cells = _cells(search, data, label, channels)
         tried += len(cells)
         found += _shortlisted(rows, label, cells)
+    # Hundreds of megabytes of a long record, and what follows makes its own.
+    del rows
     # Of a channel the best way to follow it: what it lacks of lag or width is found once it is taken.
     best: dict[tuple[str, str], _Shortlisted] = {}
     for one in sorted(found, key=lambda one: -one.gain):
@@ -391,7 +393,9 @@ def _in_any_way(search: Search, trials: FormTrials, channel: str, acting: Floats
     slow = derived_channels(series, set(lags))
     ways = [*_by_level(values, np.isfinite(values)), *(np.asarray(slow[name].values) for name in lags)]
     along = np.moveaxis(acting, 2, 0) * trials.root.reshape(values.size, -1)
-    columns = np.stack([along * np.nan_to_num(way)[:, None] for way in ways])
+    columns = np.empty((len(ways), *along.shape))
+    for own, way in zip(columns, ways, strict=True):
+        np.multiply(along, np.nan_to_num(way)[:, None], out=own)
     return trials.kept(columns.reshape(-1, trials.root.size))
 
 
@@ -418,25 +422,36 @@ def alike_but_for_noise(search: Search, data: DiagnosisData) -> dict[str, tuple[
         return {}
     noise = {name: noise_bound(data, name) for name in driving_channels(data) if name not in GEOMETRY}
     noise = {name: one for name, one in noise.items() if one < _most_noise(data, name)}
-    out = {}
-    for option, near in _near_in_place(search, data, taken, list(noise)).items():
-        trials = FormTrials(search, data, option)
-        own = trials.loss([search.library.by_key[key] for key in option.terms])
-        found: dict[str, tuple[float, str]] = {}
-        for label, cell, entry in near:
-            cell, entry = _at_best_lag(search, data, trials, label, cell) or (cell, entry)  # noqa: PLW2901
-            columns = trials.columns(term_of(entry, f"{label}({cell.name}) in place"))
-            values = solve_scaled(columns @ columns.T, columns @ trials.rest)
-            made = trials.root * (_acting_columns(data, entry) @ values).reshape(-1)
-            variance = noise[cell.channel] * _noise_kept(data, cell)
-            by_noise = np.bincount(trials.block, weights=variance * made**2, minlength=trials.blocks)
-            behind = float(hac_t((trials.remaining([columns]) - own - by_noise)[:, None])[0])
-            name = f"{label}({cell.channel}){cell.lag_text}"
-            if behind < min(search.rules.rival_t, found.get(cell.channel, (np.inf, ""))[0]):
-                found[cell.channel] = behind, name
-        if found:
-            out[option.name] = tuple(name for _, name in sorted(found.values()))
-    return out
+    near = _near_in_place(search, data, taken, list(noise))
+    found = {
+        option.name: _as_good_but_for_noise(search, data, option, near[option], noise) for option in near
+    }
+    return {name: tuple(one for _, one in sorted(alike.values())) for name, alike in found.items() if alike}
+
+
+def _as_good_but_for_noise(
+    search: Search,
+    data: DiagnosisData,
+    option: Option,
+    near: Sequence[tuple[str, Followed, ModelEffect]],
+    noise: Mapping[str, float],
+) -> dict[str, tuple[float, str]]:
+    """Return channels that explain an effect as well but for noise: how far behind they are, and as what."""
+    trials = FormTrials(search, data, option)
+    own = trials.loss([search.library.by_key[key] for key in option.terms])
+    found: dict[str, tuple[float, str]] = {}
+    for label, cell, entry in near:
+        cell, entry = _at_best_lag(search, data, trials, label, cell) or (cell, entry)  # noqa: PLW2901
+        columns = trials.columns(term_of(entry, f"{label}({cell.name}) in place"))
+        values = solve_scaled(columns @ columns.T, columns @ trials.rest)
+        made = trials.root * (_acting_columns(data, entry) @ values).reshape(-1)
+        variance = noise[cell.channel] * _noise_kept(data, cell)
+        by_noise = np.bincount(trials.block, weights=variance * made**2, minlength=trials.blocks)
+        behind = float(hac_t((trials.remaining([columns]) - own - by_noise)[:, None])[0])
+        name = f"{label}({cell.channel}){cell.lag_text}"
+        if behind < min(search.rules.rival_t, found.get(cell.channel, (np.inf, ""))[0]):
+            found[cell.channel] = behind, name
+    return found
 
 
 def _near_in_place(
@@ -674,15 +689,13 @@ class CellRows:
     def __init__(self, search: Search, data: DiagnosisData) -> None:
         self.search, self.data = search, data
         series = data.series
-        rows, names, columns = model_columns(search, series, data.sensor_matrices, search.accepted)
-        places = [names.index(one) for one in [*search.base()[0], *search.model_columns()]]
+        wanted = [*search.base()[0], *search.model_columns()]
+        rows, made = iter_model_columns(search, series, data.sensor_matrices, search.accepted, wanted)
         root = np.sqrt(series["weight"])[:, None]
-        # Column by column: of a long record all of them together are hundreds of megabytes.
-        self.left = np.empty((*rows.residual.shape, len(places) + 1))
-        for at, place in enumerate(places):
-            np.multiply(columns[:, :, place], root, out=self.left[:, :, at])
+        self.left = np.empty((*rows.residual.shape, len(wanted) + 1))
+        for at, column in made:
+            np.multiply(column, root, out=self.left[:, :, at])
         self.left[:, :, -1] = np.where(root > 0, np.nan_to_num(rows.residual), 0.0) * root
-        del columns
         edges = np.searchsorted(series.block, np.arange(len(search.raw) + 1))
         self.parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         flat = [self.left[part].reshape(-1, self.left.shape[2]) for part in self.parts]

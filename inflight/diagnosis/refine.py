@@ -35,8 +35,8 @@ from inflight.diagnosis.residual import (
     DiagnosisData,
     correlation_s,
     derived_channels,
+    iter_model_columns,
     joint_values,
-    model_columns,
     remaining_residual,
 )
 from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, project_out
@@ -49,6 +49,7 @@ from inflight.lsq import (
     GramArrays,
     GramBlocks,
     hac_t,
+    in_turns,
     inverse_square_root,
     jackknife,
     prewhiten,
@@ -620,6 +621,10 @@ def similar_term(
     return Term(key, made, tuple(parameters), (np.inf,) * size)
 
 
+#: Columns of the series that calibration and model are taken off at a time: a bound on memory.
+_COLUMNS_AT_ONCE = 8
+
+
 class FormTrials:
     """Trials of forms of an option that the model holds; the option itself, if any, is taken off the model.
 
@@ -640,13 +645,13 @@ class FormTrials:
         # Rows are in order of time, and so are the blocks of each interval.
         edges = [np.searchsorted(self.block, [group[0], group[-1] + 1]) for group in search.intervals]
         self.groups = [slice(int(first), int(last)) for first, last in edges]
-        self.basis = (
-            [np.ascontiguousarray(np.linalg.qr(base[:, group].T)[0].T) for group in self.groups]
-            if len(base)
-            else []
-        )
+        # Group by group, and no array of all of them: of a long record that is hundreds of megabytes.
+        inside = (np.concatenate([columns[:, group] for columns in base]) for group in self.groups if base)
+        self.basis = [np.ascontiguousarray(np.linalg.qr(own.T)[0].T) for own in inside]
         self.y = self._marginalised((residual.reshape(-1) * self.root)[None])[0]
-        self.model = self._marginalised(self._kept_columns(kept))
+        self.model = self._marginalised(
+            np.concatenate([np.zeros((0, self.root.size)), *self._kept_columns(kept)])
+        )
         self.rest = self._without_model(self.y[None])[0]
         self._known: dict[str, Floats] = {}
 
@@ -664,8 +669,11 @@ class FormTrials:
         return columns
 
     def kept(self, flat: Floats) -> Floats:
-        """Return what calibration and model leave of weighted columns (column, row), which are changed."""
-        return self._without_model(self._marginalised(flat))
+        """Return what calibration and model leave of weighted columns (column, row), in their place."""
+        self._marginalised(flat)
+        for some in in_turns(slice(0, len(flat)), _COLUMNS_AT_ONCE):
+            flat[some] = self._without_model(flat[some])
+        return flat
 
     def remaining(self, parts: Sequence[Floats]) -> Floats:
         """Return the sum of squares that columns (column, row) leave together in a block; (block,) nT^2."""
@@ -675,11 +683,15 @@ class FormTrials:
 
     def grams(self, like: GramBlocks, parts: Sequence[Floats]) -> GramArrays:
         """Return the Gram blocks of columns (column, row) and of the residual, in blocks like others."""
-        every = np.concatenate([*parts, self.rest[None]])
+        every = [*parts, self.rest[None]]
         edges = np.searchsorted(self.block, np.arange(self.blocks + 1)).tolist()
-        gram = np.stack([every[:, first:last] @ every[:, first:last].T for first, last in pairwise(edges)])
-        names = (*map(str, range(len(every) - 1)), "residual")
-        return GramArrays(names, gram, like.start, like.end, like.count, np.ones(len(every)))
+        count = sum(map(len, every))
+        gram = np.empty((self.blocks, count, count))
+        for own, (first, last) in zip(gram, pairwise(edges), strict=True):
+            inside = np.concatenate([part[:, first:last] for part in every])
+            np.matmul(inside, inside.T, out=own)
+        names = (*map(str, range(count - 1)), "residual")
+        return GramArrays(names, gram, like.start, like.end, like.count, np.ones(count))
 
     def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
         """Return the residual after the rest of the model, without and with an option; (row,) nT, weighted.
@@ -717,15 +729,15 @@ class FormTrials:
         inner = self.model @ self.model.T
         return solve_scaled(inner, np.eye(len(inner)))
 
-    def _kept_columns(self, terms: Sequence[Term]) -> Floats:
-        """Return the columns of the model's terms, which further trials need again."""
+    def _kept_columns(self, terms: Sequence[Term]) -> list[Floats]:
+        """Return the columns of each of the model's terms, which further trials need again."""
         kept = self.data.columns
         # The calibration's terms share one key: each is known by its columns.
         keys = [" ".join(term.columns) for term in terms]
         for key, term in zip(keys, terms, strict=True):
             if key not in kept:
                 kept[key] = self._flat([term])
-        return np.concatenate([np.zeros((0, self.root.size)), *(kept[key] for key in keys)])
+        return [kept[key] for key in keys]
 
     def _flat(self, terms: Sequence[Term]) -> Floats:
         derived = derived_channels(self.series, _channels_of(terms))
@@ -735,7 +747,8 @@ class FormTrials:
     def _marginalised(self, values: Floats) -> Floats:
         """Return what the calibration leaves of columns (column, row), in their place."""
         for group, basis in zip(self.groups, self.basis, strict=False):
-            values[:, group] -= (values[:, group] @ basis.T) @ basis
+            for some in in_turns(slice(0, len(values)), _COLUMNS_AT_ONCE):
+                values[some, group] -= (values[some, group] @ basis.T) @ basis
         return values
 
 
@@ -835,12 +848,14 @@ def _change_times(
     """Return when a change begins, and ends if it does, TT2000, and the standard deviation, ns."""
     assert option.change is not None
     series, at = data.series, option.change.at
-    rows, names, model = model_columns(search, series, data.sensor_matrices, search.accepted)
+    rows, made = iter_model_columns(search, series, data.sensor_matrices, search.accepted, option.columns)
+    own = np.empty((*rows.residual.shape, len(option.columns)))
+    for place, column in made:
+        own[:, :, place] = column
     residual = remaining_residual(search, data)
     taken = [name for one in search.accepted for name in one.columns]
     values, known = joint_values(search, taken)[0]
     value = dict(zip(known, values[len(values) - len(known) :], strict=True))
-    own = model[:, :, [names.index(name) for name in option.columns]]
     # The residual without the option, and its columns as if it held always.
     without = residual - own @ np.array([value[name] for name in option.columns])
     source = _source(search, changing)

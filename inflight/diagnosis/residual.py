@@ -12,7 +12,7 @@ nor structure of a model that has it. Sizes are those of the other rows (`with_c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -284,25 +284,59 @@ def _terms_and_rows(
     return chosen, series.rows(sensor_matrices, derived_channels(series, channels))
 
 
-def model_columns(
-    search: Search, series: Series, sensor_matrices: dict[str, Floats], options: Sequence[Option]
-) -> tuple[DesignRows, list[str], Floats]:
-    """Return the series as rows, and names and columns of calibration, model and some options on it.
+def iter_model_columns(
+    search: Search,
+    series: Series,
+    sensor_matrices: dict[str, Floats],
+    options: Sequence[Option],
+    wanted: Sequence[str],
+) -> tuple[DesignRows, Iterator[tuple[int, Floats]]]:
+    """Return the series as rows, and what makes columns of calibration, model and some options on it.
 
-    Columns are (sample, row, column) in scaled units; those of changes in time are among them.
+    One term at a time: of a long record all columns together are hundreds of megabytes. With each column,
+    (sample, row) in scaled units, comes its place among those that are `wanted`.
     """
-    chosen, rows = _terms_and_rows(search, series, sensor_matrices, options)
-    names = [name for term in chosen for name in term.columns]
-    columns, changing = design_matrix(chosen, rows), dict[str, Floats]()
-    for option in options:
-        if option.change is not None:
-            for name, (column, factor) in option.change.functions.items():
-                of = changing[column] if column in changing else columns[:, :, names.index(column)]
-                changing[name] = of * np.asarray(factor)[series.block][:, None]
-    if changing:
-        # At once: of a long record all columns together are hundreds of megabytes.
-        columns = np.concatenate([columns, *(one[:, :, None] for one in changing.values())], axis=2)
-    return rows, [*names, *changing], columns
+    terms, rows = _terms_and_rows(search, series, sensor_matrices, options)
+    changes = _changes_of(options)
+    unknown = set(wanted) - changes.keys() - {name for term in terms for name in term.columns}
+    if unknown:
+        raise ValueError(f"the model has no columns {sorted(unknown)}")
+    return rows, _wanted_columns(
+        terms, rows, changes, series.block, {name: at for at, name in enumerate(wanted)}
+    )
+
+
+def _changes_of(options: Sequence[Option]) -> dict[str, tuple[str, Floats]]:
+    """Return the columns that are changes of others: the other, and its factor in each block."""
+    changing = [one.change.functions for one in options if one.change]
+    return {name: (of, np.asarray(factor)) for each in changing for name, (of, factor) in each.items()}
+
+
+def _wanted_columns(
+    terms: Sequence[Term],
+    rows: DesignRows,
+    changes: Mapping[str, tuple[str, Floats]],
+    block: npt.NDArray[np.int64],
+    place: Mapping[str, int],
+) -> Iterator[tuple[int, Floats]]:
+    """Yield columns of terms, then those that are changes of others, each with its place."""
+    changing, kept = {of for of, _ in changes.values()}, dict[str, Floats]()
+    used = changing | place.keys()
+    for term in terms:
+        if used.isdisjoint(term.columns):
+            continue
+        made = design_matrix([term], rows)
+        for at, name in enumerate(term.columns):
+            if name in changing:
+                kept[name] = made[:, :, at]
+            if name in place:
+                yield place[name], made[:, :, at]
+    for name, (of, factor) in changes.items():
+        own = kept[of] * factor[block][:, None]
+        if name in changing:
+            kept[name] = own
+        if name in place:
+            yield place[name], own
 
 
 def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[str]]]:
@@ -464,10 +498,12 @@ def correctable_grams(
     model = [name for term in search.library.refined for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
     order = np.array([*raw.index([*base, *model]), raw.residuals[search.residual]])
-    rows, names, columns = model_columns(search, series, sensor_matrices, search.accepted)
-    places = [names.index(name) for name in [*base, *model]]
-    values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
-    values *= np.sqrt(series["weight"])[:, None, None]
+    rows, made = iter_model_columns(search, series, sensor_matrices, search.accepted, [*base, *model])
+    root = np.sqrt(series["weight"])[:, None]
+    values = np.empty((*rows.residual.shape, len(order)))
+    for at, column in made:
+        np.multiply(column, root, out=values[:, :, at])
+    np.multiply(rows.residual, root, out=values[:, :, -1])
     gram = np.array(raw.rows(order, order), dtype=np.float64)
     count = raw.count.copy()
     for block in np.unique(series.block[gaps.rows]):
