@@ -9,6 +9,7 @@ from .derived import (
     parse_channel,
     slow_response,
 )
+from .interpolation import running_means
 from .spin_folding import (
     FOLD_ORDER,
     FOLDING_SETTINGS,
@@ -39,5 +40,6 @@ __all__ = [
     "fold_series",
     "fold_spins",
     "parse_channel",
+    "running_means",
     "slow_response",
 ]

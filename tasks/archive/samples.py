@@ -144,7 +144,7 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
 
     Both sides reach equally far, so that at a gap or an end nothing is shifted in time.
     """
-    from inflight.samples.interpolation import running_means  # compiled: who only plans does not wait for it
+    from inflight.samples import running_means  # compiled: who only plans does not wait for it
 
     out = np.array(values, dtype=np.float64).reshape(len(values), -1)
     known = finite_rows(out)
