@@ -224,7 +224,7 @@ class Catalog:
         return [(np.datetime64(day, "D"), context) for day, context in self._days.published(name)]
 
     def hash_of_days(self, names: Iterable[str]) -> str:
-        """Return a hash of the days of some datasets; another one when any was published or went since."""
+        """Return a hash of the days of some datasets: it changes when one is published, replaced or freed."""
         return self._database.read(hash_of_days, list(names))
 
     def revisions(self, name: str, time: TimeSpan = None) -> list[Day]:

@@ -203,9 +203,9 @@ def dataset_names(session: Session, patterns: Iterable[str]) -> list[str]:
 
 
 def hash_of_days(session: Session, names: Iterable[str]) -> str:
-    """Return a hash of which days of some datasets there are: of every revision, its state and its store."""
+    """Return a hash of which days of some datasets there are: every revision, its state, key and store."""
     query = (
-        select(DayRow.id, DayRow.state, DayRow.store_id, CurrentRow.day_id)
+        select(DayRow.id, DayRow.state, DayRow.key, DayRow.store_id, CurrentRow.day_id)
         .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
         .outerjoin(CurrentRow, CurrentRow.day_id == DayRow.id)
         .where(DatasetRow.name.in_(list(names)), DayRow.revision.is_not(None))

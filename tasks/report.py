@@ -8,6 +8,7 @@ them, what went wrong and what to do about it, where the outputs are. `exit_code
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -271,6 +272,6 @@ def location_of(fields: Mapping[str, str]) -> str:
 def write_page(output: Path, page: str) -> None:
     """Write a page whole, by one rename."""
     output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = output.with_name(f".{output.name}.part")
+    unfinished = output.with_name(f".{output.name}.{os.getpid()}.part")
     unfinished.write_text(page, encoding="utf-8")
     unfinished.replace(output)

@@ -422,10 +422,8 @@ def alike_but_for_noise(search: Search, data: DiagnosisData) -> dict[str, tuple[
         return {}
     noise = {name: noise_bound(data, name) for name in driving_channels(data) if name not in GEOMETRY}
     noise = {name: one for name, one in noise.items() if one < _most_noise(data, name)}
-    near = _near_in_place(search, data, taken, list(noise))
-    found = {
-        option.name: _as_good_but_for_noise(search, data, option, near[option], noise) for option in near
-    }
+    near = {one: cells for one, cells in _near_in_place(search, data, taken, list(noise)).items() if cells}
+    found = {one.name: _as_good_but_for_noise(search, data, one, cells, noise) for one, cells in near.items()}
     return {name: tuple(one for _, one in sorted(alike.values())) for name, alike in found.items() if alike}
 
 

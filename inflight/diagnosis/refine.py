@@ -646,8 +646,8 @@ class FormTrials:
         edges = [np.searchsorted(self.block, [group[0], group[-1] + 1]) for group in search.intervals]
         self.groups = [slice(int(first), int(last)) for first, last in edges]
         # Group by group, and no array of all of them: of a long record that is hundreds of megabytes.
-        inside = (np.concatenate([columns[:, group] for columns in base]) for group in self.groups if base)
-        self.basis = [np.ascontiguousarray(np.linalg.qr(own.T)[0].T) for own in inside]
+        inside = (np.concatenate([columns[:, group] for columns in base]) for group in self.groups)
+        self.basis = [np.ascontiguousarray(np.linalg.qr(own.T)[0].T) for own in inside] if base else []
         self.y = self._marginalised((residual.reshape(-1) * self.root)[None])[0]
         self.model = self._marginalised(
             np.concatenate([np.zeros((0, self.root.size)), *self._kept_columns(kept)])

@@ -291,16 +291,17 @@ def iter_model_columns(
     options: Sequence[Option],
     wanted: Sequence[str],
 ) -> tuple[DesignRows, Iterator[tuple[int, Floats]]]:
-    """Return the series as rows, and what makes columns of calibration, model and some options on it.
+    """Return the series as rows, and an iterator over columns of calibration, model and some options on it.
 
     One term at a time: of a long record all columns together are hundreds of megabytes. With each column,
-    (sample, row) in scaled units, comes its place among those that are `wanted`.
+    (sample, row) in scaled units and not to be changed, comes its place among those that are `wanted`, each
+    of which is there once.
     """
     terms, rows = _terms_and_rows(search, series, sensor_matrices, options)
     changes = _changes_of(options)
     unknown = set(wanted) - changes.keys() - {name for term in terms for name in term.columns}
-    if unknown:
-        raise ValueError(f"the model has no columns {sorted(unknown)}")
+    if unknown or len(set(wanted)) < len(wanted):
+        raise ValueError(f"the model has no columns {sorted(unknown)}, or some are wanted twice: {wanted}")
     return rows, _wanted_columns(
         terms, rows, changes, series.block, {name: at for at, name in enumerate(wanted)}
     )

@@ -61,9 +61,16 @@ def nearest(
 
 @numba.njit(cache=True, nogil=True)
 def running_means(stamps: Int64, values: Floats, reach: int) -> Floats:  # pragma: no cover
-    """Return the mean of the samples within `reach`, ns, on either side of each sample.
+    """Return the mean of the samples within `reach`, ns, on either side of each sample; (time, column).
 
     Both sides have equally many samples: as many as the side with fewer.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, increasing.
+    values : ndarray, shape (time, column)
+        Finite: a NaN would spoil the means of all that follow.
     """
     columns = values.shape[1]
     sums = np.zeros((stamps.size + 1, columns))
@@ -78,7 +85,7 @@ def running_means(stamps: Int64, values: Floats, reach: int) -> Floats:  # pragm
             first += 1
         while last + 1 < stamps.size and stamps[last + 1] <= stamps[i] + reach:
             last += 1
-        each = min(i - first, last - i)
+        each = max(0, min(i - first, last - i))
         for column in range(columns):
             total = sums[i + each + 1, column] - sums[i - each, column]
             out[i, column] = total / (2 * each + 1) + values[0, column]
@@ -177,17 +184,13 @@ def _sinc(
     """Interpolate `values`, (column, sample), under a window of half-width `half`, ns."""
     columns = values.shape[0]
     out = np.full((target.size, columns), np.nan)
-    # So many steps up to each sample are gaps, and so many are not as long as the one before.
-    gaps, uneven = np.zeros(stamps.size, np.int64), np.zeros(stamps.size, np.int64)
-    for j in range(1, stamps.size):
-        step = stamps[j] - stamps[j - 1]
-        gaps[j] = gaps[j - 1] + (step > GAP * cadence)
-        uneven[j] = uneven[j - 1] + (j == 1 or step != stamps[j - 1] - stamps[j - 2])
     least, edge = int(2 * half / cadence) - 1, half - GAP * cadence
     scale = cutoff / cadence * _PER_LOBE
     weights, total, moment = np.zeros(least + 4), 0.0, 0.0
     # Of the samples that the weights are for: their number, distance, and that of the first to the target.
     known_count, known_step, known_lead = 0, 0, 0
+    # Where the last step that is a gap ends, and the last one that is not as long as that before.
+    gap, uneven = 0, 0
     first, last = 0, -1
     for i in range(target.size):
         # Both increase: what is past for one target is past for the next.
@@ -195,13 +198,17 @@ def _sinc(
             first += 1
         while last + 1 < stamps.size and stamps[last + 1] - target[i] < half:
             last += 1
+            if last > 0 and stamps[last] - stamps[last - 1] > GAP * cadence:
+                gap = last
+            if last > 1 and stamps[last] - stamps[last - 1] != stamps[last - 1] - stamps[last - 2]:
+                uneven = last
         count = last - first + 1
-        if count < max(least, 2) or gaps[last] != gaps[first]:
-            continue
-        if target[i] - stamps[first] < edge or stamps[last] - target[i] < edge:
+        if count < max(least, 2) or gap > first:
             continue
         step, lead = stamps[first + 1] - stamps[first], target[i] - stamps[first]
-        even = uneven[last] == uneven[first + 1]
+        if min(lead, stamps[last] - target[i]) < edge:
+            continue
+        even = uneven <= first + 1
         if not even or count != known_count or step != known_step or lead != known_lead:
             if count > weights.size:
                 # Stamps closer than the cadence: more of them are under the window.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,16 +61,19 @@ def compare(
     """
     made_from = comparison_made_from(cat, mission, start, end, comparison, against) if output else ""
     found = measure_comparison(cat, mission, start, end, comparison, progress, client, against)
-    # A workspace of products alone has no archive to ask.
-    with suppress(InflightError):
+    try:
         found.report.plumbing = check_plumbing(cat, mission, start, end, comparison)
+    except InflightError:
+        # A workspace of products alone has no archive to ask. What cannot be read now is asked again.
+        made_from = ""
     if output is not None:
         from inflight.figures import html_page
 
         sections = found.sections(progress or silent)
-        write_page(output, html_page(found.title, sections, mission.acknowledgement))
+        page = html_page(found.title, sections, mission.acknowledgement)
+        write_page(output, page)
         found.report.path = output
-        keep_comparison(cat, found.report, comparison, made_from)
+        keep_comparison(cat, found.report, page, comparison, made_from)
     report: Report = found.report
     return report
 

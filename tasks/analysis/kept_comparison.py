@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from inflight.catalog import Catalog
 from inflight.errors import InflightError
@@ -29,6 +30,8 @@ from inflight.time import DayLike
 _SOFTWARE = (
     "inflight",
     "inflight.calibration",
+    "inflight.catalog",
+    "inflight.design",
     "inflight.dual",
     "inflight.effects",
     "inflight.figures",
@@ -42,12 +45,13 @@ _SOFTWARE = (
     "inflight.tasks",
     "inflight.tasks.analysis",
     "inflight.tasks.archive",
+    "inflight.tasks.pipelines",
     "inflight.tasks.pipelines.base",
     "inflight.zero_level",
 )
 
 #: Datasets that no comparison reads: what comparisons and searches keep for themselves.
-_NOT_READ = ("comparison/",), ("/library", "/own", "/native")
+_NOT_READ = re.compile(r"comparison/.*|equations/.*/(library|own|native)")
 
 
 class _Kept(BaseModel):
@@ -74,7 +78,7 @@ class KeptComparison:
 
     def summary(self) -> list[TextLine]:
         """Return what a person reads, the page excepted."""
-        told = "products, models and software are those of the last comparison: this is what it found"
+        told = "archive, products, tables, models, mission and software are those of the last comparison"
         return [TextLine(told), *self.lines]
 
 
@@ -104,26 +108,35 @@ def compare_if_unchanged(
     try:
         kept = _Kept.model_validate_json(_path(cat, comparison).read_bytes())
         page = kept.page.read_bytes()
-    except (OSError, ValidationError):
+    except (OSError, ValueError):
         return None
     if hashlib.sha256(page).hexdigest() != kept.page_sha256:
         return None
     if kept.made_from != comparison_made_from(cat, mission, start, end, comparison, against):
         return None
     if output.resolve() != kept.page:
-        write_page(output, page.decode())
+        write_page(output, page.decode("utf-8"))
     return KeptComparison(kept.report, [TextLine(*line) for line in kept.summary], output)
 
 
-def keep_comparison(cat: Catalog, report: Report, comparison: str, made_from: str) -> None:
-    """Keep what was told of a comparison, and which page shows it; a read-only workspace keeps nothing."""
+def keep_comparison(cat: Catalog, report: Report, page: str, comparison: str, made_from: str) -> None:
+    """Keep what was told of a comparison, and which page shows it; a read-only workspace keeps nothing.
+
+    Parameters
+    ----------
+    page : str
+        The text of the page at `report.path`.
+    made_from : str
+        Of `comparison_made_from`; nothing is kept where it is empty.
+    """
     if report.path is None or not made_from:
         return
-    with suppress(OSError):
+    # A path that is no UTF-8 cannot be kept.
+    with suppress(OSError, ValueError):
         kept = _Kept(
             made_from=made_from,
             page=report.path.resolve(),
-            page_sha256=hashlib.sha256(report.path.read_bytes()).hexdigest(),
+            page_sha256=hashlib.sha256(page.encode("utf-8")).hexdigest(),
             report=json.loads(to_json(report.as_json())),
             summary=[tuple(line) for line in report.summary()],
         )
@@ -142,16 +155,17 @@ def comparison_made_from(
 
     That is the catalog's days, tables and models, the mission with the files it names, and the software.
     """
-    begins, ends = _NOT_READ
-    names = [one for one in cat.dataset_names() if not one.startswith(begins) and not one.endswith(ends)]
+    names = [one for one in cat.dataset_names() if not _NOT_READ.fullmatch(one)]
+    files = [Path(cat.workspace) / name for name in mission.companions]
     try:
         pipeline = pipeline_of(mission, comparison)
         state = [cat.hash_of_days(names), *map(str, cat.tables()), *map(str, cat.models())]
-    except InflightError:  # a folder of products alone
+        own = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]
+    except (InflightError, OSError):
+        # A folder of products alone has no database; what else is wrong, the comparison itself tells.
         return ""
-    files = [Path(cat.workspace) / name for name in mission.companions]
-    own = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]
-    software = hash_of_software((*_SOFTWARE, type(pipeline).__module__.rpartition(".")[0]))
+    module = type(pipeline).__module__
+    software = hash_of_software((*_SOFTWARE, module.rpartition(".")[0] or module))
     asked = [str(start) if start is not None else None, str(end) if end is not None else None, against]
     text = json.dumps([asked, comparison, mission.text, own, state, software])
     return hashlib.sha256(text.encode()).hexdigest()

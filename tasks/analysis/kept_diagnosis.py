@@ -136,11 +136,11 @@ def made_from(
 
 @cache
 def hash_of_software(packages: tuple[str, ...] = _SOFTWARE) -> str:
-    """Return a hash of the code of packages: a version would miss what is being written."""
+    """Return a hash of the code and templates of packages: a version would miss what is being written."""
     found = hashlib.sha256()
     for name in packages:
         spec = find_spec(name)
         for folder in (spec.submodule_search_locations or []) if spec else []:
-            for path in sorted(Path(folder).glob("*.py")):
+            for path in sorted([*Path(folder).glob("*.py"), *Path(folder).glob("templates/*.*")]):
                 found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()

@@ -51,8 +51,9 @@ class InputSettings:
     readings_per_turn : int
         A channel resolves the spin with this many readings a turn (derived: twice the second harmonic).
     cached_arrays, cached_bytes : int
-        Arrays kept by `inflight.tasks.archive.samples.cached_readings`, and what they hold in all: channels
-        and stamps of some three days, of fast instruments those of two (assumed).
+        Arrays that `inflight.tasks.archive.samples.cached_readings` keeps in a thread, and what they hold:
+        channels and stamps of some three days; of a vector faster than some 60 Hz less than two, so that
+        neighbouring days are read again (assumed).
     cached_days : int
         Days kept by `inflight.tasks.archive.channels.ChannelReader`: a day, its history, and those of
         placebos (assumed).

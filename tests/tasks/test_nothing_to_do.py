@@ -1,6 +1,7 @@
 """A run that would change nothing is not made: its report is that of the last one."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from io import StringIO
@@ -401,6 +402,34 @@ def test_a_comparison_of_something_else_is_made_anew(compared, monkeypatch):
     assert again(against=1) is None
     monkeypatch.setattr(kept_comparison, "hash_of_software", lambda packages: "newer")
     assert again() is None
+
+
+def test_a_comparison_whose_data_could_not_be_asked_for_faults_is_not_kept(done, monkeypatch):
+    place, _ = done
+
+    def unreadable(*_given):
+        raise CatalogError("a store is damaged")
+
+    page = place.reports / "compare-main.html"
+    with monkeypatch.context() as patch:
+        patch.setattr("inflight.tasks.analysis.comparing.check_plumbing", unreadable)
+        analysis.compare(Catalog(place.root), place.mission(), output=page)
+    assert page.exists()
+    assert analysis.compare_if_unchanged(Catalog(place.root), place.mission(), output=page) is None
+
+
+def test_a_page_whose_name_is_no_text_is_written_and_not_kept(done, tmp_path):
+    place, _ = done
+    page = tmp_path / os.fsdecode(b"caf\xe9.html")
+    assert analysis.compare(Catalog(place.root), place.mission(), output=page).path == page
+    assert page.exists()
+    assert analysis.compare_if_unchanged(Catalog(place.root), place.mission(), output=page) is None
+
+
+def test_datasets_of_instruments_count_whatever_they_are_called():
+    kept_for_themselves = ["comparison/main/60s", "equations/main/library", "equations/main/own"]
+    assert all(map(kept_comparison._NOT_READ.fullmatch, kept_for_themselves))
+    assert not any(map(kept_comparison._NOT_READ.fullmatch, ["l1/native", "l1/own", "equations/main/base"]))
 
 
 def test_what_searches_and_comparisons_keep_for_themselves_changes_no_comparison(compared):
