@@ -178,6 +178,12 @@ def _weights_of(
 
 
 @numba.njit(cache=True, nogil=True)
+def _reaches(stamps: Int64, first: int, last: int, target: int, edge: float) -> bool:  # pragma: no cover
+    """Return True when samples reach as far as `edge`, ns, on both sides of a target."""
+    return bool(min(target - stamps[first], stamps[last] - target) >= edge)
+
+
+@numba.njit(cache=True, nogil=True)
 def _sinc(
     stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float, half: float, kernel: Floats
 ) -> Floats:  # pragma: no cover
@@ -203,11 +209,9 @@ def _sinc(
             if last > 1 and stamps[last] - stamps[last - 1] != stamps[last - 1] - stamps[last - 2]:
                 uneven = last
         count = last - first + 1
-        if count < max(least, 2) or gap > first:
+        if count < max(least, 2) or gap > first or not _reaches(stamps, first, last, target[i], edge):
             continue
         step, lead = stamps[first + 1] - stamps[first], target[i] - stamps[first]
-        if min(lead, stamps[last] - target[i]) < edge:
-            continue
         even = uneven <= first + 1
         if not even or count != known_count or step != known_step or lead != known_lead:
             if count > weights.size:
@@ -215,10 +219,9 @@ def _sinc(
                 weights = np.zeros(2 * count)
             total, moment = _weights_of(weights, stamps, first, count, target[i], scale, kernel)
             known_count, known_step, known_lead = (count, step, lead) if even else (0, 0, 0)
-        width = float(stamps[last] - stamps[first])
+        inside, width = values[:, first : last + 1], float(stamps[last] - stamps[first])
         for column in range(columns):
-            begin = values[column, first]
-            slope = (values[column, last] - begin) / width
-            found = _weighted(weights, values[column, first : last + 1])
+            slope = (inside[column, -1] - inside[column, 0]) / width
+            found = _weighted(weights, inside[column])
             out[i, column] = (found - slope * moment) / total + slope * lead
     return out
