@@ -270,8 +270,12 @@ def location_of(fields: Mapping[str, str]) -> str:
 
 
 def write_page(output: Path, page: str) -> None:
-    """Write a page whole, by one rename."""
+    """Write a page whole, by one rename; nothing unfinished stays where that fails."""
     output.parent.mkdir(parents=True, exist_ok=True)
     unfinished = output.with_name(f".{output.name}.{os.getpid()}.part")
-    unfinished.write_text(page, encoding="utf-8")
-    unfinished.replace(output)
+    try:
+        unfinished.write_text(page, encoding="utf-8")
+        unfinished.replace(output)
+    except OSError:
+        unfinished.unlink(missing_ok=True)
+        raise

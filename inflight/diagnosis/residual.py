@@ -298,22 +298,16 @@ def iter_model_columns(
     of which is there once.
     """
     terms, rows = _terms_and_rows(search, series, sensor_matrices, options)
-    changes = _changes_of(options)
+    changing = [one.change.functions for one in options if one.change]
+    changes = {name: (of, np.asarray(factor)) for each in changing for name, (of, factor) in each.items()}
     unknown = set(wanted) - changes.keys() - {name for term in terms for name in term.columns}
     if unknown or len(set(wanted)) < len(wanted):
         raise ValueError(f"the model has no columns {sorted(unknown)}, or some are wanted twice: {wanted}")
-    return rows, _wanted_columns(
-        terms, rows, changes, series.block, {name: at for at, name in enumerate(wanted)}
-    )
+    place = {name: at for at, name in enumerate(wanted)}
+    return rows, _iter_columns(terms, rows, changes, series.block, place)
 
 
-def _changes_of(options: Sequence[Option]) -> dict[str, tuple[str, Floats]]:
-    """Return the columns that are changes of others: the other, and its factor in each block."""
-    changing = [one.change.functions for one in options if one.change]
-    return {name: (of, np.asarray(factor)) for each in changing for name, (of, factor) in each.items()}
-
-
-def _wanted_columns(
+def _iter_columns(
     terms: Sequence[Term],
     rows: DesignRows,
     changes: Mapping[str, tuple[str, Floats]],

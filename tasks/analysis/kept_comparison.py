@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from inflight.catalog import Catalog
 from inflight.errors import InflightError
 from inflight.mission import Mission
-from inflight.tasks.analysis.kept_diagnosis import hash_of_software
+from inflight.tasks.analysis.kept_diagnosis import hash_of_software, hashes_of_companions
 from inflight.tasks.pipelines import Report, pipeline_of
 from inflight.tasks.pipelines.base import TextLine
 from inflight.tasks.report import to_json, write_page
@@ -156,11 +156,10 @@ def comparison_made_from(
     That is the catalog's days, tables and models, the mission with the files it names, and the software.
     """
     names = [one for one in cat.dataset_names() if not _NOT_READ.fullmatch(one)]
-    files = [Path(cat.workspace) / name for name in mission.companions]
     try:
         pipeline = pipeline_of(mission, comparison)
         state = [cat.hash_of_days(names), *map(str, cat.tables()), *map(str, cat.models())]
-        own = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]
+        own = hashes_of_companions(cat, mission)
     except (InflightError, OSError):
         # A folder of products alone has no database; what else is wrong, the comparison itself tells.
         return ""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +23,7 @@ from inflight.mission import Mission
 from inflight.tasks.analysis.settings import DiagnoseSettings, require_sampled
 from inflight.tasks.archive import ArchiveIndex, channel_needs, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.report import to_json
+from inflight.tasks.report import to_json, write_page
 
 #: What a diagnosis is computed by.
 _SOFTWARE = (
@@ -45,13 +45,8 @@ _SOFTWARE = (
 def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
     path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
-    part = path.with_suffix(f".{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(to_json({**fields, "asked": asked}), encoding="utf-8")
-        part.replace(path)
-    except OSError:
-        part.unlink(missing_ok=True)
+    with suppress(OSError):
+        write_page(path, to_json({**fields, "asked": asked}))
 
 
 def last_diagnosis(workspace: Workspace, comparison: str = "main") -> dict[str, Any] | None:
@@ -144,3 +139,15 @@ def hash_of_software(packages: tuple[str, ...] = _SOFTWARE) -> str:
             for path in sorted([*Path(folder).glob("*.py"), *Path(folder).glob("templates/*.*")]):
                 found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()
+
+
+def hashes_of_companions(cat: Catalog, mission: Mission) -> list[str]:
+    """Return a hash of each file that the mission names and the workspace has.
+
+    Raises
+    ------
+    OSError
+        When one cannot be read.
+    """
+    files = [Path(cat.workspace) / name for name in mission.companions]
+    return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]

@@ -21,7 +21,7 @@ from inflight.errors import InflightError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.plumbing import PLUMBING_SETTINGS, Finding, Record, Survey, find_faults
-from inflight.tasks.analysis.kept_diagnosis import hash_of_software
+from inflight.tasks.analysis.kept_diagnosis import hash_of_software, hashes_of_companions
 from inflight.tasks.archive import (
     ArchiveIndex,
     Need,
@@ -114,8 +114,7 @@ def _key(
 ) -> str:
     """Return a hash of all that findings are made from: archive, mission, model and software."""
     archive = sorted([name, str(day), one.id, one.key] for (name, day), one in index.days.items())
-    files = [Path(cat.workspace) / name for name in mission.companions]
-    own = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.exists()]
+    own = hashes_of_companions(cat, mission)
     made_of = [mission.text, own, model.name, model.text, archive, hash_of_software(_SOFTWARE)]
     return hashlib.sha256(json.dumps([made_of, list(map(str, days))]).encode()).hexdigest()
 
