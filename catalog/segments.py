@@ -417,31 +417,37 @@ class ChunkWriter:
         """
         flat = np.ascontiguousarray(values).ravel()
         if self.delta:
-            flat = np.diff(flat, prepend=flat.dtype.type(0))
+            flat = _differences(flat)
         path = self.folder.joinpath("c", *map(str, place))
         if not place[-1] or len(place) == 1:
             path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(
-            numcodecs.blosc.compress(
-                flat,
-                self.compressor.encode(),
-                COMPRESSION_LEVEL,
-                numcodecs.blosc.SHUFFLE,
-                numcodecs.blosc.AUTOBLOCKS,
-                typesize=flat.itemsize,
-            )
+        packed = numcodecs.blosc.compress(
+            flat,
+            self.compressor.encode(),
+            COMPRESSION_LEVEL,
+            numcodecs.blosc.SHUFFLE,
+            numcodecs.blosc.AUTOBLOCKS,
+            typesize=flat.itemsize,
         )
+        path.write_bytes(packed)
         try:
-            found = np.frombuffer(numcodecs.blosc.decompress(path.read_bytes()), dtype=np.uint8)
+            found = numcodecs.blosc.decompress(path.read_bytes())
         except (RuntimeError, ValueError):
-            found = np.empty(0, dtype=np.uint8)
-        if not np.array_equal(found, flat.view(np.uint8)):
+            found = None
+        if found != flat.tobytes():
             raise IntegrityError(
                 "a chunk reads back differently from what was written",
                 file=os.fspath(path),
                 channel=self.folder.name,
                 remedy="check the disk, then run again",
             )
+
+
+def _differences(values: Array) -> Array:
+    """Return the first value and the differences of neighbours, which may wrap around; (value,)."""
+    out = values.copy()
+    np.subtract(values[1:], values[:-1], out=out[1:])
+    return out
 
 
 def _label(name: str) -> str:

@@ -30,6 +30,7 @@ from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
 from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
 from inflight.model import (
+    FieldChange,
     Model,
     delay_number,
     instrument_variance,
@@ -257,9 +258,6 @@ def edge_gain(period: int) -> Floats:
     return np.asarray(np.linalg.norm(columns[: size // 2], axis=1))
 
 
-#: A field smaller than this is in no uncertainty, nT: readings have a coarser resolution.
-_NEGLIGIBLE = 1e-4
-
 #: Samples whose uncertainties are computed at once.
 _AT_ONCE = 8192
 
@@ -267,6 +265,10 @@ _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
 _Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
 _Flags = npt.NDArray[np.uint32]
+
+#: Of each component which parameters it depends on, and its derivatives by them, (parameter, term): sums of
+#: the terms of `_terms_of`.
+_Slopes = list[tuple[list[int], Floats]]
 
 
 @dataclass(frozen=True)
@@ -298,42 +300,34 @@ class JointNumbers:
             interval["number_correlation"].values if "number_correlation" in interval else np.eye(len(names)),
         )
 
-    def variance(self, slopes: Sequence[tuple[list[int], Floats]], fields: Mapping[str, Floats]) -> Floats:
-        """Return what the numbers add to the variance of the field that the nine have; (time, axis) nT^2.
+    def variance(self, slopes: _Slopes, terms: Floats, fields: Mapping[str, FieldChange]) -> Floats:
+        """Return what the numbers add to the variance of the field that the nine have; (axis, time) nT^2.
 
         With D what the nine do to the field, F what one sigma of each number does and S the shifts it is
         ``2 D S^T F + F R F``: below zero where the nine make good what a number does.
 
         Parameters
         ----------
-        slopes : sequence of (list of int, ndarray)
-            As `_derivatives`.
-        fields : mapping of str to ndarray, shape (time, axis)
+        slopes, terms
+            As `_derivatives` and `_terms_of`.
+        fields : mapping of str to tuple
             As `inflight.model.number_fields`.
         """
-        rows = len(slopes[0][1])
-        out = np.empty((rows, len(slopes)))
+        out = np.zeros((len(slopes), terms.shape[1]))
         for axis, (index, slope) in enumerate(slopes):
-            own = {
-                place: fields[name][:, axis]
-                for place, name in enumerate(self.sigma)
-                if name in fields and _largest(fields[name][:, axis]) > _NEGLIGIBLE
-            }
+            changes = {place: fields[name][axis] for place, name in enumerate(self.sigma) if name in fields}
+            own = {place: one for place, one in changes.items() if one is not None}
             places = list(own)
-            shift = 2.0 * self.shift[places][:, index]
+            shift = 2.0 * self.shift[places][:, index] @ slope
             correlation = self.correlation[np.ix_(places, places)].T
             # A row for each number, of some hours: what is summed lies together, and near the processor.
-            for start in range(0, rows, _AT_ONCE):
+            for start in range(0, terms.shape[1] if own else 0, _AT_ONCE):
                 some = slice(start, start + _AT_ONCE)
-                change = shift @ slope[some].T
-                moved = np.array([field[some] for field in own.values()]).reshape(change.shape)
+                moved = np.array([change[some] for change in own.values()])
+                change = shift @ terms[:, some]
                 change += correlation @ moved
-                out[some, axis] = np.einsum("nt,nt->t", change, moved)
+                np.einsum("nt,nt->t", change, moved, out=out[axis, some])
         return out
-
-
-def _largest(values: Floats) -> float:
-    return max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
 
 
 @dataclass(frozen=True)
@@ -416,7 +410,7 @@ def level2(
     fields = number_fields(model.effects, samples, numbers)
     if late in numbers and len(field) > 1:
         rate = np.nan_to_num(np.gradient(field, stamps_of / SECOND, axis=0))
-        fields[late] = -rate * numbers[late]
+        fields[late] = tuple(-numbers[late] * rate.T)
     variance = _variance(reading, parameters, fields) + place_variance(model.effects, corrected)
     variance += table_variance(model.effects, corrected)
     variance += instrument_variance(sensor, field, stamps_of, clock=late not in fields)
@@ -494,47 +488,47 @@ def _quality_flag(
     return flag
 
 
-def _variance(reading: Floats, known: DayParameters, fields: Mapping[str, Floats]) -> Floats:
+def _variance(reading: Floats, known: DayParameters, fields: Mapping[str, FieldChange]) -> Floats:
     """Propagate the covariance of all parameters and the residual's noise; (time, axis) nT^2, sensor axes.
 
     `fields` are those of one sigma of each number beside the nine (`inflight.model.number_fields`).
     """
-    out, slopes = np.empty_like(reading), _derivatives(reading, known)
-    for axis, (index, derivative) in enumerate(slopes):
-        own = known.covariance[np.ix_(index, index)]
-        out[:, axis] = np.einsum("ti,ti->t", derivative @ own, derivative)
+    terms, slopes = _terms_of(reading, known), _derivatives(known)
+    own = np.stack([slope.T @ known.covariance[np.ix_(index, index)] @ slope for index, slope in slopes])
+    out = np.einsum("akt,kt->at", own @ terms, terms)
     if known.joint is not None:
-        out += known.joint.variance(slopes, fields)
-    return np.asarray(np.maximum(out, 0.0) + known.noise**2)
+        out += known.joint.variance(slopes, terms, fields)
+    return np.asarray((np.maximum(out, 0.0) + known.noise**2).T)
 
 
 def _effect_of_change(reading: Floats, known: DayParameters) -> Floats:
     """Return what changes of all parameters together may do to the field; (time, axis) nT, sensor axes."""
     assert known.change is not None
-    parts = [np.abs(slope) @ known.change[index] for index, slope in _derivatives(reading, known)]
+    terms = _terms_of(reading, known)
+    parts = [known.change[index] @ np.abs(slope @ terms) for index, slope in _derivatives(known)]
     return np.stack(parts, axis=1)
 
 
-def _derivatives(reading: Floats, known: DayParameters) -> list[tuple[list[int], Floats]]:
-    """Return of each component which parameters it depends on, and its derivatives, (time, parameter).
+def _terms_of(reading: Floats, known: DayParameters) -> Floats:
+    """Return what the derivatives of the field are sums of: the reading without its offsets, and one."""
+    return np.vstack([(reading - known.value[6:]).T, np.ones(len(reading))])
+
+
+def _derivatives(known: DayParameters) -> _Slopes:
+    """Return of each component which parameters it depends on, and its derivatives by these.
 
     B = K (E - E0): a row of K and the offsets enter each component.
     """
     cos = np.cos(np.deg2rad(known.value[3:6]))
     slope = -np.sin(np.deg2rad(known.value[3:6])) * np.pi / 180.0
-    k = known.value[:3]
-    e = reading - known.value[6:]
-    ones = np.ones(len(e))
-    # (parameters of the row, their derivatives): x has scale, two angles and three offsets.
+    k, (x, y, z, one) = known.value[:3], np.eye(4)
+    # x has scale, two angles and three offsets.
     rows = (
-        (
-            [0, 3, 4, 6, 7, 8],
-            [e[:, 0], slope[0] * e[:, 1], slope[1] * e[:, 2], -k[0] * ones, -cos[0] * ones, -cos[1] * ones],
-        ),
-        ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * ones, -cos[2] * ones]),
-        ([2, 8], [e[:, 2], -k[2] * ones]),
+        ([0, 3, 4, 6, 7, 8], [x, slope[0] * y, slope[1] * z, -k[0] * one, -cos[0] * one, -cos[1] * one]),
+        ([1, 5, 7, 8], [y, slope[2] * z, -k[1] * one, -cos[2] * one]),
+        ([2, 8], [z, -k[2] * one]),
     )
-    return [(index, np.stack(parts).T) for index, parts in rows]
+    return [(index, np.stack(parts)) for index, parts in rows]
 
 
 def _add_geometry(variables: _Variables, samples: xr.Dataset, body: Floats, flag: _Flags) -> _Flags:

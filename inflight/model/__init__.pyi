@@ -1,4 +1,5 @@
 from .apply import (
+    FieldChange,
     ModelEffect,
     at_all_sensors,
     correct_plain,
@@ -28,6 +29,7 @@ __all__ = [
     "REFERENCE",
     "Band",
     "EffectSubstitution",
+    "FieldChange",
     "Model",
     "ModelEffect",
     "ResidualDefinition",

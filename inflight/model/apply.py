@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dipole import DipoleSource
-from inflight.effects import VECTOR_ROLES, Effect, Values, with_field
+from inflight.effects import AXES, VECTOR_ROLES, Effect, Values, with_field
 from inflight.errors import SamplesError
 from inflight.mission import Sensor
 from inflight.model.time_dependence import TimedValue
@@ -28,6 +28,12 @@ if TYPE_CHECKING:
 
 #: Samples at which `number_fields` computes what follows the field.
 _ROWS = 1440
+
+#: A change of the field smaller than this counts as none, nT: readings have a coarser resolution.
+_NEGLIGIBLE = 1e-4
+
+#: Of each axis a change of the field (time,), nT; None where there is none.
+FieldChange = tuple[Floats | None, ...]
 
 #: What a correction makes of the vector reading.
 _FIELD = ["field", "field_direction"]
@@ -369,7 +375,9 @@ def delay_number(sensor: Sensor) -> str:
     return f"{sensor.name}.delay"
 
 
-def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, float]) -> dict[str, Floats]:
+def number_fields(
+    effects: Effects, samples: xr.Dataset, sigma: Mapping[str, float]
+) -> dict[str, FieldChange]:
     """Return by how much the corrected vector field changes where numbers are one sigma larger.
 
     Parameters
@@ -381,29 +389,53 @@ def number_fields(effects: Effects, samples: xr.Dataset, sigma: Mapping[str, flo
 
     Returns
     -------
-    dict of ndarray, shape (time, axis)
-        nT, vector sensor axes. An effect inside the sensor's equation follows the field, which is smooth: it
-        is computed at some 1440 samples.
+    dict of tuple
+        Of each axis of the vector sensor a change (time,) in nT; None where there is none. An effect inside
+        the sensor's equation follows the field, which is smooth: it is computed at some 1440 samples.
     """
-    times, effects = _times(samples), [entry for entry in effects if entry.sensor.role in VECTOR_ROLES]
+    effects = [entry for entry in effects if entry.sensor.role in VECTOR_ROLES]
     few: _FewSamples | None = None
+    plain = cast("xr.Dataset", PlainSamples.of(samples))
     found = {}
     for place, entry in enumerate(effects):
-        before: Floats | None = None
-        for timed in entry.parameters.values():
-            for name, value in zip(timed.columns, timed.value.ravel(), strict=True):
+        for key, timed in entry.parameters.items():
+            for index, name in enumerate(timed.columns):
                 if name not in sigma:
                     continue
-                moved = entry.with_columns({name: float(value) + sigma[name]}, {})
-                if not entry.is_additive:
-                    few = few or _FewSamples(effects, samples)
-                    found[name] = few.change(place, moved)
+                if entry.is_additive:
+                    found[name] = _change_of_field(entry, key, index, sigma[name], plain)
                     continue
-                if before is None:
-                    before = entry.effect.field(samples, entry.values(times), entry.sensor)
-                after = moved.effect.field(samples, moved.values(times), entry.sensor)
-                found[name] = np.asarray(before - after)
+                few = few or _FewSamples(effects, samples)
+                value = float(timed.value.ravel()[index])
+                found[name] = few.change(place, entry.with_columns({name: value + sigma[name]}, {}))
     return found
+
+
+def _by_axis(rows: Sequence[Floats]) -> FieldChange:
+    """Return the rows of all axes; None for one that is negligible, and 0 where it is not known."""
+    known = [row if np.isfinite(row.sum()) else np.nan_to_num(row) for row in rows]
+    return tuple(
+        row if max(row.max(initial=0.0), -row.min(initial=0.0)) > _NEGLIGIBLE else None for row in known
+    )
+
+
+def _change_of_field(
+    entry: ModelEffect, key: str, index: int, sigma: float, samples: xr.Dataset
+) -> FieldChange:
+    """Return what one sigma of a coefficient does to the field that a correction leaves."""
+    effect, timed = entry.effect, entry.parameters[key]
+    if timed.time == "constant" and effect.acts_along_axes():
+        series = effect.along_axes(samples, key).reshape(_times(samples).size, -1)
+        # Source by source, or axis by axis: see `Effect.source_first`.
+        axis, source = index // series.shape[1], index % series.shape[1]
+        if effect.source_first:
+            axis, source = index % len(AXES), index // len(AXES)
+        (own,) = _by_axis([-sigma * series[:, source]])
+        return tuple(own if one == axis else None for one in range(len(AXES)))
+    times, name = _times(samples), timed.columns[index]
+    moved = entry.with_columns({name: float(timed.value.ravel()[index]) + sigma}, {})
+    before, after = (effect.field(samples, one.values(times), entry.sensor) for one in (entry, moved))
+    return _by_axis(list((before - after).T))
 
 
 class _FewSamples:
@@ -418,25 +450,32 @@ class _FewSamples:
     """
 
     def __init__(self, effects: Sequence[ModelEffect], samples: xr.Dataset) -> None:
-        times = _times(samples)
+        every = _times(samples)
         self._effects = effects
-        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, times.size // _ROWS))))
+        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, every.size // _ROWS))))
         self._times = _times(cast("xr.Dataset", self._few))
-        self._since, self._every = (
-            np.asarray(one - times[:1], dtype=np.float64) for one in (self._times, times)
-        )
+        # The sample before each, and how far it is on its way to the one behind: many fields are drawn.
+        last = max(self._times.size - 2, 0)
+        self._before = np.clip(np.searchsorted(self._times, every, side="right") - 1, 0, last)
+        width = np.append(np.diff(self._times), 1)[self._before]
+        self._part = np.clip((every - self._times[self._before]) / width, 0.0, 1.0)
         # By identity: a changed effect has the name of the one in whose place it is.
         self._values = {id(entry): entry.values(self._times) for entry in effects}
         self._field = self._corrected(effects)
 
-    def change(self, place: int, moved: ModelEffect) -> Floats:
-        """Return by how much the field changes with another effect in the place of one; (time, axis) nT."""
+    def change(self, place: int, moved: ModelEffect) -> FieldChange:
+        """Return by how much the field changes with another effect in the place of one."""
         changed = self._corrected([*self._effects[:place], moved, *self._effects[place + 1 :]])
-        rows = np.zeros((changed.shape[1], self._every.size))
-        for row, slope in zip(rows, np.nan_to_num(changed - self._field).T, strict=True):
-            if slope.any():
-                row[:] = np.interp(self._every, self._since, slope)
-        return rows.T
+        rows = _by_axis(list((changed - self._field).T))
+        return tuple(None if row is None else self._drawn(row) for row in rows)
+
+    def _drawn(self, row: Floats) -> Floats:
+        """Return straight lines between some samples at all of them; beyond the last one it stays."""
+        slope = np.append(np.diff(row), 0.0)
+        drawn = slope[self._before]
+        drawn *= self._part
+        drawn += row[self._before]
+        return drawn
 
     def _corrected(self, effects: Effects) -> Floats:
         def values_of(entry: ModelEffect) -> dict[str, Floats]:
