@@ -126,7 +126,7 @@ def _files(folder: Path) -> list[str]:
 
 
 def _entries(folder: Path | str, above: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
-    """Yield the files below a folder, with their names there; nothing where there is none, or nobody may look.
+    """Yield the files below a folder with their names there; nothing where nobody may look, or none is there.
 
     `Path.rglob` asks the disk of each file what it is.
     """
