@@ -457,7 +457,7 @@ class _FewSamples:
         # The sample before each, and how far it is on its way to the one behind: many fields are drawn.
         last = max(self._times.size - 2, 0)
         self._before = np.clip(np.searchsorted(self._times, every, side="right") - 1, 0, last)
-        width = np.append(np.diff(self._times), 1)[self._before]
+        width = np.maximum(np.append(np.diff(self._times), 1), 1)[self._before]
         self._part = np.clip((every - self._times[self._before]) / width, 0.0, 1.0)
         # By identity: a changed effect has the name of the one in whose place it is.
         self._values = {id(entry): entry.values(self._times) for entry in effects}
