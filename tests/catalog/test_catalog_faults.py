@@ -97,7 +97,7 @@ def test_a_kill_at_a_random_moment_shows_one_generation(catalog, reopened_after_
 
 def test_readers_see_one_generation_while_others_are_published(catalog):
     publish_seed(catalog, 0)
-    process = spawn(publish_generations, catalog.workspace, 1, 11)
+    process = spawn(publish_generations, catalog.workspace, 1, 7)
     seen, failures = set(), []
 
     def read():
@@ -114,8 +114,8 @@ def test_readers_see_one_generation_while_others_are_published(catalog):
         reader.join()
     assert ended(process) == 0
     assert failures == []
-    assert len(seen) > 2, "the readers did not meet a publication"
-    assert generation_seen(catalog) == 10
+    assert len(seen) > 1, "the readers did not meet a publication"
+    assert generation_seen(catalog) == 6
 
 
 def test_two_writers_wait_for_each_other_and_no_revision_is_lost_or_reused(catalog):
