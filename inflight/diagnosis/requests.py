@@ -251,6 +251,8 @@ def require_known(effect: str | Mapping[str, Any], model: Model, mission: Missio
     given = parse_entry(effect)
     if isinstance(given, str):
         match, kinds = _MADE.match(given), known_effects(model.own)
+        if given in kinds:
+            _require_channels(given, [name for name in kinds[given].channels if name in GEOMETRY], mission)
         if match is None or "channel" not in getattr(kinds.get(match["effect"]), "option_names", list)():
             return
         _require_channels(match["effect"], base_channels(match["channel"].strip()), mission)
@@ -265,13 +267,18 @@ def _require_channels_of(entry: ModelEffect, mission: Mission) -> None:
 
 
 def _require_channels(label: str, channels: Iterable[str], mission: Mission) -> None:
-    known = {*channels_of(mission), *GEOMETRY}
+    own = channels_of(mission)
+    # What geometry adds is made from the orbit.
+    placed = any(one.kind == "position" and one.frame in ("itrf", "gcrf") for one in own.values())
+    known = {*own, *(GEOMETRY if placed else ())}
     for channel in channels:
         if channel not in known:
             raise ModelError(
                 f"effect '{label}' needs channel {channel!r}, which the mission has not"
                 f"{did_you_mean(channel, known)}",
-                remedy="name it in the mission YAML, or give the option 'channel'",
+                remedy="it is made from positions: name a channel of kind 'position' in the mission YAML"
+                if channel in GEOMETRY
+                else "name it in the mission YAML, or give the option 'channel'",
             )
 
 

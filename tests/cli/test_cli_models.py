@@ -107,3 +107,20 @@ def test_an_effect_of_a_channel_that_is_not_there_is_refused_before_any_data_are
     for wrong in ("{effect: channel_feld, channel: heater_current}",):
         told = inflight("add", wrong, "--workspace", champ.root)
         assert "channel_field" in told.out + told.err
+
+
+@pytest.mark.parametrize("asked", ["day_night", "{effect: day_night}", "channel_field(sunlit)"])
+def test_an_effect_of_the_orbit_is_refused_where_the_mission_has_no_positions(
+    inflight, tmp_path, monkeypatch, asked
+):
+    from tiny_mission import make_tiny_workspace
+
+    from inflight.tasks.analysis import revise
+
+    monkeypatch.setattr(revise.Workbench, "__post_init__", lambda bench: pytest.fail("data were read"))
+    root = make_tiny_workspace(tmp_path / "tiny")
+    assert inflight("ingest", "--no-prefect", "--workspace", root).code == 0
+    told = inflight("add", asked, "--json", "--workspace", root)
+    assert told.code == 1
+    assert "'sunlit', which the mission has not" in told.json["error"]["message"]
+    assert "positions" in told.json["error"]["remedy"]
