@@ -417,7 +417,7 @@ class ChunkWriter:
         """
         flat = np.ascontiguousarray(values).ravel()
         if self.delta:
-            flat = _differences(flat)
+            flat = np.diff(flat, prepend=flat.dtype.type(0))
         path = self.folder.joinpath("c", *map(str, place))
         if not place[-1] or len(place) == 1:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -441,13 +441,6 @@ class ChunkWriter:
                 channel=self.folder.name,
                 remedy="check the disk, then run again",
             )
-
-
-def _differences(values: Array) -> Array:
-    """Return the first value and the differences of neighbours, which may wrap around; (value,)."""
-    out = values.copy()
-    np.subtract(values[1:], values[:-1], out=out[1:])
-    return out
 
 
 def _label(name: str) -> str:

@@ -323,7 +323,7 @@ class JointNumbers:
             # A row for each number, of some hours: what is summed lies together, and near the processor.
             for start in range(0, terms.shape[1] if own else 0, _AT_ONCE):
                 some = slice(start, start + _AT_ONCE)
-                moved = np.array([change[some] for change in own.values()])
+                moved = np.array([one[some] for one in own.values()])
                 change = shift @ terms[:, some]
                 change += correlation @ moved
                 np.einsum("nt,nt->t", change, moved, out=out[axis, some])

@@ -31,7 +31,7 @@ from inflight.diagnosis.additions import (
 from inflight.diagnosis.refine import profile_lag
 from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.time_changes import DRIFTS, block_length, lines_between_windows
-from inflight.effects import channels_of, known_effects
+from inflight.effects import channels_of, known_effects, position_channel
 from inflight.errors import ModelError, did_you_mean
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission, sensors_of
@@ -267,10 +267,8 @@ def _require_channels_of(entry: ModelEffect, mission: Mission) -> None:
 
 
 def _require_channels(label: str, channels: Iterable[str], mission: Mission) -> None:
-    own = channels_of(mission)
     # What geometry adds is made from the orbit.
-    placed = any(one.kind == "position" and one.frame in ("itrf", "gcrf") for one in own.values())
-    known = {*own, *(GEOMETRY if placed else ())}
+    known = {*channels_of(mission), *(GEOMETRY if position_channel(mission) else ())}
     for channel in channels:
         if channel not in known:
             raise ModelError(

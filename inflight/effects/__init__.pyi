@@ -11,7 +11,15 @@ from .base import (
 )
 from .conformance import ConformanceSettings, check_effect
 from .environment import MAX_HARMONIC, DayNight, DayNightSeries, order_names
-from .families import CURRENT_FAMILIES, NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
+from .families import (
+    CURRENT_FAMILIES,
+    NO_CAUSE,
+    channel_unit,
+    channels_of,
+    coefficient_unit,
+    family_of,
+    position_channel,
+)
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, VECTOR_ROLES, Affine, ScalarBias, TimeShift, VectorSensor
 from .spacecraft import (
@@ -70,6 +78,7 @@ __all__ = [
     "package_to_spin",
     "panel_illumination",
     "panel_weights_at",
+    "position_channel",
     "sensor_axes",
     "time_derivative",
     "with_field",

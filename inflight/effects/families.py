@@ -90,6 +90,14 @@ def channels_of(mission: Mission) -> dict[str, Channel]:
     }
 
 
+def position_channel(mission: Mission) -> str:
+    """Return the channel with the position over the Earth; empty when there is none."""
+    for name, channel in channels_of(mission).items():
+        if channel.kind == "position" and channel.frame in ("itrf", "gcrf"):
+            return name
+    return ""
+
+
 def channels_of_kind(mission: Mission, *kinds: str, width: int = 1) -> list[str]:
     """Return the names of channels of some kinds, or of all that are no geometry when none is given.
 

@@ -399,15 +399,24 @@ def number_fields(
     found = {}
     for place, entry in enumerate(effects):
         for key, timed in entry.parameters.items():
-            for index, name in enumerate(timed.columns):
-                if name not in sigma:
-                    continue
-                if entry.is_additive:
-                    found[name] = _change_of_field(entry, key, index, sigma[name], plain)
-                    continue
-                few = few or _FewSamples(effects, samples)
-                value = float(timed.value.ravel()[index])
-                found[name] = few.change(place, entry.with_columns({name: value + sigma[name]}, {}))
+            asked = [(index, name) for index, name in enumerate(timed.columns) if name in sigma]
+            if not asked:
+                continue
+            if entry.is_additive and timed.time == "constant" and entry.effect.acts_along_axes():
+                series = entry.effect.along_axes(plain, key).reshape(_times(plain).size, -1)
+                for index, name in asked:
+                    found[name] = _along_one_axis(entry.effect, index, -sigma[name] * series)
+                continue
+            values = timed.value.ravel()
+            moved = {
+                name: entry.with_columns({name: float(values[index]) + sigma[name]}, {})
+                for index, name in asked
+            }
+            if entry.is_additive:
+                found |= _changes_of_field(entry, moved, plain)
+                continue
+            few = few or _FewSamples(effects, samples)
+            found |= {name: few.change(place, one) for name, one in moved.items()}
     return found
 
 
@@ -419,23 +428,26 @@ def _by_axis(rows: Sequence[Floats]) -> FieldChange:
     )
 
 
-def _change_of_field(
-    entry: ModelEffect, key: str, index: int, sigma: float, samples: xr.Dataset
-) -> FieldChange:
-    """Return what one sigma of a coefficient does to the field that a correction leaves."""
-    effect, timed = entry.effect, entry.parameters[key]
-    if timed.time == "constant" and effect.acts_along_axes():
-        series = effect.along_axes(samples, key).reshape(_times(samples).size, -1)
-        # Source by source, or axis by axis: see `Effect.source_first`.
-        axis, source = index // series.shape[1], index % series.shape[1]
-        if effect.source_first:
-            axis, source = index % len(AXES), index // len(AXES)
-        (own,) = _by_axis([-sigma * series[:, source]])
-        return tuple(own if one == axis else None for one in range(len(AXES)))
-    times, name = _times(samples), timed.columns[index]
-    moved = entry.with_columns({name: float(timed.value.ravel()[index]) + sigma}, {})
-    before, after = (effect.field(samples, one.values(times), entry.sensor) for one in (entry, moved))
-    return _by_axis(list((before - after).T))
+def _along_one_axis(effect: Effect, index: int, series: Floats) -> FieldChange:
+    """Return a change along the axis of a component; `series` (time, source) are those of its parameter."""
+    # Source by source, or axis by axis: see `Effect.source_first`.
+    axis, source = index // series.shape[1], index % series.shape[1]
+    if effect.source_first:
+        axis, source = index % len(AXES), index // len(AXES)
+    (own,) = _by_axis([series[:, source]])
+    return tuple(own if one == axis else None for one in range(len(AXES)))
+
+
+def _changes_of_field(
+    entry: ModelEffect, moved: Mapping[str, ModelEffect], samples: xr.Dataset
+) -> dict[str, FieldChange]:
+    """Return what effects in the place of one that adds a field do to what a correction leaves, by name."""
+    times = _times(samples)
+    before = entry.effect.field(samples, entry.values(times), entry.sensor)
+    return {
+        name: _by_axis(list((before - one.effect.field(samples, one.values(times), one.sensor)).T))
+        for name, one in moved.items()
+    }
 
 
 class _FewSamples:
@@ -450,15 +462,13 @@ class _FewSamples:
     """
 
     def __init__(self, effects: Sequence[ModelEffect], samples: xr.Dataset) -> None:
-        every = _times(samples)
+        times = _times(samples)
         self._effects = effects
-        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, every.size // _ROWS))))
+        self._few = PlainSamples.of(samples.isel(time=slice(None, None, max(1, times.size // _ROWS))))
         self._times = _times(cast("xr.Dataset", self._few))
-        # The sample before each, and how far it is on its way to the one behind: many fields are drawn.
-        last = max(self._times.size - 2, 0)
-        self._before = np.clip(np.searchsorted(self._times, every, side="right") - 1, 0, last)
-        width = np.maximum(np.append(np.diff(self._times), 1), 1)[self._before]
-        self._part = np.clip((every - self._times[self._before]) / width, 0.0, 1.0)
+        self._since, self._every = (
+            np.asarray(one - times[:1], dtype=np.float64) for one in (self._times, times)
+        )
         # By identity: a changed effect has the name of the one in whose place it is.
         self._values = {id(entry): entry.values(self._times) for entry in effects}
         self._field = self._corrected(effects)
@@ -467,15 +477,7 @@ class _FewSamples:
         """Return by how much the field changes with another effect in the place of one."""
         changed = self._corrected([*self._effects[:place], moved, *self._effects[place + 1 :]])
         rows = _by_axis(list((changed - self._field).T))
-        return tuple(None if row is None else self._drawn(row) for row in rows)
-
-    def _drawn(self, row: Floats) -> Floats:
-        """Return straight lines between some samples at all of them; beyond the last one it stays."""
-        slope = np.append(np.diff(row), 0.0)
-        drawn = slope[self._before]
-        drawn *= self._part
-        drawn += row[self._before]
-        return drawn
+        return tuple(None if row is None else np.interp(self._every, self._since, row) for row in rows)
 
     def _corrected(self, effects: Effects) -> Floats:
         def values_of(entry: ModelEffect) -> dict[str, Floats]:

@@ -27,7 +27,7 @@ from inflight.diagnosis import (
     time_variable_columns,
 )
 from inflight.dual import JumpAttribution
-from inflight.effects import channels_of
+from inflight.effects import channels_of, position_channel
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
@@ -59,7 +59,6 @@ from inflight.tasks.archive import (
     channel_needs,
     evenly_spread,
     needs_of,
-    position_channel,
     require_days,
     resolves_spin,
 )

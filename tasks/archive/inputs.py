@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.effects import NO_CAUSE
+from inflight.effects import NO_CAUSE, position_channel
 from inflight.errors import CatalogError, SamplesError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
@@ -401,15 +401,6 @@ def _need_of(
         products=products,
         smooth_ns=described.smooth,
     )
-
-
-def position_channel(mission: Mission) -> str:
-    """Return the channel with the position over the Earth; empty when there is none."""
-    for name, (instrument, channel) in channels_by_name(mission).items():
-        described = mission.instruments[instrument].channels[channel]
-        if described.kind == "position" and described.frame in ("itrf", "gcrf"):
-            return name
-    return ""
 
 
 def base_role(mission: Mission, comparison: str) -> str:

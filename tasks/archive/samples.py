@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats, finite_rows
 from inflight.catalog import Catalog, Day
+from inflight.effects import position_channel
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry, itrf_to_spacecraft, position_in_itrf
@@ -59,7 +60,6 @@ from inflight.tasks.archive.inputs import (
     base_role,
     channels_by_name,
     geometry_channels,
-    position_channel,
     range_of,
 )
 from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text

@@ -15,12 +15,12 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
-from inflight.effects import NO_CAUSE
+from inflight.effects import NO_CAUSE, position_channel
 from inflight.errors import CatalogError, SettingsError
 from inflight.frames import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
-from inflight.tasks.archive import channels_by_name, geometry_channels, position_channel
+from inflight.tasks.archive import channels_by_name, geometry_channels
 from inflight.tasks.pipelines.base.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 

@@ -33,6 +33,7 @@ from inflight.calibration import (
     with_learnt_spans,
 )
 from inflight.catalog import Catalog, Day
+from inflight.effects import position_channel
 from inflight.errors import CalibrationError, CatalogError, MissionError
 from inflight.flags import UNUSABLE, Flag, flag_meanings
 from inflight.frames import itrf_to_spacecraft, latitude_longitude, position_in_itrf, to_nec
@@ -50,7 +51,7 @@ from inflight.residual import (
     noise_floor,
     residual_statistics,
 )
-from inflight.tasks.archive import geometry_channels, load_samples, position_channel, within_day
+from inflight.tasks.archive import geometry_channels, load_samples, within_day
 from inflight.tasks.models import ModelHistory
 from inflight.tasks.pipelines.base import (
     ONE_DAY,

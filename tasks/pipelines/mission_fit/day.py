@@ -35,6 +35,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.catalog import Catalog, Day
+from inflight.effects import position_channel
 from inflight.errors import SamplesError
 from inflight.frames import add_geometry, direction_of, geometry_at
 from inflight.lsq import RESIDUAL, to_amperes
@@ -53,7 +54,7 @@ from inflight.mission_fit import (
 from inflight.model import ResidualRows, rows_of
 from inflight.progress import Progress, silent, tell_each
 from inflight.residual import find_steps
-from inflight.tasks.archive import channels_by_name, own_readings, position_channel
+from inflight.tasks.archive import channels_by_name, own_readings
 from inflight.tasks.batches import give_back_memory
 from inflight.tasks.pipelines.base import Batch
 from inflight.tasks.pipelines.scalar import fit_day
