@@ -311,7 +311,7 @@ def _write_array(
         item.name,
         shape=shape,
         dtype=encoding.stored,
-        chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
+        chunks=tuple(max(1, size) for size in (row_chunk if item.in_rows else shape)),
         filters=[Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
         compressors=[BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         fill_value=encoding.fill,
@@ -321,8 +321,7 @@ def _write_array(
     (folder / item.name).mkdir()
     writer = ChunkWriter(folder / item.name, delta, packing.compressor)
     if not item.in_rows:
-        if blocks[0].size:
-            writer.write((0,) * blocks[0].ndim, blocks[0])
+        writer.write((0,) * blocks[0].ndim, blocks[0])
         return
     rest = (0,) * (len(inner) - 1)
     for index, block in enumerate(blocks):
@@ -399,7 +398,7 @@ class ChunkWriter:
     compressor: str = COMPRESSOR
 
     def write(self, place: tuple[int, ...], values: Array) -> None:
-        """Write one chunk.
+        """Write one chunk; of no values none, as Zarr does.
 
         Parameters
         ----------
@@ -416,6 +415,8 @@ class ChunkWriter:
             When what is read back is not what was written.
         """
         flat = np.ascontiguousarray(values).ravel()
+        if not flat.size:
+            return
         if self.delta:
             flat = np.diff(flat, prepend=flat.dtype.type(0))
         path = self.folder.joinpath("c", *map(str, place))

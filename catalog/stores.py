@@ -90,6 +90,9 @@ class Store:
         index, offset = divmod(start, self.chunk)
         if stop - start > self.chunk - offset:
             raise CatalogError(f"rows {start} to {stop} are not in one day of {self.folder}")
+        if 0 in variable.shape:
+            # Nothing is stored of it, such as the estimate of days that tell nothing.
+            return _no_values(variable, (stop - start, *variable.shape[1:]))
         grid = [
             range(-(-size // chunk))
             for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
@@ -103,7 +106,7 @@ class Store:
         variable = self.variables[name]
         if 0 in variable.shape:
             # Nothing is stored of it, such as the units of a table that knows none.
-            return variable.encoding.decode(np.empty(variable.shape, dtype=variable.encoding.stored))
+            return _no_values(variable, variable.shape)
         values = variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
         # A single number is stored as one value.
         return values if variable.dims else values.reshape(())
@@ -150,6 +153,10 @@ class Store:
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
         return block[tuple(slice(0, size) for size in variable.shape)] if not all(variable.shape) else block
+
+
+def _no_values(variable: StoredVariable, shape: tuple[int, ...]) -> Array:
+    return variable.encoding.decode(np.empty(shape, dtype=variable.encoding.stored))
 
 
 def open_store(folder: str) -> Store:

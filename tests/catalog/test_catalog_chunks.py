@@ -48,3 +48,8 @@ def test_a_chunk_that_reads_back_differently_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(numcodecs.blosc, "decompress", lambda packed: honest(packed)[:-1] + b"\x7f")
     with pytest.raises(IntegrityError, match="reads back differently"):
         ChunkWriter(tmp_path, False).write((0,), np.arange(50))
+
+
+def test_a_chunk_of_no_values_is_no_file(tmp_path):
+    ChunkWriter(tmp_path, False).write((0, 0), np.empty((1, 0)))
+    assert not list(tmp_path.iterdir())

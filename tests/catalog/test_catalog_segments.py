@@ -172,6 +172,20 @@ def test_blocks_of_normal_equations_are_stored_by_day(tmp_path):
         xr.testing.assert_identical(day_back(store, segment, index), item.dataset)
 
 
+def test_blocks_of_no_columns_come_back_and_are_no_files(tmp_path):
+    start, end = day_bounds(DAYS[0])
+    nothing = xr.Dataset(
+        {
+            "estimate": (("block", "column"), np.empty((1, 0))),
+            "start": ("block", [start]),
+            "end": ("block", [end]),
+        }
+    )
+    segment, store = written(tmp_path, [DayData(DAYS[0], nothing)])
+    xr.testing.assert_identical(day_back(store, segment, 0), nothing)
+    assert not list((tmp_path / segment.path / "estimate").rglob("0"))
+
+
 def test_tables_come_back_identical(tmp_path):
     segment = write_table(tmp_path, "run", "tables/offsets", table())
     store = open_store(str(tmp_path / segment.path))
