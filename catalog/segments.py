@@ -45,7 +45,6 @@ from inflight.errors import ContentError, InflightError, IntegrityError, Storage
 
 if TYPE_CHECKING:
     import xarray as xr
-    import zarr
 
 # The layout is ours on purpose: delta is the filter that makes the archive small, and consolidated
 # metadata is one read instead of one a variable. Releases are written without the filter.
@@ -247,30 +246,44 @@ def _write_store(
     packing: _Packing,
 ) -> list[str]:
     """Write and read back all arrays; return notes about values that could not be packed."""
-    import zarr  # only who writes waits for it
-    from zarr.storage import MemoryStore
-
     coordinates = [item.name for item in contents if item.coordinate]
     root = {
         **attributes,
         LAYOUT_ATTRIBUTE: {"layout": LAYOUT_VERSION, **described, "coordinates": coordinates},
     }
-    metadata: dict[str, Any] = {}
-    group = zarr.open_group(MemoryStore(metadata), mode="w-", zarr_format=3, attributes=root)
     fault_point("segment_begun")
-    notes, written = [], []
+    notes, written, arrays = [], [], []
     for item in contents:
         encoding, pieces = encode(item.name, item.pieces, item.attributes)
         blocks = _blocks(item, pieces, encoding, layout)
-        _write_array(folder, group, item, encoding, blocks, packing)
+        arrays.append(_write_array(folder, item, encoding, blocks, packing))
         written.append(blocks[0])
         if encoding.note:
             notes.append(encoding.note)
-    zarr.consolidate_metadata(group.store)
-    for name, content in metadata.items():
-        (folder / name).write_bytes(content.to_bytes())
+    for name, content in _metadata(root, arrays).items():
+        (folder / name).write_bytes(content)
     _read_back(folder, contents, written)
     return notes
+
+
+def _metadata(attributes: dict[str, Any], arrays: Sequence[dict[str, Any]]) -> dict[str, bytes]:
+    """Return the files of metadata of a store, as Zarr makes them of what describes its arrays."""
+    from zarr.api.asynchronous import consolidate_metadata, open_group  # only who writes waits for it
+    from zarr.core.sync import sync
+    from zarr.storage import MemoryStore
+
+    files: dict[str, Any] = {}
+    store = MemoryStore(files)
+
+    async def make() -> None:
+        group = await open_group(store, mode="w-", zarr_format=3, attributes=attributes)
+        for array in arrays:
+            await group.create_array(**array)
+        await consolidate_metadata(store)
+
+    # One turn of Zarr's event loop, as in `read_with_zarr`.
+    sync(make())
+    return {name: content.to_bytes() for name, content in files.items()}
 
 
 def _blocks(
@@ -291,14 +304,9 @@ def _blocks(
 
 
 def _write_array(
-    folder: Path,
-    group: zarr.Group,
-    item: Variable,
-    encoding: Encoding,
-    blocks: Sequence[Array],
-    packing: _Packing,
-) -> None:
-    """Make an array of the group, whose metadata Zarr keeps in memory, and write its chunks."""
+    folder: Path, item: Variable, encoding: Encoding, blocks: Sequence[Array], packing: _Packing
+) -> dict[str, Any]:
+    """Write the chunks of an array; return what describes it to Zarr."""
     from zarr.codecs import BloscCodec
     from zarr.codecs.numcodecs import Delta
 
@@ -307,27 +315,25 @@ def _write_array(
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
     delta = encoding.delta and not packing.portable
-    group.create_array(
-        item.name,
-        shape=shape,
-        dtype=encoding.stored,
-        chunks=tuple(max(1, size) for size in (row_chunk if item.in_rows else shape)),
-        filters=[Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
-        compressors=[BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
-        fill_value=encoding.fill,
-        attributes={**item.attributes, **encoding.attributes()},
-        dimension_names=item.dims,
-    )
     (folder / item.name).mkdir()
     writer = ChunkWriter(folder / item.name, delta, packing.compressor)
     if not item.in_rows:
         writer.write((0,) * blocks[0].ndim, blocks[0])
-        return
-    rest = (0,) * (len(inner) - 1)
-    for index, block in enumerate(blocks):
+    for index, block in enumerate(blocks if item.in_rows else ()):
         for part in range(inner[0]) if components else range(1):
             values = block[:, part : part + 1] if components else block
-            writer.write((index, part, *rest) if inner else (index,), values)
+            writer.write((index, part, *(0,) * (len(inner) - 1)) if inner else (index,), values)
+    return {
+        "name": item.name,
+        "shape": shape,
+        "dtype": encoding.stored,
+        "chunks": tuple(max(1, size) for size in (row_chunk if item.in_rows else shape)),
+        "filters": [Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
+        "compressors": [BloscCodec(cname=packing.compressor, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
+        "fill_value": encoding.fill,
+        "attributes": {**item.attributes, **encoding.attributes()},
+        "dimension_names": item.dims,
+    }
 
 
 def _read_back(folder: Path, contents: Sequence[Variable], written: Sequence[Array]) -> None:

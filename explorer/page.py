@@ -13,6 +13,7 @@ from bokeh.models import CustomJS
 
 from inflight.explorer import panes
 from inflight.explorer.diagnosis_view import DiagnosisView
+from inflight.explorer.drawing import DRAWING
 from inflight.explorer.keyboard import KEYS
 from inflight.explorer.loop_view import LoopView
 from inflight.explorer.overview import ComparisonOverview, list_comparisons, next_step, summarise_comparison
@@ -30,20 +31,6 @@ _DARK = """
 @media (prefers-color-scheme: dark) {
   html { background: #fff; filter: invert(0.92) hue-rotate(180deg) }
   #header { filter: invert(1) hue-rotate(180deg) }
-}
-"""
-
-#: Run once in a page. Figures of Bokeh 3.9 listen to the zoom of the window for as long as the page is open,
-#: so that none that was replaced could go (bokeh/bokeh, issue 15290). Here those that are shown are told.
-_ZOOM = """
-if (window.visualViewport && !window.inflightZoom) {
-  window.inflightZoom = true;
-  const listen = visualViewport.addEventListener.bind(visualViewport);
-  visualViewport.addEventListener = (kind, ...rest) => { if (kind !== "resize") listen(kind, ...rest) };
-  listen("resize", () => {
-    for (const figure of Bokeh.index.query((one) => one.canvas_view && one.request_repaint))
-      if (figure.canvas_view.resize()) figure.request_repaint();
-  });
 }
 """
 
@@ -70,7 +57,7 @@ def _template(title: str, *parts: pn.viewable.Viewable) -> pn.template.Bootstrap
     )
     made.config.raw_css = [_DARK]
     if pn.state.curdoc is not None:
-        pn.state.curdoc.js_on_event(DocumentReady, CustomJS(code=KEYS + _ZOOM))
+        pn.state.curdoc.js_on_event(DocumentReady, CustomJS(code=KEYS + DRAWING))
     return made
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import cache, lru_cache
-from math import floor, isfinite, log10
+from math import floor, isfinite, log10, pi
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -16,8 +16,23 @@ if TYPE_CHECKING:
 
 #: Numbers smaller than this are written with an exponent.
 _PLAIN = 1e-4
-#: Units that nearly every mission states: known without the registry, which takes a moment to load.
-COMMON_UNITS = frozenset({"1", "nT", "deg", "rad", "s", "m", "km", "A", "mA", "V", "K", "degC", "count"})
+#: Units that nearly every mission states, known without the registry, which takes a moment to load: what each
+#: measures, and its size and its zero in the unit of that which is 1 here.
+COMMON_UNITS = {
+    "1": ("number", 1.0, 0.0),
+    "count": ("number", 1.0, 0.0),
+    "rad": ("number", 1.0, 0.0),
+    "deg": ("number", pi / 180.0, 0.0),
+    "nT": ("field", 1.0, 0.0),
+    "s": ("time", 1.0, 0.0),
+    "m": ("length", 1.0, 0.0),
+    "km": ("length", 1000.0, 0.0),
+    "A": ("current", 1.0, 0.0),
+    "mA": ("current", 0.001, 0.0),
+    "V": ("voltage", 1.0, 0.0),
+    "K": ("temperature", 1.0, 0.0),
+    "degC": ("temperature", 1.0, 273.15),
+}
 
 _STRAY = re.compile(r"[^\w\s.*/^()%°·+-]")
 
@@ -86,8 +101,10 @@ def factor_and_offset(source: str, target: str) -> tuple[float, float]:
     ValueError
         When the units measure different things.
     """
-    if source == target and source in COMMON_UNITS:
-        return 1.0, 0.0
+    if source in COMMON_UNITS and target in COMMON_UNITS:
+        (measured, size, zero), (wanted, unit, origin) = COMMON_UNITS[source], COMMON_UNITS[target]
+        if measured == wanted:
+            return size / unit, (zero - origin) / unit
     start, goal = parse_unit(source), parse_unit(target)
     if start == goal:
         return 1.0, 0.0

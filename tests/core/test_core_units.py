@@ -1,8 +1,10 @@
 """Units as delivered files spell them, and the conversions of channels."""
 
+import itertools
+
 import pytest
 
-from inflight.units import factor_and_offset, parse_unit
+from inflight.units import COMMON_UNITS, factor_and_offset, parse_unit, registry
 
 
 @pytest.mark.parametrize(
@@ -25,6 +27,17 @@ def test_spellings_found_in_delivered_files_name_the_same_unit(one, other):
 )
 def test_values_are_converted_by_factor_and_offset(source, target, factor, offset):
     assert factor_and_offset(source, target) == pytest.approx((factor, offset))
+
+
+def test_units_known_without_the_registry_convert_as_it_does():
+    for source, target in itertools.product(COMMON_UNITS, repeat=2):
+        one, other = parse_unit(source), parse_unit(target)
+        if one.dimensionality != other.dimensionality:
+            with pytest.raises(ValueError, match="cannot become"):
+                factor_and_offset(source, target)
+            continue
+        zero, unity = (registry().Quantity(number, one).to(other).magnitude for number in (0.0, 1.0))
+        assert factor_and_offset(source, target) == (unity - zero, zero), (source, target)
 
 
 def test_units_of_different_things_are_refused_naming_both():

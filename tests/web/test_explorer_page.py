@@ -50,6 +50,17 @@ _CLICKED = """(() => {
   const cells = models.filter((one) => one.type === 'ColumnDataSource' && one.columns().includes('why'));
   cells.at(-1).selected.indices = [4] })()"""
 
+#: Lets every figure ask for a layout and for its picture; counts layouts, and styles that figures ask for.
+_COUNTED = """(() => {
+  const figures = [...Bokeh.index.query((one) => one.model.type === 'Figure')];
+  let root = figures[0]; while (root.parent) root = root.parent;
+  const lay_out = root.update_layout, ask = CSSStyleDeclaration.prototype.getPropertyValue;
+  window.laid_out = window.asked = 0;
+  root.update_layout = function () { window.laid_out += 1; return lay_out.call(this) };
+  CSSStyleDeclaration.prototype.getPropertyValue = function (name) {
+    window.asked += name.startsWith('--bk-'); return ask.call(this, name) };
+  for (const figure of figures) { figure.invalidate_layout(); figure.request_repaint() } })()"""
+
 
 def heater_and_tone(day, reading):
     """The field of a heater, and 0.4 nT on z that repeat every 41 min and follow no channel."""
@@ -184,6 +195,17 @@ def test_a_link_shows_the_same_view_and_days_dragged_over_are_shown_alone(browse
     browser.drag((x, places[0]), (x, places[1]))
     browser.wait_for("location.search.includes('first=2024-03-02')")
     browser.wait_for("location.search.includes('last=2024-03-03')")
+
+
+def test_what_changes_at_once_is_laid_out_once_and_no_style_is_asked_for(browser, address):
+    browser.open(f"{address}&tab=the-loop&channel=boom_temperature")
+    browser.wait_for_text("Drag over the map", 240)
+    browser.place_of("curve")
+    browser.rest()
+    browser.evaluate(_COUNTED)
+    browser.wait_for("window.laid_out > 0")
+    browser.rest()
+    assert browser.evaluate("[window.laid_out, window.asked]") == [1, 0]
 
 
 def test_figures_that_were_replaced_are_let_go_and_those_shown_follow_the_zoom(browser, address):
