@@ -132,13 +132,17 @@ def generation_seen(catalog: Catalog) -> int:
     return int(seeds.pop())
 
 
+#: What publishing imports at its first use: for a process that is killed a second later, most of its life.
+_NEEDED = ("alembic.command", "dask.array", "pint", "psycopg", "zarr.api.asynchronous", "zarr.storage")
+
+
 def spawn(target: Callable[..., None], *arguments: object, kill_at: str = "") -> BaseProcess:
     """Start a process of its own, quickly: its imports are made once, by a server that forks."""
     here, *others = str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])
     if not others or here not in others[0].split(os.pathsep):
         os.environ["PYTHONPATH"] = os.pathsep.join([here, *others])
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["catalog_cases"])
+    context.set_forkserver_preload(["catalog_cases", *_NEEDED])
     process = context.Process(target=_begin, args=(kill_at, target, arguments))
     process.start()
     return process
