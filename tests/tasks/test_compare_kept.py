@@ -12,6 +12,7 @@ from inflight.flows import dask_client
 from inflight.tasks import ReprocessSettings, to_json
 from inflight.tasks.analysis import compare
 from inflight.tasks.archive import ingest
+from inflight.tasks.models import current_model
 from inflight.tasks.pipelines import reprocess
 from inflight.tasks.pipelines.base import compare_blocks
 from inflight.tasks.pipelines.scalar import compare as scalar
@@ -132,6 +133,20 @@ def test_only_the_block_of_a_day_that_changed_is_made_again(calibrated, tmp_path
     assert {day for day in after if after[day] != before.get(day)} == {changed - 3}
     inside = {day + step for day in set(after) - {changed - 3} for step in range(8)}
     assert sorted(reads) == sorted(set(DAYS) - inside)
+
+
+def test_what_is_kept_of_products_serves_when_a_model_comes_after_them(calibrated, tmp_path, reads):
+    catalog, mission = copied(calibrated, tmp_path)
+    first = compare(catalog, mission).as_json()
+    model = current_model(catalog, mission, "main").model
+    catalog.save_model(model.name, model.text.replace("x: 0.0", "x: 1.0"), 1)
+    assert reprocess(catalog, mission, settings=DAILY).exit_code == 0
+    reads.clear()
+    told_then = compare(catalog, mission).as_json()
+    assert told_then["against"]["rms"] == first["residual"]["without_outliers_nT"]
+    inside = {day + step for day in whole_blocks(DAYS[0], DAYS[-1]) for step in range(8)}
+    # Of days in no whole block the products before are read again, of the others only those of now.
+    assert sorted(reads) == sorted([*DAYS, *(set(DAYS) - inside)])
 
 
 def test_a_damaged_block_is_repaired_and_made_again(calibrated, tmp_path):

@@ -67,7 +67,10 @@ class DigestPlan(Generic[D]):
     Attributes
     ----------
     dataset : str
-        In which whole blocks are kept.
+        In which whole blocks are kept, under a key that names it.
+    earlier : bool
+        Of products that are no longer the published ones: whole blocks are kept in a dataset beside. When
+        a model changes, what was kept of the products before it serves from the other one.
     version : int
         Of the algorithm.
     kind : type
@@ -86,6 +89,13 @@ class DigestPlan(Generic[D]):
     kind: type[D]
     make: Callable[..., D]
     options: tuple[Any, ...] = ()
+    earlier: bool = False
+
+    @property
+    def kept_in(self) -> tuple[str, str]:
+        """The dataset that blocks are kept in, and the other one that may have them."""
+        both = (self.dataset, f"{self.dataset}-earlier")
+        return both[::-1] if self.earlier else both
 
 
 @dataclass(frozen=True)
@@ -119,7 +129,7 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
     with ExitStack() as stack:
         run = _run_to_keep(plan, stack) if missing else None
         if run is not None:
-            kept |= reuse_interrupted_days(run, plan.dataset, missing, missing)
+            kept |= reuse_interrupted_days(run, plan.kept_in[0], missing, missing)
             blocks = [replace(one, run=run.id) if one.first in missing else one for one in blocks]
         todo = [block for block in blocks if not (block.key and block.first in kept)]
         made = _made_blocks(plan, todo, client, stack)
@@ -161,7 +171,7 @@ def digest_and_keep(plan: DigestPlan[D], block: _Block) -> tuple[D, Segment | No
     kept["start"] = ("block", np.array([day_bounds(block.first)[0]], dtype=np.int64))
     data = DayData(block.first, kept, block.key, block.parents)
     try:
-        return digest, write_segment(plan.cat.workspace, block.run, plan.dataset, [data])
+        return digest, write_segment(plan.cat.workspace, block.run, plan.kept_in[0], [data])
     except StorageError:
         # A comparison is told where nothing can be kept, too.
         return digest, None
@@ -190,13 +200,13 @@ def _kept_blocks(plan: DigestPlan[D], blocks: Sequence[_Block]) -> dict[np.datet
     keys = {block.first: block.key for block in blocks if block.key}
     if not keys:
         return {}
-    there = plan.cat.days(plan.dataset, states=("published",))
+    there = [day for name in plan.kept_in for day in plan.cat.days(name, states=("published",))]
     return {day.day: day for day in there if keys.get(day.day) == day.key}
 
 
 def _run_to_keep(plan: DigestPlan[D], stack: ExitStack) -> Run | None:
     """Return a run that blocks are kept by; None where the workspace can only be read."""
-    settings = {"comparison": plan.comparison, "dataset": plan.dataset}
+    settings = {"comparison": plan.comparison, "dataset": plan.kept_in[0]}
     try:
         return stack.enter_context(plan.cat.run("compare", settings))
     except (CatalogError, StorageError):

@@ -140,6 +140,8 @@ def compare_samples(
     earlier : EarlierProducts, optional
         Of another version of the model, set beside these.
     """
+    # First: what is kept of the earlier products is superseded by what is made of these.
+    other = digest_days(cat, mission, comparison, earlier.days, progress, client, True) if earlier else None
     digest = digest_days(cat, mission, comparison, days, progress, client)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     daily, used = tables_in_use(cat, comparison, days[0])
@@ -153,9 +155,8 @@ def compare_samples(
     determined, directions = _determined(cat, mission, comparison, span, used, progress)
     before, after = ([getattr(one, state) for one in digest.days] for state in ("before", "after"))
     floor = join_floors([one.floor for one in digest.days])
-    other, old = None, None
-    if earlier is not None:
-        other = digest_days(cat, mission, comparison, earlier.days, progress, client, "-earlier")
+    old = None
+    if earlier is not None and other is not None:
         old = EarlierResidual(
             earlier.version,
             earlier.message,
@@ -261,22 +262,20 @@ def digest_days(
     days: Sequence[Day],
     progress: Progress,
     client: Any = None,
-    kind: str = "",
+    earlier: bool = False,
 ) -> Digest:
-    """Read the products of days, or what is kept of them, and return what is compared.
-
-    Products of another version are kept in a dataset of their own, which `kind` names.
-    """
+    """Read the products of days, published or `earlier` ones, or what is kept of them; return their digest."""
     digest = Digest(span_length(len(days)))
     plan = DigestPlan(
         cat=cat,
         mission=mission,
         comparison=comparison,
-        dataset=f"comparison/{comparison}/{digest.length:.0f}s{kind}",
+        dataset=f"comparison/{comparison}/{digest.length:.0f}s",
         version=DIGEST_VERSION,
         kind=BlockDigest,
         make=digest_block,
         options=(digest.length,),
+        earlier=earlier,
     )
     for block in iter_digests(plan, days, client, progress):
         digest.add(block)
