@@ -264,7 +264,7 @@ def digest_days(
     client: Any = None,
     earlier: bool = False,
 ) -> Digest:
-    """Read the products of days, published or `earlier` ones, or what is kept of them; return their digest."""
+    """Return what is compared of products, published or `earlier` ones: read now, or kept of them."""
     digest = Digest(span_length(len(days)))
     plan = DigestPlan(
         cat=cat,
