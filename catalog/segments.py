@@ -251,6 +251,10 @@ def _write_store(
         **attributes,
         LAYOUT_ATTRIBUTE: {"layout": LAYOUT_VERSION, **described, "coordinates": coordinates},
     }
+    for item in contents:
+        # It names a folder, which is written before Zarr hears of it.
+        if "/" in item.name or item.name in ("", ".", ".."):
+            raise ContentError(f"{item.name!r} is no name of a variable", remedy="name it without '/'")
     fault_point("segment_begun")
     notes, written, arrays = [], [], []
     for item in contents:
@@ -317,12 +321,14 @@ def _write_array(
     delta = encoding.delta and not packing.portable
     (folder / item.name).mkdir()
     writer = ChunkWriter(folder / item.name, delta, packing.compressor)
-    if not item.in_rows:
+    if item.in_rows:
+        rest = (0,) * (len(inner) - 1)
+        for index, block in enumerate(blocks):
+            for part in range(inner[0]) if components else range(1):
+                values = block[:, part : part + 1] if components else block
+                writer.write((index, part, *rest) if inner else (index,), values)
+    else:
         writer.write((0,) * blocks[0].ndim, blocks[0])
-    for index, block in enumerate(blocks if item.in_rows else ()):
-        for part in range(inner[0]) if components else range(1):
-            values = block[:, part : part + 1] if components else block
-            writer.write((index, part, *(0,) * (len(inner) - 1)) if inner else (index,), values)
     return {
         "name": item.name,
         "shape": shape,

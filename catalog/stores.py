@@ -152,7 +152,7 @@ class Store:
             ) from error
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
-        return block[tuple(slice(0, size) for size in variable.shape)] if not all(variable.shape) else block
+        return block
 
 
 def _no_values(variable: StoredVariable, shape: tuple[int, ...]) -> Array:

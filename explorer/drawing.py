@@ -21,31 +21,31 @@ _STYLES = """
 Bokeh.require("core/visuals/visual").VisualProperties.prototype._get_css_value = () => "";
 """
 
-#: Whatever changes on a page, all of it is laid out and drawn again. Here changes that come together are laid
-#: out together: a change of the model is a dozen of them.
+#: Whatever changes on a page, all of it is laid out and drawn again. Here that is done once for all that has
+#: changed when the browser is about to show it: a change of the model is a dozen changes. A page that is not
+#: seen shows nothing; there a timer does it.
 _LAYOUT = """
 const {LayoutDOMView} = Bokeh.require("models/layouts/layout_dom");
 const view = LayoutDOMView.prototype, {invalidate_layout, compute_layout} = view;
 view.invalidate_layout = function () {
   if (this.parent instanceof LayoutDOMView) { this.parent.invalidate_layout(); return }
-  clearTimeout(this.inflightDue);
-  const now = performance.now();
-  this.inflightSince ??= now;
-  this.inflightDue = setTimeout(() => {
-    this.inflightDue = this.inflightSince = null;
-    invalidate_layout.call(this);
-  }, now - this.inflightSince < MOST ? SOON : 0);
+  if (this.inflightDue) return;
+  this.inflightDue = true;
+  const lay_out = () => {
+    cancelAnimationFrame(frame); clearTimeout(timer);
+    this.inflightDue = false;
+    if (!this.is_destroyed) invalidate_layout.call(this);
+  };
+  const frame = requestAnimationFrame(lay_out), timer = setTimeout(lay_out, 200);
 };
 view.compute_layout = function () { if (!this.inflightDue) compute_layout.call(this) };
 """
-#: How long a page waits for more changes, and how long at most, ms.
-_SOON, _MOST = 25, 400
 
 #: Other versions of Bokeh are left as they are.
 DRAWING = (
     'if (!window.inflightDrawing && Bokeh.version.startsWith("3.9.")) { window.inflightDrawing = true;'
     + _ZOOM
     + _STYLES
-    + _LAYOUT.replace("SOON", str(_SOON)).replace("MOST", str(_MOST))
+    + _LAYOUT
     + "}"
 )

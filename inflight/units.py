@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 #: Numbers smaller than this are written with an exponent.
 _PLAIN = 1e-4
 #: Units that nearly every mission states, known without the registry, which takes a moment to load: what each
-#: measures, and its size and its zero in the unit of that which is 1 here.
+#: measures, how large it is, and where its zero lies, both in the unit of size 1 that measures the same.
 COMMON_UNITS = {
     "1": ("number", 1.0, 0.0),
     "count": ("number", 1.0, 0.0),

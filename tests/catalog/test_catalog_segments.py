@@ -220,6 +220,7 @@ def with_object_attribute(dataset):
         (wrong(lambda dataset: dataset.transpose("axis", "other", "time")), "'time' first"),
         (wrong(lambda dataset: dataset.isel(time=0)), "expected one of"),
         (wrong(with_object_attribute), "variable 'field'"),
+        (wrong(lambda dataset: dataset.rename(flag="../flag")), "no name of a variable"),
         ([DayData(DAYS[0], samples(DAYS[0]))] * 2, "twice"),
         (
             [DayData(DAYS[0], samples(DAYS[0])), DayData(DAYS[1], samples(DAYS[1]).drop_vars("flag"))],

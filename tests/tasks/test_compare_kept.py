@@ -147,6 +147,11 @@ def test_what_is_kept_of_products_serves_when_a_model_comes_after_them(calibrate
     inside = {day + step for day in whole_blocks(DAYS[0], DAYS[-1]) for step in range(8)}
     # Of days in no whole block the products before are read again, of the others only those of now.
     assert sorted(reads) == sorted([*DAYS, *(set(DAYS) - inside)])
+    reads.clear()
+    assert compare(catalog, mission).as_json() == told_then
+    assert sorted(reads) == sorted([*(set(DAYS) - inside)] * 2)
+    assert catalog.verify() == []
+    assert catalog.gc() == []
 
 
 def test_a_damaged_block_is_repaired_and_made_again(calibrated, tmp_path):

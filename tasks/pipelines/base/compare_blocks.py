@@ -67,10 +67,8 @@ class DigestPlan(Generic[D]):
     Attributes
     ----------
     dataset : str
-        In which whole blocks are kept, under a key that names it.
-    earlier : bool
-        Of products that are no longer the published ones: whole blocks are kept in a dataset beside. When
-        a model changes, what was kept of the products before it serves from the other one.
+        In which whole blocks of published products are kept. It is in every key, so that a block is the same
+        in whichever dataset it is found.
     version : int
         Of the algorithm.
     kind : type
@@ -79,6 +77,9 @@ class DigestPlan(Generic[D]):
         Returns the digest of some days: (catalog, mission, comparison, sources, days, *options).
     options : tuple
         What `make` takes beyond, plain numbers.
+    earlier : bool
+        Of products before the published ones, whose blocks are kept in ``<dataset>-earlier``: what was kept
+        of them while they were published goes there.
     """
 
     cat: Catalog
@@ -93,7 +94,7 @@ class DigestPlan(Generic[D]):
 
     @property
     def kept_in(self) -> tuple[str, str]:
-        """The dataset that blocks are kept in, and the other one that may have them."""
+        """Return the dataset that blocks are kept in, and the other one that may have them."""
         both = (self.dataset, f"{self.dataset}-earlier")
         return both[::-1] if self.earlier else both
 
@@ -123,23 +124,28 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
         Called with (stage, done, total), in days.
     """
     blocks = _blocks_of(plan, days)
-    kept = _kept_blocks(plan, blocks)
-    done, missing = 0, {block.first: block.key for block in blocks if block.key and block.first not in kept}
+    kept, own = _kept_blocks(plan, blocks), plan.kept_in[0]
+    wanted = {block.first: block.key for block in blocks if block.key}
+    missing = {first: key for first, key in wanted.items() if first not in kept or kept[first].dataset != own}
+    done = 0
     progress("compare", 0, len(days))
     with ExitStack() as stack:
         run = _run_to_keep(plan, stack) if missing else None
         if run is not None:
-            kept |= reuse_interrupted_days(run, plan.kept_in[0], missing, missing)
+            kept |= reuse_interrupted_days(run, own, missing, missing)
             blocks = [replace(one, run=run.id) if one.first in missing else one for one in blocks]
         todo = [block for block in blocks if not (block.key and block.first in kept)]
         made = _made_blocks(plan, todo, client, stack)
         for block in blocks:
-            if block.key and block.first in kept:
-                digest = plan.kind.of_dataset(plan.cat.read(kept[block.first]))
-            else:
+            there, segment = kept.get(block.first) if block.key else None, None
+            if there is None:
                 digest, segment = next(made)
-                if run is not None and segment is not None:
-                    run.attach(segment)
+            else:
+                digest = plan.kind.of_dataset(plan.cat.read(there))
+                if there.dataset != own:
+                    segment = _keep(plan, block, digest)
+            if run is not None and segment is not None:
+                run.attach(segment)
             done += len(block.days)
             yield digest
             progress("compare", done, len(days))
@@ -165,16 +171,21 @@ def digest_and_keep(plan: DigestPlan[D], block: _Block) -> tuple[D, Segment | No
     """Make the digest of a block, on one BLAS thread; write it as a segment when it belongs to a run."""
     with one_thread():
         digest = plan.make(plan.cat, plan.mission, plan.comparison, block.sources, block.days, *plan.options)
+    return digest, _keep(plan, block, digest)
+
+
+def _keep(plan: DigestPlan[D], block: _Block, digest: D) -> Segment | None:
+    """Write the digest of a block as a segment when it belongs to a run and there is room."""
     if not block.run:
-        return digest, None
+        return None
     kept = digest.as_dataset()
     kept["start"] = ("block", np.array([day_bounds(block.first)[0]], dtype=np.int64))
     data = DayData(block.first, kept, block.key, block.parents)
     try:
-        return digest, write_segment(plan.cat.workspace, block.run, plan.kept_in[0], [data])
+        return write_segment(plan.cat.workspace, block.run, plan.kept_in[0], [data])
     except StorageError:
         # A comparison is told where nothing can be kept, too.
-        return digest, None
+        return None
 
 
 def _blocks_of(plan: DigestPlan[D], days: Sequence[Day]) -> list[_Block]:
@@ -196,11 +207,11 @@ def _blocks_of(plan: DigestPlan[D], days: Sequence[Day]) -> list[_Block]:
 
 
 def _kept_blocks(plan: DigestPlan[D], blocks: Sequence[_Block]) -> dict[np.datetime64, Day]:
-    """Return the days of the catalog that hold blocks as they would be made now."""
+    """Return the days that hold blocks as they would be made now, those of the plan's own dataset first."""
     keys = {block.first: block.key for block in blocks if block.key}
     if not keys:
         return {}
-    there = [day for name in plan.kept_in for day in plan.cat.days(name, states=("published",))]
+    there = [day for name in reversed(plan.kept_in) for day in plan.cat.days(name, states=("published",))]
     return {day.day: day for day in there if keys.get(day.day) == day.key}
 
 
