@@ -12,7 +12,7 @@ Dask client where they are many; what is made is the same.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -124,8 +124,8 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
         Called with (stage, done, total), in days.
     """
     blocks = _blocks_of(plan, days)
-    kept, own = _kept_blocks(plan, blocks), plan.kept_in[0]
     wanted = {block.first: block.key for block in blocks if block.key}
+    kept, own = _kept_blocks(plan, wanted), plan.kept_in[0]
     missing = {first: key for first, key in wanted.items() if first not in kept or kept[first].dataset != own}
     done = 0
     progress("compare", 0, len(days))
@@ -134,10 +134,10 @@ def iter_digests(plan: DigestPlan[D], days: Sequence[Day], client: Any, progress
         if run is not None:
             kept |= reuse_interrupted_days(run, own, missing, missing)
             blocks = [replace(one, run=run.id) if one.first in missing else one for one in blocks]
-        todo = [block for block in blocks if not (block.key and block.first in kept)]
+        todo = [block for block in blocks if block.first not in kept]
         made = _made_blocks(plan, todo, client, stack)
         for block in blocks:
-            there, segment = kept.get(block.first) if block.key else None, None
+            there, segment = kept.get(block.first), None
             if there is None:
                 digest, segment = next(made)
             else:
@@ -206,13 +206,18 @@ def _blocks_of(plan: DigestPlan[D], days: Sequence[Day]) -> list[_Block]:
     return blocks
 
 
-def _kept_blocks(plan: DigestPlan[D], blocks: Sequence[_Block]) -> dict[np.datetime64, Day]:
-    """Return the days that hold blocks as they would be made now, those of the plan's own dataset first."""
-    keys = {block.first: block.key for block in blocks if block.key}
-    if not keys:
+def _kept_blocks(plan: DigestPlan[D], wanted: Mapping[np.datetime64, str]) -> dict[np.datetime64, Day]:
+    """Return the days that hold blocks as they would be made now, those of the plan's own dataset first.
+
+    Parameters
+    ----------
+    wanted : mapping of date to str
+        Keys of the whole blocks, by their first days.
+    """
+    if not wanted:
         return {}
     there = [day for name in reversed(plan.kept_in) for day in plan.cat.days(name, states=("published",))]
-    return {day.day: day for day in there if keys.get(day.day) == day.key}
+    return {day.day: day for day in there if wanted.get(day.day) == day.key}
 
 
 def _run_to_keep(plan: DigestPlan[D], stack: ExitStack) -> Run | None:
