@@ -92,6 +92,19 @@ def parse_unit(text: str) -> pint.Unit:
         raise ValueError(f"{text!r} is no known unit ({error})") from None
 
 
+def is_same_unit(one: str, other: str) -> bool:
+    """Return True when two texts name one unit.
+
+    Raises
+    ------
+    ValueError
+        When a text names no unit.
+    """
+    if one in COMMON_UNITS and other in COMMON_UNITS:
+        return one == other
+    return bool(parse_unit(one) == parse_unit(other))
+
+
 @lru_cache(maxsize=256)
 def factor_and_offset(source: str, target: str) -> tuple[float, float]:
     """Return (a, b) with ``target value = a * source value + b``.

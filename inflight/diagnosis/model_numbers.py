@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from inflight.design import SENSOR_EQUATIONS, ChannelSummary, Difference, HeldNumber, Term
 from inflight.effects import NO_CAUSE
@@ -205,7 +205,7 @@ def _write(tree: dict[str, Any], entry: ModelEffect, number: HeldNumber, value: 
     if key in entry.parameters:
         tree[key] = {**tree[key], "value": value}
     elif key in _TURNS:
-        turn = Rotation.from_rotvec(np.deg2rad(value) * np.array(_TURNS[key]))
+        turn = scipy.spatial.transform.Rotation.from_rotvec(np.deg2rad(value) * np.array(_TURNS[key]))
         tree["normals"] = turn.apply(np.asarray(tree["normals"], dtype=np.float64)).tolist()
     elif key in ("lag", "width") and tree.get(key) is not None:
         tree[key] = value if key == "width" else f"{value:.12g} s"

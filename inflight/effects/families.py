@@ -14,7 +14,7 @@ from inflight.effects.base import Effect, Parameter
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.samples import parse_channel
-from inflight.units import parse_unit
+from inflight.units import is_same_unit
 
 if TYPE_CHECKING:
     from inflight.instruments import Channel
@@ -159,7 +159,7 @@ def channel_unit(mission: Mission, name: str) -> str | None:
     except (KeyError, ModelError):
         return None
     # A factor that is a plain number, such as sunlit, leaves the other's unit.
-    parts = [unit for unit in parts if parse_unit(unit) != parse_unit("1")] or ["1"]
+    parts = [unit for unit in parts if not is_same_unit(unit, "1")] or ["1"]
     return parts[0] if len(parts) == 1 else "*".join(f"({unit})" for unit in parts)
 
 
@@ -169,9 +169,9 @@ def coefficient_unit(parameter: Parameter, mission: Mission, channel: str) -> st
     A parameter that is per no channel, and one per a channel the mission does not know, keeps its own.
     """
     unit = channel_unit(mission, channel) if parameter.per_channel else None
-    if unit is None or parse_unit(unit) == parse_unit("1"):
+    if unit is None or is_same_unit(unit, "1"):
         return parameter.unit
-    below = "K" if parse_unit(unit) == parse_unit("degC") else unit
+    below = "K" if is_same_unit(unit, "degC") else unit
     below = below if re.fullmatch(r"\w+", below) else f"({below})"
     power = f"^{parameter.per_channel}" if parameter.per_channel > 1 else ""
     return f"{parameter.unit}/{below}{power}"

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from inflight.units import COMMON_UNITS, factor_and_offset, parse_unit, registry
+from inflight.units import COMMON_UNITS, factor_and_offset, is_same_unit, parse_unit, registry
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,11 @@ def test_units_known_without_the_registry_convert_as_it_does():
             continue
         zero, unity = (registry().Quantity(number, one).to(other).magnitude for number in (0.0, 1.0))
         assert factor_and_offset(source, target) == (unity - zero, zero), (source, target)
+
+
+def test_units_known_without_the_registry_are_the_same_where_it_says_so():
+    for one, other in itertools.product([*COMMON_UNITS, "Celsius", "counts"], repeat=2):
+        assert is_same_unit(one, other) == (parse_unit(one) == parse_unit(other)), (one, other)
 
 
 def test_units_of_different_things_are_refused_naming_both():
