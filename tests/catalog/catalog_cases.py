@@ -162,6 +162,15 @@ def publish_generations(workspace: Path, first: int, stop: int, ready: Connectio
         publish_seed(catalog, seed)
 
 
+def publish_until_told(workspace: Path, pipe: Connection) -> None:
+    """Publish one generation after the other until something is sent; then tell the last one."""
+    catalog, seed = Catalog(workspace), 0
+    while not pipe.poll():
+        seed += 1
+        publish_seed(catalog, seed)
+    pipe.send(seed)
+
+
 def save_a_model(workspace: Path, text: str) -> None:
     Catalog(workspace).save_model("m", text)
 

@@ -18,6 +18,7 @@ from catalog_cases import (
     publish,
     publish_generations,
     publish_seed,
+    publish_until_told,
     samples,
     save_a_model,
     spawn,
@@ -97,11 +98,12 @@ def test_a_kill_at_a_random_moment_shows_one_generation(catalog, reopened_after_
 
 def test_readers_see_one_generation_while_others_are_published(catalog):
     publish_seed(catalog, 0)
-    process = spawn(publish_generations, catalog.workspace, 1, 7)
-    seen, failures = set(), []
+    mine, theirs = multiprocessing.Pipe()
+    process = spawn(publish_until_told, catalog.workspace, theirs)
+    seen, failures, deadline = set(), [], time.monotonic() + 60
 
     def read():
-        while process.is_alive():
+        while process.is_alive() and len(seen) < 4 and not failures and time.monotonic() < deadline:
             try:
                 seen.add(generation_seen(Catalog(catalog.workspace, create=False)))
             except AssertionError as error:
@@ -112,10 +114,12 @@ def test_readers_see_one_generation_while_others_are_published(catalog):
         reader.start()
     for reader in readers:
         reader.join()
+    mine.send("enough")
+    last = mine.recv()
     assert ended(process) == 0
     assert failures == []
-    assert len(seen) > 2, "the readers did not meet a publication"
-    assert generation_seen(catalog) == 6
+    assert len(seen) > 3, "the readers did not meet publications"
+    assert generation_seen(catalog) == last
 
 
 def test_two_writers_wait_for_each_other_and_no_revision_is_lost_or_reused(catalog):
