@@ -116,8 +116,9 @@ def factor_and_offset(source: str, target: str) -> tuple[float, float]:
     """
     if source in COMMON_UNITS and target in COMMON_UNITS:
         (measured, size, zero), (wanted, unit, origin) = COMMON_UNITS[source], COMMON_UNITS[target]
-        if measured == wanted:
-            return size / unit, (zero - origin) / unit
+        if measured != wanted:
+            raise ValueError(f"unit {source!r} cannot become {target!r}")
+        return size / unit, (zero - origin) / unit
     start, goal = parse_unit(source), parse_unit(target)
     if start == goal:
         return 1.0, 0.0
