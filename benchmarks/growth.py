@@ -80,6 +80,9 @@ def _rows(folder: Path, days: int, processes: Sequence[int], *, new_day: bool) -
         yield replace(row, aim=_AIMS.get((days, "diagnose"), ""), **rivals.of_diagnose())
     again = rivals.of_diagnose() | start_up_floor()
     yield replace(command("diagnose again", ["diagnose"], folder, 3), aim="3 s", **again)
+    if days <= _REPEATED_UP_TO:
+        row = command("diagnose --search, its statistics there", ["diagnose", "--search"], folder, repeats)
+        yield replace(row, aim="3 s", **again)
     yield from in_process(native_pass, folder, rivals.align / days, environment=WORKERS_ENVIRONMENT)
     # Before the model has other versions, of which no day is yet.
     if new_day:
