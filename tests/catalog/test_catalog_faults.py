@@ -115,8 +115,8 @@ def test_readers_see_one_generation_while_others_are_published(catalog):
     for reader in readers:
         reader.join()
     mine.send("enough")
-    last = mine.recv()
     assert ended(process) == 0
+    last = mine.recv()
     assert failures == []
     assert len(seen) > 3, "the readers did not meet publications"
     assert generation_seen(catalog) == last
